@@ -1,0 +1,1 @@
+"""The Hydra configs; a package so that they travel in the wheel."""

@@ -1,0 +1,98 @@
+"""Adam's step on the unknowns: finite, scaled, inside the legal ranges."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .config import OptimizerConfig
+from .errors import InputError
+from .schedule import factor
+from .unknowns import Unknowns, as_numpy, flat, unflat
+
+
+class Stepper:
+    """Dr.Jit's Adam with what an inverse problem needs around it.
+
+    - Non-finite gradient entries are counted (``nonfinite``) and replaced by zero before they
+      reach a moment: one NaN would poison its entry for good.
+    - Adam divides by √v̂ + ε with ε = 1e-8. A loss that is a mean over millions of pixels has
+      gradients of that size, and ε would slow it silently. ``scale`` (per unknown, fixed for the
+      run, from a rehearsal's root mean square) brings them to order 1; Adam is invariant to it
+      but for ε.
+    - After the step, values are clamped to their legal ranges.
+    """
+
+    def __init__(self, unknowns: Unknowns, settings: OptimizerConfig):
+        if not settings.lr > 0:
+            raise InputError(f"optimizer.lr={settings.lr}: must be above 0")
+        for name in ("beta_1", "beta_2"):
+            if not 0 <= getattr(settings, name) < 1:
+                raise InputError(
+                    f"optimizer.{name}={getattr(settings, name)}: must lie in [0, 1)"
+                )
+        self.unknowns, self.settings = unknowns, settings
+        self.factor = factor(settings.schedule, settings.final)
+        self.scale = {key: 1.0 for key in unknowns.keys}
+        self.restart(unknowns.starts())
+
+    def restart(self, values: dict) -> None:
+        """Fresh moments, given values."""
+        s = self.settings
+        self.adam = mi.ad.Adam(
+            lr=s.lr, beta_1=s.beta_1, beta_2=s.beta_2, mask_updates=s.mask_updates
+        )
+        for key, value in values.items():
+            self.adam[key] = value
+        self.nonfinite = dr.zeros(mi.UInt32, 1)
+
+    @property
+    def values(self) -> dict:
+        return {key: dr.detach(self.adam[key]) for key in self.unknowns.keys}
+
+    def rate(self, progress: float) -> float:
+        """The learning rate of unknowns without their own, at this progress of the budget."""
+        return self.settings.lr * self.factor(progress)
+
+    def step(self, gradients: dict, progress: float) -> None:
+        """One Adam step along ``gradients`` (by key, any scale). Evaluates the new values."""
+        factor = self.factor(progress)
+        rates, bad = {}, mi.UInt32(0)
+        for unknown in self.unknowns:
+            key = unknown.key
+            rates[key] = (unknown.lr or self.settings.lr) * factor
+            entries = flat(gradients[key])
+            finite = dr.isfinite(entries)
+            bad += dr.count(~finite)
+            # Opaque, because the factor differs from run to run and would compile anew.
+            scale = dr.opaque(mi.Float, self.scale[key])
+            clean = dr.select(finite, entries * scale, 0)
+            dr.set_grad(self.adam[key], unflat(gradients[key], clean))
+        self.nonfinite += bad
+        self.adam.set_learning_rate(rates)
+        self.adam.step(eval=False)
+        for unknown in self.unknowns:
+            if np.isfinite(unknown.low) or np.isfinite(unknown.high):
+                value = self.adam[unknown.key]
+                self.adam[unknown.key] = dr.clip(dr.detach(value), unknown.low, unknown.high)
+        dr.eval(self.adam.state, self.nonfinite)
+
+    def calibrate(self, gradients: list[dict]) -> None:
+        """Fix ``scale`` as 1 / (root mean square of the non-zero finite entries), per unknown."""
+        for key in self.unknowns.keys:
+            entries = np.concatenate([np.array(flat(g[key])) for g in gradients])
+            entries = entries[np.isfinite(entries) & (entries != 0)].astype(np.float64)
+            size = float(np.sqrt(np.mean(entries**2))) if entries.size else 0.0
+            self.scale[key] = 1.0 / size if size > 0 else 1.0
+
+    def export(self) -> tuple[dict[str, np.ndarray], dict]:
+        """Values and moments as arrays, step counts and scales as JSON, for a checkpoint."""
+        arrays, steps = {}, {}
+        for key in self.unknowns.keys:
+            count, first, second, _ = self.adam.state[key][3]
+            arrays[f"value/{key}"] = as_numpy(self.adam[key])
+            arrays[f"first/{key}"] = np.array(first)
+            arrays[f"second/{key}"] = np.array(second)
+            steps[key] = int(count[0])
+        return arrays, {"steps": steps, "scale": self.scale}

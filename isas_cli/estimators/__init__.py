@@ -1,0 +1,1 @@
+"""How to differentiate: estimators of the loss gradient for any pixel distribution."""

@@ -1,0 +1,81 @@
+"""The two-path replay estimator of the loss gradient (ISAS Algorithm 1, stage 2)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+
+from .. import rays, streams
+from ..pixels import PixelDistribution
+from . import replay
+
+if TYPE_CHECKING:
+    from ..problem import Problem
+
+
+class TwoPath:
+    """Estimates dℒ/dθ from N pixels drawn from any distribution, two independent paths a pixel.
+
+    ISAS Eq. (4), averaged over N draws j_i ~ p:
+
+        ⟨dℒ/dθ⟩ = 1/N Σ_i  ⟨∂ℒ/∂I⟩_{j_i} ⟨dI/dθ⟩_{j_i} / p_{j_i}
+
+    The first path's radiance gives ⟨∂ℒ/∂I⟩ through the loss, a second, independent path gives
+    ⟨dI/dθ⟩ by path replay (Vicini et al. 2021). One path for both would be biased for L2: its
+    noise is correlated with itself.
+
+    Symbols: N → ``batch`` (pixels a step; 2 N light paths); p → ``PixelDistribution``;
+    θ → ``problem.unknowns``, whose gradients receive the estimate.
+    Bias: none for losses with linear derivative (``loss.linear``) and p > 0 wherever
+    ∂ℒ/∂I · dI/dθ ≠ 0; other losses as their docstrings say. Visibility is not differentiated:
+    unknowns that move geometry are refused by ``Unknowns``.
+    Everything here is traced once and frozen (``dr.freeze``); ``params.update()`` stays outside,
+    and the gradients are read outside, after the call.
+    """
+
+    paths_per_pixel = 2
+
+    def __init__(self, problem: "Problem", loss, batch: int, freeze: bool = True):
+        self.problem, self.loss, self.batch = problem, loss, batch
+        integrator = problem.integrator
+
+        def kernel(scene, sensors, views, leaves, distribution, targets, mask, seeds, share):
+            with dr.suspend_grad():
+                pixel, probability = distribution.draw(batch, seeds[0])
+                view, column, row = views.locate(pixel)
+
+                first = rays.stream(seeds[1], batch)
+                ray, weight = rays.spawn(sensors, views, view, column, row, first)
+                radiance, _ = replay.primal(integrator, scene, first, ray)
+                target = dr.gather(mi.Color3f, targets, pixel)
+                residual = loss.derivative(radiance * weight, target)
+                if mask is not None:
+                    residual *= dr.gather(mi.Float, mask, pixel)
+
+                second = rays.stream(seeds[2], batch)
+                ray, weight = rays.spawn(sensors, views, view, column, row, second)
+                adjoint = residual * weight * (share / (probability * batch))
+                replay.backward(integrator, scene, second, ray, adjoint)
+
+        self._kernel = dr.freeze(kernel) if freeze else kernel
+
+    def accumulate(self, distribution: PixelDistribution, base: int, iteration: int) -> None:
+        """Add one estimate to the gradients of the unknowns' leaves (``Unknowns.attach`` first)."""
+        p = self.problem
+        seeds = [
+            dr.opaque(mi.UInt32, streams.seed(base, iteration, purpose))
+            for purpose in ("draw", "primal", "adjoint")
+        ]
+        self._kernel(
+            p.scene,
+            p.sensors,
+            p.views,
+            p.unknowns.leaves,
+            distribution,
+            p.targets,
+            p.mask,
+            seeds,
+            p.share,
+        )

@@ -1,0 +1,82 @@
+"""Measuring where a run stands, with pixels, seeds and samples of its own."""
+
+from __future__ import annotations
+
+import math
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from . import streams
+from .errors import InputError
+from .problem import Problem
+from .render import Renderer
+from .unknowns import as_numpy
+
+
+class Evaluator:
+    """Loss, image error and parameter error at given values; never billed.
+
+    Renders a fixed stratified set of ``pixels`` (all of them where there are fewer) with ``spp``
+    paths each, in two independent halves A and B. ``image_rmse`` is √mean_j,c (A - T)(B - T):
+    the expectation of that product is the squared error of the *mean* image, so the noise of the
+    evaluation itself does not pass for error (clamped at 0 when noise makes it negative; the
+    target's own noise remains). ``loss`` is ℒ at the mean of the two halves and does contain
+    their noise. The same seeds every time: curves are smooth, and two runs with one seed are
+    measured alike.
+    """
+
+    def __init__(self, problem: Problem, loss, pixels: int, spp: int, base: int):
+        if spp < 2 or spp % 2:
+            raise InputError(f"evaluation.spp={spp}: must be even and at least 2 (two halves)")
+        if pixels < 1:
+            raise InputError(f"evaluation.pixels={pixels}: at least 1")
+        self.problem, self.loss, self.spp, self.base = problem, loss, spp, base
+        total = problem.views.total
+        count = min(pixels, total)
+        rng = np.random.default_rng(streams.seed(base, 0, "reserve"))
+        strata = (np.arange(count) + rng.random(count)) * (total / count)
+        chosen = np.arange(total) if count == total else np.minimum(strata, total - 1)
+        self.pixels = mi.UInt32(chosen.astype(np.uint32))
+        self.renderer = Renderer(problem)
+
+    def __call__(self, values: dict) -> dict[str, float]:
+        """``loss``, ``image_rmse``, ``parameter_rmse`` and ``parameter_rmse/<key>``."""
+        self.problem.unknowns.write(values)
+        half = self.spp // 2
+        first, second = (
+            self.renderer.pixels(
+                self.pixels,
+                half,
+                lambda s, h=h: streams.seed(self.base, h * half + s, "evaluation"),
+            )
+            for h in (0, 1)
+        )
+        target = dr.gather(mi.Color3f, self.problem.targets, self.pixels)
+        weight = mi.Float(1)
+        if self.problem.mask is not None:
+            weight = dr.gather(mi.Float, self.problem.mask, self.pixels)
+        squared = dr.sum((first - target) * (second - target)) * weight
+        loss = dr.sum(self.loss.value(0.5 * (first + second), target)) * weight
+        norm = 3.0 * (float(dr.sum(weight)[0]) if dr.width(weight) > 1 else dr.width(self.pixels))
+        result = {
+            "loss": float(dr.sum(loss)[0]) / norm,
+            "image_rmse": math.sqrt(max(0.0, float(dr.sum(squared)[0]) / norm)),
+        }
+        return result | self.parameter_errors(values)
+
+    def parameter_errors(self, values: dict) -> dict[str, float]:
+        """RMSE over the entries that some view sees, per key, and over all keys together.
+
+        ``parameter_rmse`` is the root of the mean over *keys* of the squared errors, in the
+        parameters' own units: a scalar weighs as much as a texture.
+        """
+        if not self.problem.truth_known:
+            return {}
+        errors = {}
+        for unknown in self.problem.unknowns:
+            difference = (as_numpy(values[unknown.key]) - unknown.truth)[unknown.seen]
+            errors[f"parameter_rmse/{unknown.key}"] = float(np.sqrt(np.mean(difference**2)))
+        together = math.sqrt(sum(e * e for e in errors.values()) / len(errors))
+        return {"parameter_rmse": together} | errors

@@ -1,0 +1,209 @@
+"""The loop: refresh the distribution, estimate, check finite, step, project, record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import drjit as dr
+import numpy as np
+
+from .adam import Stepper
+from .budget import Budget
+from .clock import Clock
+from .errors import NumericalError
+from .estimators.two_path import TwoPath
+from .evaluate import Evaluator
+from .problem import Problem
+from .samplers.base import Sampler
+from .unknowns import flat
+
+# Recording a frozen kernel takes two or three calls; from the fourth on a step is steady.
+_REHEARSAL_STEPS = 5
+# Evaluations crowd towards the start, where the error falls fastest.
+_EVALUATION_POWER = 1.5
+# Estimates of which more than this share of the entries is not finite since the last evaluation
+# carry no information worth going on with.
+_NONFINITE_LIMIT = 0.5
+# Iteration numbers of the rehearsal: out of reach of any run, so that no stream repeats.
+_REHEARSAL_BASE = 1 << 27
+
+
+@dataclass
+class Position:
+    """Where a run stands: everything a continuation needs besides parameters and moments."""
+
+    iteration: int = 0
+    paths: int = 0
+    evaluations: int = 0
+
+
+@dataclass
+class Hooks:
+    """Whom the loop tells. None of these is billed."""
+
+    evaluated: Callable[[dict], None] = lambda row: None
+    stepped: Callable[["Loop", float], None] = lambda loop, progress: None
+    stop: Callable[[], bool] = lambda: False
+
+
+class Loop:
+    """One run of Adam on one problem with one sampler and one estimator."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        loss,
+        sampler: Sampler,
+        stepper: Stepper,
+        evaluator: Evaluator,
+        budget: Budget,
+        batch: int,
+        seed: int,
+        evaluations: int,
+        freeze: bool = True,
+    ):
+        self.problem, self.sampler, self.stepper = problem, sampler, stepper
+        self.evaluator, self.budget, self.seed = evaluator, budget, seed
+        self.evaluations = evaluations
+        self.clock = Clock()
+        self.position = Position()
+        self.last: dict | None = None
+        self.estimator = TwoPath(problem, loss, batch, freeze)
+        self.sampler.prepare(problem, loss, batch, freeze)
+        self._weights = self._distribution = self._gradients = None
+        self._counted = 0
+
+    @property
+    def progress(self) -> float:
+        p = self.position
+        return self.budget.progress(self.clock.seconds, p.iteration, p.paths)
+
+    def rehearse(self) -> None:
+        """Compile everything the run will launch, measure the gradient's scale, start afresh."""
+        with self.clock.unbilled("rehearsal"):
+            gradients = []
+            for i in range(_REHEARSAL_STEPS):
+                iteration = _REHEARSAL_BASE + i
+                # Twice, because the first expansion of the cells is still being recorded.
+                if i < 2 or self.sampler.refresh:
+                    self._look(iteration)
+                gradients.append(self._estimate(iteration))
+                self.stepper.step(gradients[-1], 0.0)
+            self.stepper.calibrate(gradients)
+            self.stepper.restart(self.problem.unknowns.starts())
+            self._weights = self._distribution = None
+
+    def run(self, hooks: Hooks) -> str:
+        """Go on until the budget is spent. Returns 'done' or 'interrupted'.
+
+        Raises NumericalError when the estimates are mostly non-finite; values and moments are
+        then those of the last step, which are finite.
+        """
+        self._evaluate(hooks)
+        while self.progress < 1:
+            if hooks.stop():
+                self._evaluate(hooks)
+                return "interrupted"
+            self._iterate()
+            progress = self.progress
+            if progress >= 1 or progress >= self._next_evaluation():
+                self._evaluate(hooks)
+            hooks.stepped(self, progress)
+        return "done"
+
+    def _iterate(self) -> None:
+        p = self.position
+        if self.sampler.due(p.iteration):
+            with self.clock.billed("stage1"):
+                self._look(p.iteration)
+            p.paths += self.sampler.paths_per_look
+        with self.clock.billed("step"):
+            progress = self.progress
+            self._gradients = self._estimate(p.iteration)
+            self.stepper.step(self._gradients, progress)
+        p.paths += self.estimator.paths_per_pixel * self.estimator.batch
+        p.iteration += 1
+
+    def _look(self, iteration: int) -> None:
+        self._weights = self.sampler.look(self.stepper.values, self.seed, iteration)
+        self._distribution = self.sampler.distribution(self._weights)
+        dr.eval(self._distribution.cdf)
+
+    def _estimate(self, iteration: int) -> dict:
+        unknowns = self.problem.unknowns
+        unknowns.attach(self.stepper.values)
+        self.estimator.accumulate(self._distribution, self.seed, iteration)
+        return unknowns.gradients()
+
+    def _next_evaluation(self) -> float:
+        return (self.position.evaluations / self.evaluations) ** _EVALUATION_POWER
+
+    def _evaluate(self, hooks: Hooks) -> None:
+        p = self.position
+        with self.clock.unbilled("evaluation"):
+            row = self.evaluator(self.stepper.values)
+            nonfinite = int(self.stepper.nonfinite[0])
+            norm = self._gradient_norm()
+        # One evaluation may stand for several that a long iteration has jumped over.
+        p.evaluations += 1
+        while self._next_evaluation() <= self.progress < 1:
+            p.evaluations += 1
+        row |= {
+            "iteration": p.iteration,
+            "seconds": self.clock.seconds,
+            "paths": p.paths,
+            "gradient_norm": norm,
+            "nonfinite": nonfinite,
+            "stage1_seconds": self.clock.billed_seconds["stage1"],
+            "learning_rate": self.stepper.rate(self.progress),
+        }
+        steps = p.iteration - (self.last["iteration"] if self.last else 0)
+        self.last = row
+        hooks.evaluated(row)
+        self._check(nonfinite, steps)
+
+    def _check(self, nonfinite: int, steps: int) -> None:
+        entries = sum(u.start.size for u in self.problem.unknowns)
+        fresh, self._counted = nonfinite - self._counted, nonfinite
+        if steps and fresh > _NONFINITE_LIMIT * entries * steps:
+            raise NumericalError(
+                f"{fresh} of the last {entries * steps} gradient entries were not finite: the "
+                "last good values are kept; look for values at the edge of their range"
+            )
+
+    def _gradient_norm(self) -> float:
+        """‖⟨dℒ/dθ⟩‖ of the last estimate over its finite entries, all unknowns together."""
+        if self._gradients is None:
+            return float("nan")
+        total = 0.0
+        for gradient in self._gradients.values():
+            entries = np.array(flat(gradient), dtype=np.float64)
+            total += float(np.sum(entries[np.isfinite(entries)] ** 2))
+        return total**0.5
+
+    def export(self) -> tuple[dict[str, np.ndarray], dict]:
+        """Everything that a continuation needs, as arrays and JSON state. Random streams are
+        functions of the base seed and the iteration, so the iteration is their state."""
+        arrays, state = self.stepper.export()
+        if self._weights is not None:
+            arrays["cells"] = np.array(self._weights)
+        p = self.position
+        state |= {
+            "seed": self.seed,
+            "iteration": p.iteration,
+            "paths": p.paths,
+            "evaluations": p.evaluations,
+            "billed": dict(self.clock.billed_seconds),
+        }
+        return arrays, state
+
+    def density(self) -> np.ndarray | None:
+        """p_j n of every pixel at present (1: as often as uniformly), or None before a look."""
+        if self._distribution is None:
+            return None
+        import mitsuba as mi
+
+        views = self.problem.views
+        pixel = dr.arange(mi.UInt32, views.total)
+        return np.array(self._distribution.probability(pixel)) * views.total

@@ -1,0 +1,71 @@
+"""The frames of a run: target, start, result, error and sampling density of some views."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import streams
+from .problem import Problem
+from .records import RunWriter, safe_name
+from .render import Renderer
+from .unknowns import as_numpy
+
+_RGB = ["R", "G", "B"]
+
+
+class Pictures:
+    """Writes frames/*.exr for up to ``views`` views spread evenly over the problem's."""
+
+    def __init__(self, problem: Problem, writer: RunWriter, views: int, spp: int, tags: dict):
+        count = len(problem.film_sizes)
+        chosen = np.linspace(0, count, min(views, count), endpoint=False)
+        self.views = [int(v) for v in chosen]
+        self.problem, self.writer, self.spp, self.tags = problem, writer, spp, tags
+        self.renderer = Renderer(problem)
+
+    def _write(self, name: str, image: np.ndarray, channels: list[str], what: str, **more) -> None:
+        self.writer.frame(name, image, channels, {**self.tags, "what": what, **more})
+
+    def values(self, kind: str, values: dict, base: int, iteration: int) -> None:
+        """Every view at ``values``, and their texture unknowns. ``kind``: start or result."""
+        self.problem.unknowns.write(values)
+        for view in self.views:
+            image = self.renderer.view(
+                view, self.spp, lambda s, v=view: streams.seed(base, v * self.spp + s, "frame")
+            )
+            tags = {"view": view, "iteration": iteration}
+            self._write(f"{kind}_v{view:02d}", image, _RGB, kind, **tags)
+            if kind == "result":
+                error = np.abs(image - self.problem.target_image(view))
+                self._write(f"error_v{view:02d}", error, _RGB, "|result - target|", **tags)
+        self._textures(kind, {k: as_numpy(v) for k, v in values.items()}, iteration)
+
+    def targets(self) -> None:
+        """Targets of the chosen views and, where known, true textures."""
+        for view in self.views:
+            self._write(
+                f"target_v{view:02d}",
+                self.problem.target_image(view),
+                _RGB,
+                "target",
+                **{"view": view},
+            )
+        if self.problem.truth_known:
+            self._textures("truth", {u.key: u.truth for u in self.problem.unknowns}, 0)
+
+    def density(self, density: np.ndarray, iteration: int) -> None:
+        """Pixel probability times number of pixels: 1 is uniform."""
+        offset = 0
+        for view, (width, height) in enumerate(self.problem.film_sizes):
+            if view in self.views:
+                image = density[offset : offset + width * height].reshape(height, width, 1)
+                tags = {"view": view, "iteration": iteration}
+                self._write(f"density_v{view:02d}", image, ["Y"], "p_j n", **tags)
+            offset += width * height
+
+    def _textures(self, kind: str, arrays: dict[str, np.ndarray], iteration: int) -> None:
+        for key, array in arrays.items():
+            if array.ndim == 3 and array.shape[2] in (1, 3):
+                channels = _RGB if array.shape[2] == 3 else ["Y"]
+                tags = {"key": key, "iteration": iteration}
+                self._write(f"{kind}_{safe_name(key)}", array, channels, kind, **tags)

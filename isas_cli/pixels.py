@@ -1,0 +1,123 @@
+"""All pixels of all views as one index range, and a distribution over it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+
+@dataclass
+class Views:
+    """The films of a problem laid end to end: pixel ``j`` of view ``v`` is ``offset[v] + y w + x``.
+
+    ``width``, ``height``, ``offset``, ``end``: ``(V,) uint32`` device arrays (pixels; ``end`` is one
+    past a view's last pixel); ``count``: number of views; ``total``: pixels of all views together.
+    A plain dataclass, so that Dr.Jit sees the arrays when a kernel is frozen.
+    """
+
+    width: mi.UInt32
+    height: mi.UInt32
+    offset: mi.UInt32
+    end: mi.UInt32
+    count: int
+    total: int
+
+    @staticmethod
+    def of(sizes: list[tuple[int, int]]) -> "Views":
+        """Views of the given film sizes ``[(width, height), …]`` in pixels."""
+        offsets, total = [], 0
+        for width, height in sizes:
+            offsets.append(total)
+            total += width * height
+        if total >= 2**32 - 1:
+            raise ValueError(f"{total} pixels: pixel indices are 32 bits wide")
+        return Views(
+            mi.UInt32([w for w, _ in sizes]),
+            mi.UInt32([h for _, h in sizes]),
+            mi.UInt32(offsets),
+            mi.UInt32([*offsets[1:], total]),
+            len(sizes),
+            total,
+        )
+
+    def locate(self, pixel: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32]:
+        """View, column and row of each pixel index. Traced."""
+        # The upper bound is inclusive: Dr.Jit's search may test it.
+        view = dr.binary_search(
+            0, self.count - 1, lambda v: dr.gather(mi.UInt32, self.end, mi.UInt32(v)) <= pixel
+        )
+        view = mi.UInt32(view)
+        rest = pixel - dr.gather(mi.UInt32, self.offset, view)
+        width = dr.gather(mi.UInt32, self.width, view)
+        # The idle lanes at the end of a wavefront gather zeros, and an integer division by zero
+        # kills the process.
+        row = rest // dr.maximum(width, 1)
+        return view, rest - row * width, row
+
+
+@dataclass
+class PixelDistribution:
+    """A pmf over all pixels of all views, kept as its running sum in double precision.
+
+    ``cdf``: ``(n,) float64``, not normalised; ``cdf[-1]`` is the total mass. The probability of
+    a pixel is the step that the running sum takes there, divided by the total: exactly what is
+    drawn, so importance weights match even where single precision could not tell neighbours
+    apart. 8 bytes a pixel. At 70 M equal pixels a step is exact to about 1e-8 relative.
+    """
+
+    cdf: mi.Float64
+    size: int
+
+    @staticmethod
+    def from_weights(weights: mi.Float, floor: float = 0.0) -> "PixelDistribution":
+        """The mixture (1 - floor) w / Σw + floor / n.
+
+        ``weights (n,) float32``, one per pixel, need not be normalised. Non-finite and negative
+        entries count as zero, and weights that are all zero give the uniform pmf: stage 1 of a
+        solved problem says so, and every pixel must stay reachable. Evaluates.
+        """
+        size = dr.width(weights)
+        weights = dr.select(dr.isfinite(weights) & (weights > 0), weights, 0)
+        # Twice: float32 sums stop growing, so the total must come from float64 as well.
+        mass = mi.Float64(weights)
+        total = dr.sum(mass)
+        some = total > 0
+        scale = dr.select(some, (1.0 - floor) * size / dr.select(some, total, 1.0), 0.0)
+        uniform = dr.select(some, mi.Float64(floor), mi.Float64(1.0))
+        cdf = dr.cumsum(dr.fma(mass, scale, uniform))
+        dr.eval(cdf)
+        return PixelDistribution(cdf, size)
+
+    @staticmethod
+    def uniform(size: int) -> "PixelDistribution":
+        """Every pixel alike."""
+        return PixelDistribution.from_weights(dr.full(mi.Float, 1, size))
+
+    def draw(self, count: int, seed: mi.UInt32) -> tuple[mi.UInt32, mi.Float]:
+        """``count`` stratified draws: pixel indices in rising order and their probabilities.
+
+        Sample ``i`` inverts the CDF at ``(i + ξ_i) / count`` with ``ξ`` of 53 bits: a float32
+        number has 2^24 values and would miss pixels of large films. The expected number of
+        draws of pixel ``j`` is ``count p_j`` exactly, so 1 / (count p_j) weights stay unbiased;
+        rising order keeps neighbouring lanes on neighbouring rays. Traced.
+        """
+        rng = mi.PCG32(size=count, initstate=mi.UInt64(seed))
+        strata = mi.Float64(dr.arange(mi.UInt32, count)) + rng.next_float64()
+        total = dr.gather(mi.Float64, self.cdf, self.size - 1)
+        goal = strata * (total / count)
+        pixel = dr.binary_search(
+            0,
+            self.size - 1,
+            lambda j: dr.gather(mi.Float64, self.cdf, mi.UInt32(j)) <= goal,
+        )
+        pixel = mi.UInt32(pixel)
+        return pixel, self.probability(pixel)
+
+    def probability(self, pixel: mi.UInt32) -> mi.Float:
+        """p_j of each pixel index. Traced."""
+        total = dr.gather(mi.Float64, self.cdf, self.size - 1)
+        upper = dr.gather(mi.Float64, self.cdf, pixel)
+        lower = dr.gather(mi.Float64, self.cdf, pixel - 1, pixel > 0)
+        return mi.Float((upper - lower) / total)

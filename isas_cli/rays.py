@@ -1,0 +1,42 @@
+"""Camera rays for any mix of views in one wavefront."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from .pixels import Views
+
+
+def spawn(
+    sensors: mi.SensorPtr,
+    views: Views,
+    view: mi.UInt32,
+    column: mi.UInt32,
+    row: mi.UInt32,
+    sampler: mi.Sampler,
+) -> tuple[mi.RayDifferential3f, mi.Color3f]:
+    """One ray through a random point of each pixel, and its sensor weight.
+
+    ``view``, ``column``, ``row``: ``(N,) uint32``. The point is uniform over the pixel's square,
+    which is what a box reconstruction filter measures: a pixel's value is the mean over its own
+    square, whatever filter the scene's film names, so pixels are independent and one path
+    belongs to one pixel. Traced.
+    """
+    width = dr.gather(mi.UInt32, views.width, view)
+    height = dr.gather(mi.UInt32, views.height, view)
+    jitter = sampler.next_2d()
+    position = mi.Point2f(
+        (mi.Float(column) + jitter.x) / mi.Float(width),
+        (mi.Float(row) + jitter.y) / mi.Float(height),
+    )
+    sensor = dr.gather(mi.SensorPtr, sensors, view)
+    ray, weight = sensor.sample_ray_differential(0.0, 0.0, position, sampler.next_2d())
+    return ray, weight
+
+
+def stream(seed: mi.UInt32, count: int) -> mi.Sampler:
+    """An independent random stream for ``count`` paths."""
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, count)
+    return sampler

@@ -1,0 +1,128 @@
+"""report.html: one file that says what a run was, what it found, and what that cost.
+
+The page stands alone: pictures are inside it, it loads nothing and runs no script.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from ..records import KEY_PREFIX, Run, write_atomically
+from .figures import Picture
+
+_MEASURES = ("loss", "image_rmse", "parameter_rmse")
+_NO_SUMMARY = "no summary: stopped before it could end its record"
+
+
+def write_page(run: Run, pictures: list[Picture], plots: list[Picture]) -> Path:
+    """Writes report.html into the run's folder and returns its path; IsasError if the disk refuses.
+
+    pictures, plots: PNGs that lie on the disk, shown in this order.
+    """
+    summary = run.summary or _from_history(run)
+    environment = Environment(
+        loader=PackageLoader("isas_cli.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(number=number, embedded=_embedded)
+    config = run.folder / "config.yaml"
+    text = environment.get_template("report.html").render(
+        summary=summary,
+        results=_results(summary),
+        truth_known=_value(summary, "start", "parameter_rmse") is not None,
+        phases=_phases(summary),
+        rate=_rate(summary),
+        pictures=pictures,
+        plots=plots,
+        config=config.read_text(encoding="utf-8") if config.is_file() else "",
+        manifest=json.dumps(run.manifest, indent=2),
+    )
+    path = run.folder / "report.html"
+
+    def write(temporary: Path) -> None:
+        temporary.write_text(text, encoding="utf-8")
+
+    write_atomically(path, write)
+    return path
+
+
+def number(value: float | None) -> str:
+    """A number as the page shows it: integers whole, others to four digits, – where not known."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "–"
+    if isinstance(value, int):
+        return f"{value:,}"
+    return f"{value:,.0f}" if 1e3 <= abs(value) < 1e9 else f"{value:.4g}"
+
+
+def _from_history(run: Run) -> dict[str, Any]:
+    """What the rows written so far tell of a run that had no time to write its summary."""
+    rows = run.history.astype(object).where(run.history.notna(), None).to_dict("records")
+    last = rows[-1] if rows else {}
+    return {
+        "status": _NO_SUMMARY,
+        "scene": _named(run.config.get("scene")),
+        "sampler": _named(run.config.get("sampler")),
+        "loss": _named(run.config.get("loss")),
+        "seed": run.config.get("seed"),
+        "iterations": last.get("iteration"),
+        "paths": last.get("paths"),
+        "seconds_billed": last.get("seconds"),
+        "seconds_by_phase": {},
+        "seconds_unbilled": {},
+        "start": rows[0] if rows else {},
+        "final": last,
+        "warnings": [],
+    }
+
+
+def _named(choice: Any) -> str:
+    """The name of a configuration group: its `name` entry, or the group itself if it is a word."""
+    name = choice.get("name") if isinstance(choice, dict) else choice
+    return str(name) if name else "not recorded"
+
+
+def _results(summary: dict[str, Any]) -> list[tuple[str, Any, Any, Any]]:
+    """Rows (measure, start, final, final / start) of what is known at the start or at the end."""
+    ends: Iterable[str] = {**(summary["start"] or {}), **(summary["final"] or {})}
+    rows = []
+    for name in (*_MEASURES, *(name for name in ends if name.startswith(KEY_PREFIX))):
+        start, final = _value(summary, "start", name), _value(summary, "final", name)
+        if start is not None or final is not None:
+            ratio = final / start if start and final is not None else None
+            rows.append((name, start, final, ratio))
+    return rows
+
+
+def _phases(summary: dict[str, Any]) -> list[tuple[str, dict[str, float]]]:
+    """The two halves of the time table: what counts against the budget and what does not."""
+    return [
+        ("seconds billed", summary.get("seconds_by_phase") or {}),
+        ("seconds not billed", summary.get("seconds_unbilled") or {}),
+    ]
+
+
+def _rate(summary: dict[str, Any]) -> float | None:
+    """Light paths per billed second."""
+    paths, seconds = summary["paths"], summary["seconds_billed"]
+    return float(paths / seconds) if paths and seconds else None
+
+
+def _value(summary: dict[str, Any], end: str, name: str) -> float | None:
+    """A measure at `start` or `final`, None where it is not known."""
+    return (summary[end] or {}).get(name)
+
+
+def _embedded(picture: Picture) -> str:
+    """The picture's file as a data: address, so that the page needs no other file."""
+    return "data:image/png;base64," + base64.b64encode(picture.path.read_bytes()).decode()

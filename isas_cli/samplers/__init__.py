@@ -1,0 +1,1 @@
+"""Where to look: one distribution over all pixels of all views, one method a file."""

@@ -1,0 +1,73 @@
+"""Equal expected information per unknown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import drjit as dr
+import mitsuba as mi
+
+from ..errors import InputError
+from ..unknowns import unflat
+from .base import Sampler, Stage1Settings
+from .denoise import Denoiser
+from .stage1 import Stage1
+
+
+@dataclass
+class Balanced(Sampler):
+    """p_j ∝ (Σ_k J_jk / c_k)^power, J_jk = |∂I_j/∂θ_k|, c_k = Σ_j J_jk.
+
+    Why. With batches of a few per mille of the pixels Adam's step is dominated by noise: it
+    divides each component by √v̂_k ≈ s_k, s_k² = Σ_j A_jk / p_j the variance of the gradient,
+    A_jk = E[(∂ℒ/∂I)_j²] E[(∂I_j/∂θ_k)²] / N. Unknown k then moves μ_k/s_k per step. What p can
+    do is to even out how much each unknown learns; for a texture that many pixels see, the fixed
+    point is p_j ∝ 1/n_k(j), n_k the number of pixels that see texel k: equal probability mass per
+    unknown, whatever the residual and the brightness, which Adam has divided out already. The
+    expression above is that, with soft membership J.
+
+    c_k comes from backward passes with unit adjoint (``passes`` of them), Σ_k J_jk/c_k from a
+    forward pass along the tangent 1/c_k. Both depend little on θ, so they are taken once. c_k is
+    held above ``least`` times its mean over the unknowns that are seen: an unknown that one grazing
+    path meets must not draw all samples. Derivatives of one sign are assumed within a pixel
+    (true for reflectances); with others the absolute value of their sum is used.
+    """
+
+    refresh: int = 0
+    power: float = 0.5
+    passes: int = 4
+    least: float = 0.1
+    stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(resolution=128, samples=2))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.power > 0:
+            raise InputError(f"sampler.power={self.power}: must be above 0")
+        if self.passes < 1:
+            raise InputError(f"sampler.passes={self.passes}: at least 1")
+        if not self.least > 0:
+            raise InputError(f"sampler.least={self.least}: must be above 0")
+
+    def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
+        super().prepare(problem, loss, batch, freeze)
+        self._stage1 = Stage1(problem, loss, self.cells, self.stage1.samples, freeze)
+        denoise = self.stage1.denoise
+        self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
+
+    def look(self, values: dict, base: int, iteration: int) -> mi.Float:
+        sensitivity = self._stage1.sensitivity(values, self.passes, base, iteration)
+        tangents = {}
+        for key, c in sensitivity.items():
+            seen = c > 0
+            mean = dr.sum(c) / dr.maximum(dr.sum(dr.select(seen, mi.Float(1), 0)), 1)
+            inverse = dr.select(seen, dr.rcp(dr.maximum(c, self.least * mean)), 0)
+            tangents[key] = unflat(values[key], inverse)
+            dr.eval(tangents[key])
+        first, _ = self._stage1.derivative(values, tangents, base, iteration)
+        weights = dr.power(dr.sum(self._denoise(first)), self.power)
+        dr.eval(weights)
+        return weights
+
+    @property
+    def paths_per_look(self) -> int:
+        return self.cells.count * self.stage1.samples * (self.passes + 1)

@@ -1,0 +1,37 @@
+"""p ∝ |∂ℒ/∂I|, the sampler of Su & Gkioulekas (2024)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from .base import Sampler
+from .denoise import Denoiser
+from .stage1 import Stage1
+
+
+@dataclass
+class Gradient(Sampler):
+    """p_j ∝ Σ_c |(∂ℒ/∂I)_jc| (ISAS Eq. 5), mixed with a uniform ``floor`` so that p > 0.
+
+    The mean over a cell of the absolute single-path derivative, denoised: noisy pixels count as
+    wrong pixels, as they do in any low-sample rendering of the images.
+    """
+
+    def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
+        super().prepare(problem, loss, batch, freeze)
+        self._stage1 = Stage1(problem, loss, self.cells, self.stage1.samples, freeze)
+        denoise = self.stage1.denoise
+        self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
+
+    def look(self, values: dict, base: int, iteration: int) -> mi.Float:
+        size, _ = self._stage1.residual(values, base, iteration)
+        weights = dr.sum(self._denoise(size))
+        dr.eval(weights)
+        return weights
+
+    @property
+    def paths_per_look(self) -> int:
+        return self.cells.count * self.stage1.samples

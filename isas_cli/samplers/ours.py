@@ -1,0 +1,35 @@
+"""The pmf of least gradient variance (ISAS Eq. 12): the paper's method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from .gradient import Gradient
+
+
+@dataclass
+class Ours(Gradient):
+    """p_j ∝ √(Σ_c p_j1c p_j2c), p_j1 = E[⟨∂ℒ/∂I⟩²], p_j2 = Σ_k E[⟨∂I/∂θ_k⟩²] (ISAS Eq. 12).
+
+    The sum over channels c of one pixel is there because its three channels share a path (the
+    paper's j runs over image components). Algorithm 1, stage 1: both moments at low resolution
+    and sample count, denoised each, refreshed every ``refresh`` iterations. The square root of
+    the product is taken per cell and upsampled once, instead of upsampling six channels: the two
+    differ only within the width of a cell. ``floor`` bounds the weights 1/p.
+    """
+
+    def look(self, values: dict, base: int, iteration: int) -> mi.Float:
+        _, first = self._stage1.residual(values, base, iteration)
+        second = self._stage1.second_moment(values, self.stage1.probes, base, iteration)
+        # Denoising one evaluated image after the other: both moments are heavy-tailed on their
+        # own, and their product would be more so.
+        weights = dr.sqrt(dr.sum(self._denoise(first) * self._denoise(second)))
+        dr.eval(weights)
+        return weights
+
+    @property
+    def paths_per_look(self) -> int:
+        return self.cells.count * self.stage1.samples * (1 + self.stage1.probes)

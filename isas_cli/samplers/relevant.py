@@ -1,0 +1,41 @@
+"""Uniform over the pixels that see an unknown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import drjit as dr
+import mitsuba as mi
+
+from .base import Sampler, Stage1Settings
+from .stage1 import Stage1
+
+
+@dataclass
+class Relevant(Sampler):
+    """p_j ∝ 1 where some path through the pixel's cell depends on an unknown, else 0.
+
+    A path depends on an unknown when its derivative along a random-sign tangent is not zero.
+    The mask is taken once, grown by one cell, and ``floor`` keeps what it missed reachable, so
+    the estimate stays unbiased. What any mask would do: without it in the comparison, a cleverer
+    sampler is praised for not looking at the background.
+    """
+
+    refresh: int = 0
+    stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(resolution=128, samples=2))
+
+    def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
+        super().prepare(problem, loss, batch, freeze)
+        self._stage1 = Stage1(problem, loss, self.cells, self.stage1.samples, freeze)
+
+    def look(self, values: dict, base: int, iteration: int) -> mi.Float:
+        moment = self._stage1.second_moment(values, self.stage1.probes, base, iteration)
+        seen = dr.select(dr.sum(moment) > 0, mi.Float(1), 0)
+        dr.eval(seen)
+        weights = self.cells.dilate(seen)
+        dr.eval(weights)
+        return weights
+
+    @property
+    def paths_per_look(self) -> int:
+        return self.cells.count * self.stage1.samples * self.stage1.probes

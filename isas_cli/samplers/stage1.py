@@ -1,0 +1,134 @@
+"""Stage 1 of ISAS Algorithm 1: second moments per cell, from a few paths."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from .. import rays, streams
+from ..estimators import replay
+from ..problem import Problem
+from ..unknowns import flat, unflat
+from .cells import Cells
+
+
+class Stage1:
+    """Estimates p_j1 = E[⟨∂ℒ/∂I⟩²] and p_j2 = Σ_k E[⟨∂I/∂θ_k⟩²] per cell (ISAS Eq. 12, 16).
+
+    Each cell traces paths through ``samples`` random full-resolution pixels, compares them with
+    those pixels' own targets, and averages: the mean over a cell of the single-path second
+    moments that stage 2 will meet there, noise of the paths included.
+
+    p_j2 comes from forward differentiation along a tangent ε of independent random signs:
+    E_ε[(Σ_k ε_k ∂I_j/∂θ_k)²] = Σ_k (∂I_j/∂θ_k)², so one pass estimates Eq. (20) without bias and
+    without touching the AD system; a parameter that a path meets twice is summed before it is
+    squared, as it should be.
+
+    Results are per colour channel, ``(3, C)``; both are up to one common factor.
+    """
+
+    def __init__(self, problem: Problem, loss, cells: Cells, samples: int, freeze: bool = True):
+        self.problem, self.cells, self.samples = problem, cells, samples
+        integrator = problem.integrator
+        count = cells.count * samples
+
+        def mean(values):
+            return dr.block_reduce(dr.ReduceOp.Add, values, samples) * (1.0 / samples)
+
+        def residual_kernel(scene, sensors, views, leaves, cells, targets, mask, seeds):
+            with dr.suspend_grad():
+                view, column, row = cells.place(views, samples, seeds[0])
+                stream = rays.stream(seeds[1], count)
+                ray, weight = rays.spawn(sensors, views, view, column, row, stream)
+                radiance, _ = replay.primal(integrator, scene, stream, ray)
+                width = dr.gather(mi.UInt32, views.width, view)
+                pixel = dr.gather(mi.UInt32, views.offset, view) + row * width + column
+                derivative = loss.derivative(
+                    radiance * weight, dr.gather(mi.Color3f, targets, pixel)
+                )
+                if mask is not None:
+                    derivative *= dr.gather(mi.Float, mask, pixel)
+                dr.eval(derivative)
+                size = dr.abs(derivative)
+                first = mi.Color3f(*[mean(size[c]) for c in range(3)])
+                second = mi.Color3f(*[mean(dr.square(size[c])) for c in range(3)])
+                dr.eval(first, second)
+            return first, second
+
+        def derivative_kernel(scene, sensors, views, leaves, cells, seeds):
+            with dr.suspend_grad():
+                view, column, row = cells.place(views, samples, seeds[0])
+                stream = rays.stream(seeds[1], count)
+                ray, weight = rays.spawn(sensors, views, view, column, row, stream)
+                derivative = replay.forward(integrator, scene, stream, ray) * weight
+                dr.eval(derivative)
+                size = dr.abs(derivative)
+                first = mi.Color3f(*[mean(size[c]) for c in range(3)])
+                second = mi.Color3f(*[mean(dr.square(size[c])) for c in range(3)])
+                dr.eval(first, second)
+            return first, second
+
+        def sensitivity_kernel(scene, sensors, views, leaves, cells, seeds):
+            with dr.suspend_grad():
+                view, column, row = cells.place(views, samples, seeds[0])
+                stream = rays.stream(seeds[1], count)
+                ray, weight = rays.spawn(sensors, views, view, column, row, stream)
+                replay.backward(integrator, scene, stream, ray, mi.Color3f(1) * weight)
+
+        wrap = dr.freeze if freeze else (lambda f: f)
+        self._residual = wrap(residual_kernel)
+        self._derivative = wrap(derivative_kernel)
+        self._sensitivity = wrap(sensitivity_kernel)
+
+    def _arguments(self):
+        p = self.problem
+        return p.scene, p.sensors, p.views, p.unknowns.leaves, self.cells
+
+    def _seeds(self, base: int, iteration: int, *purposes: str) -> list:
+        return [dr.opaque(mi.UInt32, streams.seed(base, iteration, p)) for p in purposes]
+
+    def residual(self, values: dict, base: int, iteration: int) -> tuple[mi.Color3f, mi.Color3f]:
+        """Mean of |⟨∂ℒ/∂I⟩| and of its square (p_j1) per cell at ``values``."""
+        p = self.problem
+        p.unknowns.write(values)
+        seeds = self._seeds(base, iteration, "stage1_place", "stage1_primal")
+        return self._residual(*self._arguments(), p.targets, p.mask, seeds)
+
+    def derivative(
+        self, values: dict, tangents: dict, base: int, iteration: int
+    ) -> tuple[mi.Color3f, mi.Color3f]:
+        """Mean of |⟨dI/dθ⟩·tangent| and of its square per cell at ``values``."""
+        self.problem.unknowns.push_tangent(values, tangents)
+        seeds = self._seeds(base, iteration, "stage1_place", "stage1_adjoint")
+        return self._derivative(*self._arguments(), seeds)
+
+    def second_moment(self, values: dict, probes: int, base: int, iteration: int) -> mi.Color3f:
+        """p_j2 per cell: the mean over ``probes`` random-sign tangents (Eq. 15, 16)."""
+        total = dr.zeros(mi.Color3f, self.cells.count)
+        for probe in range(probes):
+            seed = streams.seed(base, iteration * probes + probe, "stage1_sign")
+            tangents = random_signs(values, seed)
+            _, second = self.derivative(values, tangents, base, iteration * probes + probe)
+            total += second
+        return total / probes
+
+    def sensitivity(self, values: dict, passes: int, base: int, iteration: int) -> dict:
+        """c_k = |Σ_j ⟨∂I_j/∂θ_k⟩| over all cells, by key: a backward pass with unit adjoint."""
+        unknowns = self.problem.unknowns
+        unknowns.attach(values)
+        for i in range(passes):
+            seeds = self._seeds(base, iteration + i, "stage1_place", "stage1_adjoint")
+            self._sensitivity(*self._arguments(), seeds)
+        return {k: dr.abs(flat(g)) for k, g in unknowns.gradients().items()}
+
+
+def random_signs(values: dict, seed: int) -> dict:
+    """Tangents of independent ±1 entries, one per entry of every value. Traced."""
+    tangents = {}
+    for key, value in values.items():
+        count = dr.width(flat(value))
+        state = dr.opaque(mi.UInt64, seed)
+        rng = mi.PCG32(size=count, initstate=state)
+        seed = (seed * 0x9E3779B1 + 1) & 0xFFFFFFFF  # another stream for the next unknown
+        tangents[key] = unflat(value, dr.select(rng.next_float32() < 0.5, mi.Float(-1), 1))
+    return tangents

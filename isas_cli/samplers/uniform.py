@@ -1,0 +1,27 @@
+"""Every pixel alike: the usual mini-batch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from ..pixels import PixelDistribution
+from .base import Sampler
+
+
+@dataclass
+class Uniform(Sampler):
+    """p_j = 1/n. Needs no look at the images; stratified draws all the same."""
+
+    refresh: int = 0
+
+    def resolution(self, problem, batch: int) -> int:
+        return 1
+
+    def look(self, values: dict, base: int, iteration: int) -> mi.Float:
+        return dr.opaque(mi.Float, 1, self.cells.count)
+
+    def distribution(self, weights: mi.Float) -> PixelDistribution:
+        return PixelDistribution.uniform(self.problem.views.total)

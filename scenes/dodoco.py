@@ -1,0 +1,143 @@
+"""Dodoco: three diffuse objects before a rough mirror; the mirror's roughness is unknown.
+
+The paper's scenes (Fig. 3 and DODOCO in Fig. 8): "three diffuse objects are placed in front of a
+mirror. The experiment simulates a single iteration of an inverse-rendering optimization where the
+roughness of the mirror is optimized"; DODOCO "uses a similar setting as Figure 3", with 4 M
+pixels an image.
+
+Ours: a cat, a globe and a hen, diffuse and textured, on a floor before a standing mirror, under
+the CC0 map `sunset`, which has no dominant sun. They face the mirror, so that the camera sees
+their backs and the mirror their faces: parts near the mirror stay sharp in it, far ones blur,
+and so the derivative by roughness varies from pixel to pixel. The mirror is a metallic
+principled BSDF of true roughness 0.15; its gradient dies below about 0.032, so the legal range
+starts above that.
+
+What differs: the paper's models and light are not published, so ours are others. One view, as a
+single image determines a single number; more views stand on an arc before the mirror.
+
+Depth 4: camera, mirror, object, mirror, light. The faces that the mirror shows are lit mostly by
+the mirror, so depth 3 would leave them dark. Against depth 8 the image lacks 0.5 % of its light
+(5 % at depth 3); targets have the same depth.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from isas_cli.scenes import library, meshes
+from isas_cli.scenes.cameras import orbit, perspective
+
+ROUGHNESS = 0.15
+MIRROR_Z = -0.75
+MIRROR_WIDTH, MIRROR_BOTTOM, MIRROR_TOP = 2.2, 0.06, 1.75
+FRAME_BORDER, FRAME_DEPTH = 0.05, 0.04
+LOOK_AT = (0.0, 0.74, -0.4)
+ARC = 25.0
+
+
+def build(views: int, resolution: int, texture: int) -> dict[str, Any]:
+    """The scene with the true roughness; unknown: `mirror.bsdf.roughness.value`, one number.
+
+    `texture` is the width in texels of the textures of the three objects.
+    """
+    return {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 4},
+        "sky": library.environment("hdri/sunset.exr", turn=330.0),
+        **_mirror(),
+        **_room(),
+        **_objects(texture),
+        **_sensors(views, resolution),
+    }
+
+
+def _mirror() -> dict[str, Any]:
+    """The mirror, facing +z, and the wooden frame that backs it."""
+    import mitsuba as mi
+
+    middle = (MIRROR_BOTTOM + MIRROR_TOP) / 2
+    half_width, half_height = MIRROR_WIDTH / 2, (MIRROR_TOP - MIRROR_BOTTOM) / 2
+    at = mi.ScalarTransform4f().translate([0, middle, MIRROR_Z])
+    # The frame's front stands back by a little, so that the mirror covers its middle.
+    behind = mi.ScalarTransform4f().translate([0, middle, MIRROR_Z - FRAME_DEPTH - 0.005])
+    frame_size = [half_width + FRAME_BORDER, half_height + FRAME_BORDER, FRAME_DEPTH]
+    return {
+        "mirror": {
+            "type": "rectangle",
+            "to_world": at.scale([half_width, half_height, 1]),
+            "bsdf": {
+                "type": "principled",
+                "base_color": {"type": "rgb", "value": [0.93, 0.93, 0.93]},
+                "metallic": 1.0,
+                "roughness": ROUGHNESS,
+            },
+        },
+        "frame": {
+            "type": "cube",
+            "to_world": behind.scale(frame_size),
+            "bsdf": _diffuse({"type": "rgb", "value": [0.20, 0.09, 0.04]}),
+        },
+    }
+
+
+def _room() -> dict[str, Any]:
+    import mitsuba as mi
+
+    lying = mi.ScalarTransform4f().rotate([1, 0, 0], -90)
+    return {
+        "floor": {
+            "type": "disk",
+            "to_world": lying.scale([4, 4, 1]),
+            "bsdf": _diffuse({"type": "rgb", "value": [0.42, 0.40, 0.37]}),
+        },
+    }
+
+
+def _objects(texture: int) -> dict[str, Any]:
+    """Cat, globe and hen in a row, facing the mirror."""
+    import mitsuba as mi
+
+    cat = meshes.place(
+        meshes.read_obj(library.asset("models/cat/cat.obj")), 0.9, turn=155, at=(-0.68, -0.15)
+    )
+    hen = meshes.place(
+        meshes.read_obj(library.asset("models/chicken/chicken.obj")), 0.8, turn=205, at=(0.68, -0.1)
+    )
+    radius = 0.3
+    # The sphere's poles lie on its own z axis.
+    globe = mi.ScalarTransform4f().translate([0.02, radius, 0.0]).rotate([0, 0, 1], 20)
+    globe = globe.rotate([1, 0, 0], -90).rotate([0, 0, 1], 100).scale(radius)
+    return {
+        "cat": meshes.shape(
+            "cat", cat, _painted("models/cat/cat-texture.jpg", texture, texture)
+        ),
+        "hen": meshes.shape(
+            "hen", hen, _painted("models/chicken/chicken.jpg", texture, texture)
+        ),
+        "globe": {
+            "type": "sphere",
+            "to_world": globe,
+            "bsdf": _painted("textures/earth.jpg", texture, max(1, texture // 2)),
+        },
+    }
+
+
+def _painted(relative: str, width: int, height: int) -> dict[str, Any]:
+    return _diffuse(library.texture(library.picture(relative, width, height)))
+
+
+def _diffuse(reflectance: dict[str, Any]) -> dict[str, Any]:
+    """Diffuse on both sides: the hen's mesh is open, and its rear faces would be black."""
+    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
+
+
+def _sensors(views: int, resolution: int) -> dict[str, Any]:
+    azimuths = np.linspace(-ARC, ARC, views) if views > 1 else [0.0]
+    return {
+        f"sensor_{view:03d}": perspective(
+            orbit(LOOK_AT, 4.4, azimuth, 20.0), LOOK_AT, 28.0, resolution
+        )
+        for view, azimuth in enumerate(azimuths)
+    }

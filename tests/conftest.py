@@ -1,0 +1,53 @@
+"""Set-up shared by all tests: Mitsuba started once, plots without a window, an own cache."""
+
+import os
+import shutil
+import tempfile
+import zlib
+
+import matplotlib
+import numpy as np
+import pytest
+
+from isas_cli import backend
+
+_STARTED = pytest.StashKey[backend.Backend]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Before any test module is imported, so that these may say `import mitsuba as mi`."""
+    matplotlib.use("Agg")
+    os.environ["MPLBACKEND"] = "Agg"  # for the commands that tests start
+    os.environ["ISAS_CACHE_DIR"] = tempfile.mkdtemp(prefix="isas-cache-")
+    config.stash[_STARTED] = backend.start()
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    shutil.rmtree(os.environ["ISAS_CACHE_DIR"], ignore_errors=True)
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    machine = session.config.stash[_STARTED]
+    terminal = session.config.pluginmanager.get_plugin("terminalreporter")
+    if terminal is not None:
+        terminal.write_line(f"{machine}; seeds of tests: CRC-32 of their names")
+
+
+@pytest.fixture(scope="session")
+def machine(request: pytest.FixtureRequest) -> backend.Backend:
+    """What the tests run on."""
+    return request.config.stash[_STARTED]
+
+
+@pytest.fixture
+def seed(request: pytest.FixtureRequest) -> int:
+    """A fixed seed of the test's own, printed when the test fails."""
+    value = zlib.crc32(request.node.nodeid.encode())
+    print(f"seed {value}")
+    return value
+
+
+@pytest.fixture
+def rng(seed: int) -> np.random.Generator:
+    """A NumPy generator from the test's own seed."""
+    return np.random.default_rng(seed)

@@ -1,0 +1,107 @@
+"""Small problems that the numerical tests share."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+
+from isas_cli.config import UnknownConfig
+from isas_cli.pixels import Views
+from isas_cli.problem import Problem
+from isas_cli.unknowns import Unknowns, parse
+
+TEXTURE, ROUGHNESS = "floor.bsdf.base_color.data", "wall.bsdf.roughness.value"
+
+
+def texture(size: int) -> np.ndarray:
+    rng = np.random.default_rng(7)
+    return rng.uniform(0.2, 0.8, (size, size, 3)).astype(np.float32)
+
+
+def dictionary(size: int = 4, resolution: tuple[int, int] = (12, 8), depth: int = 4) -> dict:
+    """A textured floor before a glossy wall: both see each other (interreflection), under a small
+    bright lamp and a dim sky, from two cameras of different film sizes."""
+    look = mi.ScalarTransform4f().look_at
+    place = mi.ScalarTransform4f()
+
+    def camera(origin, width, height):
+        return {
+            "type": "perspective",
+            "fov": 45,
+            "to_world": look(origin=origin, target=[0, 0.3, 0], up=[0, 1, 0]),
+            "film": {
+                "type": "hdrfilm",
+                "width": width,
+                "height": height,
+                "rfilter": {"type": "box"},
+                "pixel_format": "rgb",
+            },
+        }
+
+    w, h = resolution
+    return {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": depth},
+        "sky": {"type": "constant", "radiance": 0.3},
+        "lamp": {
+            "type": "sphere",
+            "center": [1.5, 2.5, 1.5],
+            "radius": 0.3,
+            "emitter": {"type": "area", "radiance": 12.0},
+        },
+        "floor": {
+            "type": "rectangle",
+            "to_world": place.rotate([1, 0, 0], -90),
+            "bsdf": {
+                "type": "principled",
+                "roughness": 0.5,
+                "base_color": {
+                    "type": "bitmap",
+                    "data": mi.TensorXf(texture(size)),
+                    "raw": True,
+                },
+            },
+        },
+        "wall": {
+            "type": "rectangle",
+            "to_world": place.translate([0, 1, -1]),
+            "bsdf": {"type": "principled", "metallic": 0.9, "roughness": 0.4, "base_color": 0.7},
+        },
+        "sensor_000": camera([0.5, 1.6, 3.5], w, h),
+        "sensor_001": camera([-1.8, 1.2, 2.6], h, w),
+    }
+
+
+def problem(unknowns: dict[str, float], constant_target: float | None = 0.25, **sizes) -> Problem:
+    """The scene above as a problem. ``unknowns``: key → start. The target is a constant, or the
+    truth rendered coarsely where ``constant_target`` is None."""
+    scene = mi.load_dict(dictionary(**sizes), optimize=False)
+    film = [tuple(int(x) for x in s.film().crop_size()) for s in scene.sensors()]
+    specs = {key: UnknownConfig(start=start) for key, start in unknowns.items()}
+    found = parse(mi.traverse(scene), specs, truth_known=True)
+    result = Problem(
+        "test",
+        scene,
+        scene.integrator(),
+        scene.sensors_dr(),
+        film,
+        Views.of(film),
+        Unknowns(mi.traverse(scene), found),
+        "test",
+    )
+    for unknown in result.unknowns:
+        unknown.seen = np.ones(unknown.start.shape, bool)
+    if constant_target is None:
+        from isas_cli.render import Renderer
+
+        result.unknowns.write(result.unknowns.truths())
+        pixels = Renderer(result).range(0, result.views.total, 256, lambda i: 1000 + i)
+        result.set_targets(mi.Float(pixels.reshape(-1)), None, "test")
+    else:
+        count = result.views.total * 3
+        # Varies from pixel to pixel, so that residuals do.
+        rng = np.random.default_rng(3)
+        target = (constant_target * rng.uniform(0.5, 1.5, count)).astype(np.float32)
+        result.set_targets(mi.Float(target), None, "test")
+    result.unknowns.write(result.unknowns.starts())
+    return result
