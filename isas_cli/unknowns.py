@@ -43,6 +43,14 @@ class Unknown:
     seen: np.ndarray | None = None
 
 
+def _moves_geometry(params: mi.SceneParameters, key: str) -> bool:
+    """Whether the parameter changes what is visible. Mitsuba's flag alone would not do: it also
+    marks roughness, whose lobe is smooth inside the legal range."""
+    owner = params.properties[key][2]
+    discontinuous = params.flags(key) & mi.ParamFlags.Discontinuous
+    return bool(discontinuous) and not isinstance(owner, (mi.BSDF, mi.Texture))
+
+
 def differentiable_keys(params: mi.SceneParameters) -> list[str]:
     """All keys that path replay can differentiate: floating point, not moving geometry."""
     keys = []
@@ -52,8 +60,7 @@ def differentiable_keys(params: mi.SceneParameters) -> list[str]:
             continue
         if dr.is_matrix_v(value) or dr.width(value) == 0 or key.startswith("sensor"):
             continue
-        flags = params.flags(key)
-        if flags & (mi.ParamFlags.NonDifferentiable | mi.ParamFlags.Discontinuous):
+        if params.flags(key) & mi.ParamFlags.NonDifferentiable or _moves_geometry(params, key):
             continue
         keys.append(key)
     return keys
@@ -138,7 +145,7 @@ def parse(params: mi.SceneParameters, specs: dict, truth_known: bool) -> list[Un
     found = []
     for key, spec in specs.items():
         if key not in valid:
-            if key in params and params.flags(key) & mi.ParamFlags.Discontinuous:
+            if key in params and _moves_geometry(params, key):
                 raise InputError(
                     f"scene.unknowns: '{key}' moves geometry, whose visibility path replay does "
                     f"not differentiate; valid: {', '.join(valid)}"
@@ -201,7 +208,11 @@ class Unknowns:
 
     def attach(self, values: dict) -> None:
         """Put values into the scene with fresh derivatives: the next backward pass adds to the
-        gradients of ``leaves``. Must stay outside frozen kernels: inside, textures crash."""
+        gradients of ``leaves``. Must stay outside frozen kernels: inside, textures crash.
+
+        While a scene is attached, forward passes through *another* scene of the process fail:
+        Dr.Jit's virtual calls reach all materials there are. ``write`` ends it.
+        """
         for key, value in values.items():
             leaf = type(value)(dr.detach(value))
             dr.enable_grad(leaf)

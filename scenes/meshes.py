@@ -38,57 +38,61 @@ class Surface:
 
 
 def read_obj(path: Path) -> Surface:
-    """Read and check an OBJ file with normals and texture coordinates, as a single mesh.
+    """Read and check an OBJ file with texture coordinates, as a single mesh.
 
     Material statements are ignored: the whole file becomes one surface, which is right for a
-    file with one texture atlas. Raises InputError for a missing or broken mesh.
+    file with one texture atlas. Normals are made smooth here, whatever the file says: some files
+    have none, and Mitsuba's own sum over faces runs in parallel, so that its last bits, and with
+    them the hash that cached targets are found by, change from run to run. Raises InputError for
+    a missing or broken mesh.
     """
     import mitsuba as mi
 
     if not path.is_file():
         raise InputError(f"mesh {path} does not exist")
     try:
-        mesh = mi.load_dict({"type": "obj", "filename": str(path)})
+        mesh = mi.load_dict({"type": "obj", "filename": str(path), "face_normals": True})
     except RuntimeError as error:
         reason = " ".join(str(error).split())
         raise InputError(f"mesh {path.name} cannot be read: {reason}") from error
-    for what, present in (
-        ("texture coordinates", mesh.has_vertex_texcoords()),
-        ("normals", mesh.has_vertex_normals()),
-    ):
-        if not present:
-            raise InputError(f"mesh {path.name} has no {what}")
+    if not mesh.has_vertex_texcoords():
+        raise InputError(f"mesh {path.name} has no texture coordinates")
     values = mi.traverse(mesh)
-    surface = Surface(
-        vertices=np.array(values["vertex_positions"]).reshape(-1, 3),
-        faces=np.array(values["faces"]).reshape(-1, 3),
-        texcoords=np.array(values["vertex_texcoords"]).reshape(-1, 2),
-        normals=np.array(values["vertex_normals"]).reshape(-1, 3),
+    vertices = np.array(values["vertex_positions"]).reshape(-1, 3)
+    texcoords = np.array(values["vertex_texcoords"]).reshape(-1, 2)
+    faces = np.array(values["faces"]).reshape(-1, 3)
+    check(vertices, texcoords, faces, path.name)
+    positions, place_of_vertex = np.unique(vertices, axis=0, return_inverse=True)
+    normals = corner_normals(positions, place_of_vertex.ravel()[faces])
+    return from_corners(vertices[faces], texcoords[faces], normals)
+
+
+def from_corners(positions: np.ndarray, texcoords: np.ndarray, normals: np.ndarray) -> Surface:
+    """A mesh whose triangles share no vertex, from values (F, 3, n) at their corners."""
+    return Surface(
+        vertices=positions.reshape(-1, 3).astype(np.float32),
+        faces=np.arange(3 * len(positions), dtype=np.uint32).reshape(-1, 3),
+        texcoords=texcoords.reshape(-1, 2).astype(np.float32),
+        normals=normals.reshape(-1, 3).astype(np.float32),
     )
-    check(surface, path.name)
-    return surface
 
 
-def check(surface: Surface, name: str) -> None:
+def check(vertices: np.ndarray, texcoords: np.ndarray, faces: np.ndarray, name: str) -> None:
     """Raise InputError, naming the first offender, when a mesh would render as NaN."""
-    if not surface.faces.size:
+    if not faces.size:
         raise InputError(f"mesh {name} has no triangles")
-    for what, values in (
-        ("position", surface.vertices),
-        ("texture coordinate", surface.texcoords),
-        ("normal", surface.normals),
-    ):
+    for what, values in (("position", vertices), ("texture coordinate", texcoords)):
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
         if bad.size:
             raise InputError(f"mesh {name}: the {what} of vertex {bad[0]} is not finite")
-    absurd = np.flatnonzero((np.abs(surface.texcoords) > LARGEST_TEXCOORD).any(axis=1))
+    absurd = np.flatnonzero((np.abs(texcoords) > LARGEST_TEXCOORD).any(axis=1))
     if absurd.size:
         raise InputError(
             f"mesh {name}: the texture coordinate of vertex {absurd[0]} is "
-            f"{surface.texcoords[absurd[0]].tolist()}, beyond ±{LARGEST_TEXCOORD:g}"
+            f"{texcoords[absurd[0]].tolist()}, beyond ±{LARGEST_TEXCOORD:g}"
         )
-    diagonal = np.ptp(surface.vertices, axis=0).astype(np.float64)
-    areas = np.linalg.norm(_face_vectors(surface.vertices, surface.faces), axis=1) / 2
+    diagonal = np.ptp(vertices, axis=0).astype(np.float64)
+    areas = np.linalg.norm(_face_vectors(vertices, faces), axis=1) / 2
     degenerate = np.flatnonzero(areas <= SMALLEST_AREA * (diagonal @ diagonal))
     if degenerate.size:
         raise InputError(
@@ -123,13 +127,18 @@ def place(
 def corner_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(F, 3, 3) float64: at each corner the area-weighted mean normal of the faces around it.
 
-    `positions` (V, 3) must be shared by the triangles that meet there.
+    `positions` (V, 3) must be shared by the triangles that meet there. Where the faces cancel
+    (both sides of a thin sheet) each corner takes the normal of its own face.
     """
     vectors = _face_vectors(positions, faces)
-    sums = np.zeros_like(positions, dtype=np.float64)
+    sums = np.zeros((len(positions), 3))
     for corner in range(3):
         np.add.at(sums, faces[:, corner], vectors)
-    return (sums / np.linalg.norm(sums, axis=1, keepdims=True))[faces]
+    normals = sums[faces]
+    lengths = np.linalg.norm(normals, axis=2, keepdims=True)
+    own = vectors[:, None, :]
+    size = np.linalg.norm(own, axis=2, keepdims=True)
+    return np.where(lengths > 1e-6 * size, normals / np.maximum(lengths, 1e-300), own / size)
 
 
 def shape(name: str, surface: Surface, bsdf: dict[str, Any]) -> Any:

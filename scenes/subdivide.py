@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from isas_cli.errors import InputError
-from isas_cli.scenes.meshes import Surface, corner_normals
+from isas_cli.scenes.meshes import Surface, corner_normals, from_corners
 
 
 def subdivide(surface: Surface, levels: int, name: str) -> Surface:
@@ -30,12 +30,7 @@ def subdivide(surface: Surface, levels: int, name: str) -> Surface:
     for _ in range(levels):
         positions, faces = _refine(positions, faces, name)
         texcoords = _split(texcoords, (texcoords + np.roll(texcoords, -1, axis=1)) / 2)
-    return Surface(
-        vertices=positions[faces].reshape(-1, 3).astype(np.float32),
-        faces=np.arange(faces.size, dtype=np.uint32).reshape(-1, 3),
-        texcoords=texcoords.reshape(-1, 2).astype(np.float32),
-        normals=corner_normals(positions, faces).reshape(-1, 3).astype(np.float32),
-    )
+    return from_corners(positions[faces], texcoords, corner_normals(positions, faces))
 
 
 def _split(corners: np.ndarray, middles: np.ndarray) -> np.ndarray:
