@@ -86,6 +86,7 @@ def _measure(problem: Problem, base: int) -> dict[str, np.ndarray]:
             dr.sync_thread()
         found = [np.abs(np.array(flat(g))) for g in unknowns.gradients().values()]
         largest = found if largest is None else [np.fmax(a, b) for a, b in zip(largest, found)]
+    unknowns.write(unknowns.starts())
     return {f"seen{i}": _threshold(c) for i, c in enumerate(largest)}
 
 

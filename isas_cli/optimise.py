@@ -205,5 +205,8 @@ class Loop:
         import mitsuba as mi
 
         views = self.problem.views
-        pixel = dr.arange(mi.UInt32, views.total)
-        return np.array(self._distribution.probability(pixel)) * views.total
+        slot = dr.arange(mi.UInt32, views.total)
+        density = dr.zeros(mi.Float, views.total)
+        share = self._distribution.probability(slot) * views.total
+        dr.scatter(density, share, views.index(*views.locate_slot(slot)))
+        return np.array(density)

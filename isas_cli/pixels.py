@@ -1,4 +1,10 @@
-"""All pixels of all views as one index range, and a distribution over it."""
+"""All pixels of all views as one index range, and a distribution over it.
+
+There are two orders. *Pixels* count row after row, as images are stored. *Slots* count tile after
+tile, nested, and are what a distribution ranges over: its draws come out sorted, so neighbouring
+lanes of a wavefront get neighbouring slots, and these should be neighbours in both directions.
+Measured on pottery, 65,536 of 4 M pixels: the same step took 1.5 times as long row after row.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +12,10 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
+
+# Sides of the nested tiles, pixels. A packet of 16 lanes whose draws lie s pixels apart covers a
+# compact patch for s around 64² / 4², 16² / 4² and 4: sparse, usual and concentrated sampling.
+_TILES = (128, 32, 8)
 
 
 @dataclass
@@ -42,24 +52,58 @@ class Views:
             total,
         )
 
-    def locate(self, pixel: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32]:
-        """View, column and row of each pixel index. Traced."""
+    def _view(self, index: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+        """View of each pixel or slot, and its number within the view."""
         # The upper bound is inclusive: Dr.Jit's search may test it.
         view = dr.binary_search(
-            0, self.count - 1, lambda v: dr.gather(mi.UInt32, self.end, mi.UInt32(v)) <= pixel
+            0, self.count - 1, lambda v: dr.gather(mi.UInt32, self.end, mi.UInt32(v)) <= index
         )
         view = mi.UInt32(view)
-        rest = pixel - dr.gather(mi.UInt32, self.offset, view)
+        return view, index - dr.gather(mi.UInt32, self.offset, view)
+
+    def locate(self, pixel: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32]:
+        """View, column and row of each pixel. Traced."""
+        view, rest = self._view(pixel)
         width = dr.gather(mi.UInt32, self.width, view)
-        # The idle lanes at the end of a wavefront gather zeros, and an integer division by zero
-        # kills the process.
-        row = rest // dr.maximum(width, 1)
+        row = _divide(rest, width)
         return view, rest - row * width, row
+
+    def index(self, view: mi.UInt32, column: mi.UInt32, row: mi.UInt32) -> mi.UInt32:
+        """The pixel at a column and row of a view. Traced."""
+        width = dr.gather(mi.UInt32, self.width, view)
+        return dr.gather(mi.UInt32, self.offset, view) + row * width + column
+
+    def locate_slot(self, slot: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32]:
+        """View, column and row of each slot. Traced.
+
+        Bands of tiles from top to bottom, tiles from left to right, each tile again so with the
+        next smaller side; tiles at the border are cut off. One to one for films of any size.
+        """
+        view, rest = self._view(slot)
+        width = dr.gather(mi.UInt32, self.width, view)
+        height = dr.gather(mi.UInt32, self.height, view)
+        column, row = mi.UInt32(0), mi.UInt32(0)
+        for side in _TILES:
+            band = _divide(rest, width * side) * side
+            rest -= band * width
+            height = dr.minimum(height - band, side)
+            left = _divide(rest, height * side) * side
+            rest -= left * height
+            width = dr.minimum(width - left, side)
+            column, row = column + left, row + band
+        down = _divide(rest, width)
+        return view, column + rest - down * width, row + down
+
+
+def _divide(a: mi.UInt32, b: mi.UInt32) -> mi.UInt32:
+    """a // b. The idle lanes at the end of a wavefront gather zeros, and an integer division by
+    zero kills the process."""
+    return a // dr.maximum(b, 1)
 
 
 @dataclass
 class PixelDistribution:
-    """A pmf over all pixels of all views, kept as its running sum in double precision.
+    """A pmf over the slots (pixels, tile after tile) of all views, kept as its running sum in double precision.
 
     ``cdf``: ``(n,) float64``, not normalised; ``cdf[-1]`` is the total mass. The probability of
     a pixel is the step that the running sum takes there, divided by the total: exactly what is
@@ -74,7 +118,7 @@ class PixelDistribution:
     def from_weights(weights: mi.Float, floor: float = 0.0) -> "PixelDistribution":
         """The mixture (1 - floor) w / Σw + floor / n.
 
-        ``weights (n,) float32``, one per pixel, need not be normalised. Non-finite and negative
+        ``weights (n,) float32``, one per slot, need not be normalised. Non-finite and negative
         entries count as zero, and weights that are all zero give the uniform pmf: stage 1 of a
         solved problem says so, and every pixel must stay reachable. Evaluates.
         """
@@ -96,28 +140,28 @@ class PixelDistribution:
         return PixelDistribution.from_weights(dr.full(mi.Float, 1, size))
 
     def draw(self, count: int, seed: mi.UInt32) -> tuple[mi.UInt32, mi.Float]:
-        """``count`` stratified draws: pixel indices in rising order and their probabilities.
+        """``count`` stratified draws: slots in rising order and their probabilities.
 
         Sample ``i`` inverts the CDF at ``(i + ξ_i) / count`` with ``ξ`` of 53 bits: a float32
         number has 2^24 values and would miss pixels of large films. The expected number of
-        draws of pixel ``j`` is ``count p_j`` exactly, so 1 / (count p_j) weights stay unbiased;
+        draws of slot ``j`` is ``count p_j`` exactly, so 1 / (count p_j) weights stay unbiased;
         rising order keeps neighbouring lanes on neighbouring rays. Traced.
         """
         rng = mi.PCG32(size=count, initstate=mi.UInt64(seed))
         strata = mi.Float64(dr.arange(mi.UInt32, count)) + rng.next_float64()
         total = dr.gather(mi.Float64, self.cdf, self.size - 1)
         goal = strata * (total / count)
-        pixel = dr.binary_search(
+        slot = dr.binary_search(
             0,
             self.size - 1,
             lambda j: dr.gather(mi.Float64, self.cdf, mi.UInt32(j)) <= goal,
         )
-        pixel = mi.UInt32(pixel)
-        return pixel, self.probability(pixel)
+        slot = mi.UInt32(slot)
+        return slot, self.probability(slot)
 
-    def probability(self, pixel: mi.UInt32) -> mi.Float:
-        """p_j of each pixel index. Traced."""
+    def probability(self, slot: mi.UInt32) -> mi.Float:
+        """p_j of each slot. Traced."""
         total = dr.gather(mi.Float64, self.cdf, self.size - 1)
-        upper = dr.gather(mi.Float64, self.cdf, pixel)
-        lower = dr.gather(mi.Float64, self.cdf, pixel - 1, pixel > 0)
+        upper = dr.gather(mi.Float64, self.cdf, slot)
+        lower = dr.gather(mi.Float64, self.cdf, slot - 1, slot > 0)
         return mi.Float((upper - lower) / total)

@@ -18,9 +18,11 @@ def texture(size: int) -> np.ndarray:
     return rng.uniform(0.2, 0.8, (size, size, 3)).astype(np.float32)
 
 
-def dictionary(size: int = 4, resolution: tuple[int, int] = (12, 8), depth: int = 4) -> dict:
+def dictionary(
+    size: int = 4, resolution: tuple[int, int] = (12, 8), depth: int = 4, floor: float = 1.0
+) -> dict:
     """A textured floor before a glossy wall: both see each other (interreflection), under a small
-    bright lamp and a dim sky, from two cameras of different film sizes."""
+    bright lamp and a dim sky, from two cameras of different film sizes. ``floor``: half its side."""
     look = mi.ScalarTransform4f().look_at
     place = mi.ScalarTransform4f()
 
@@ -51,7 +53,7 @@ def dictionary(size: int = 4, resolution: tuple[int, int] = (12, 8), depth: int 
         },
         "floor": {
             "type": "rectangle",
-            "to_world": place.rotate([1, 0, 0], -90),
+            "to_world": place.rotate([1, 0, 0], -90).scale(floor),
             "bsdf": {
                 "type": "principled",
                 "roughness": 0.5,

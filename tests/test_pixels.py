@@ -19,6 +19,18 @@ def test_views_locate_every_pixel():
     assert list(zip(*(np.array(a).tolist() for a in (view, column, row)))) == expected
 
 
+def test_slots_are_all_pixels_once_in_compact_patches():
+    sizes = [(300, 140), (7, 3), (33, 257)]
+    views = Views.of(sizes)
+    view, column, row = views.locate_slot(dr.arange(mi.UInt32, views.total))
+    pixel = np.array(views.index(view, column, row))
+    assert np.array_equal(np.sort(pixel), np.arange(views.total))
+    x, y = np.array(column)[: 300 * 140], np.array(row)[: 300 * 140]
+    for run, side in ((64, 8), (1024, 32)):
+        first = slice(0, run)
+        assert np.ptp(x[first]) < side and np.ptp(y[first]) < side
+
+
 def test_one_view():
     views = Views.of([(3, 2)])
     view, column, row = views.locate(dr.arange(mi.UInt32, 6))
@@ -124,8 +136,9 @@ def test_cells_upsample_what_is_linear_exactly():
     cells, views = Cells.over(sizes, 4), Views.of(sizes)
     assert cells.sizes == [(4, 2), (2, 4)]
     view, column, row = cells.views.locate(dr.arange(mi.UInt32, cells.count))
-    fine = np.array(cells.upsample(mi.Float(column), views))
-    first = fine[:128].reshape(8, 16)
+    fine = cells.upsample(mi.Float(column), views)
+    pixel = np.array(views.index(*views.locate_slot(dr.arange(mi.UInt32, views.total))))
+    first = np.array(fine)[np.argsort(pixel)][:128].reshape(8, 16)
     inside = (np.arange(16) + 0.5) / 4 - 0.5
     assert np.allclose(first, np.clip(inside, 0, 3)[None, :], atol=1e-6)
 

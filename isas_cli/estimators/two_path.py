@@ -43,8 +43,11 @@ class TwoPath:
 
         def kernel(scene, sensors, views, leaves, distribution, targets, mask, seeds, share):
             with dr.suspend_grad():
-                pixel, probability = distribution.draw(batch, seeds[0])
-                view, column, row = views.locate(pixel)
+                slot, probability = distribution.draw(batch, seeds[0])
+                view, column, row = views.locate_slot(slot)
+                pixel = views.index(view, column, row)
+                # Once for all kernels that follow: each would search the CDF again.
+                dr.eval(view, column, row, pixel, probability)
 
                 first = rays.stream(seeds[1], batch)
                 ray, weight = rays.spawn(sensors, views, view, column, row, first)

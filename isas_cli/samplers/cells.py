@@ -54,8 +54,8 @@ class Cells:
         return view, dr.minimum(mi.UInt32(x), width - 1), dr.minimum(mi.UInt32(y), height - 1)
 
     def upsample(self, values: mi.Float, pixels: Views) -> mi.Float:
-        """Bilinear interpolation of ``values`` (one per cell) to every pixel. Traced."""
-        view, column, row = pixels.locate(dr.arange(mi.UInt32, pixels.total))
+        """Bilinear interpolation of ``values`` (one per cell) to every slot. Traced."""
+        view, column, row = pixels.locate_slot(dr.arange(mi.UInt32, pixels.total))
         offset = dr.gather(mi.UInt32, self.views.offset, view)
         columns = dr.gather(mi.UInt32, self.views.width, view)
         rows = dr.gather(mi.UInt32, self.views.height, view)

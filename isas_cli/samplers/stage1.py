@@ -41,8 +41,7 @@ class Stage1:
                 stream = rays.stream(seeds[1], count)
                 ray, weight = rays.spawn(sensors, views, view, column, row, stream)
                 radiance, _ = replay.primal(integrator, scene, stream, ray)
-                width = dr.gather(mi.UInt32, views.width, view)
-                pixel = dr.gather(mi.UInt32, views.offset, view) + row * width + column
+                pixel = views.index(view, column, row)
                 derivative = loss.derivative(
                     radiance * weight, dr.gather(mi.Color3f, targets, pixel)
                 )

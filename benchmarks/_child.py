@@ -1,0 +1,97 @@
+"""One side of `step_time.py`, in a process of its own: prints the median seconds of a step.
+
+usage: _child.py SIDE BATCH STEPS OVERRIDES…
+
+SIDE is `stock` (RayDataLoader, mi.render, dr.backward), `isas` (uniform sampling, so that both
+sides look at the same pixels) or `isas-ours` (the same step where `ours` sends it). A Python-side
+sensor such as the loader's joins every later SensorPtr call of its process, hence the processes.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import time
+
+from isas_cli import backend
+
+_WARM_UP = 8
+
+
+def problem_of(overrides: list[str]):
+    from omegaconf import OmegaConf
+
+    from isas_cli import build
+    from isas_cli.compose import compose
+
+    cfg = OmegaConf.to_object(compose(overrides))
+    return build.problem(cfg.scene, cfg.target, cfg.seed, lambda done, total: None), cfg
+
+
+def stock(batch: int, overrides: list[str]):
+    import drjit as dr
+    import mitsuba as mi
+    from mitsuba.python.ad.loaders import RayDataLoader
+
+    problem, cfg = problem_of(overrides)
+    key = problem.unknowns.keys[0]
+    params = mi.traverse(problem.scene)
+    targets = [mi.TensorXf(problem.target_image(v)) for v in range(len(problem.film_sizes))]
+    loader = RayDataLoader(problem.scene.sensors(), targets, batch)
+    optimizer = mi.ad.Adam(lr=cfg.optimizer.lr, mask_updates=True)
+    optimizer[key] = problem.unknowns.starts()[key]
+    params.update(optimizer)
+
+    def step(i: int) -> None:
+        target, sensor = loader.next()
+        image = mi.render(problem.scene, params, sensor=sensor, spp=1, seed=i)
+        dr.backward(dr.mean(dr.square(image - target)))
+        optimizer.step()
+        optimizer[key] = dr.clip(optimizer[key], 0.0, 1.0)
+        params.update(optimizer)
+
+    return step
+
+
+def isas(batch: int, overrides: list[str], sampler_name: str):
+    from isas_cli import losses
+    from isas_cli.adam import Stepper
+    from isas_cli.compose import compose, instantiate
+    from isas_cli.estimators.two_path import TwoPath
+
+    problem, cfg = problem_of(overrides)
+    sampler = instantiate(compose([*overrides, f"sampler={sampler_name}"]).sampler, "sampler")
+    loss = losses.L2()
+    sampler.prepare(problem, loss, batch)
+    stepper = Stepper(problem.unknowns, cfg.optimizer)
+    estimator = TwoPath(problem, loss, batch)
+    distribution = sampler.distribution(sampler.look(stepper.values, 1, 0))
+
+    def step(i: int) -> None:
+        problem.unknowns.attach(stepper.values)
+        estimator.accumulate(distribution, 1, i)
+        stepper.step(problem.unknowns.gradients(), 0.0)
+
+    return step
+
+
+def main(side: str, batch: int, steps: int, overrides: list[str]) -> None:
+    backend.start()
+    if side == "stock":
+        step = stock(batch, overrides)
+    else:
+        step = isas(batch, overrides, {"isas": "uniform", "isas-ours": "ours"}[side])
+    for i in range(_WARM_UP):
+        step(i)
+    seconds = []
+    for i in range(_WARM_UP, _WARM_UP + steps):
+        backend.sync()
+        start = time.perf_counter()
+        step(i)
+        backend.sync()
+        seconds.append(time.perf_counter() - start)
+    print(statistics.median(seconds))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4:])

@@ -1,0 +1,193 @@
+"""The loop: what is billed, what is recorded, and that it recovers what it should."""
+
+import drjit as dr
+import numpy as np
+import pytest
+from scenes_for_tests import ROUGHNESS, TEXTURE, problem
+
+from isas_cli import losses
+from isas_cli.adam import Stepper
+from isas_cli.budget import Budget
+from isas_cli.config import OptimizerConfig
+from isas_cli.errors import NumericalError
+from isas_cli.evaluate import Evaluator
+from isas_cli.optimise import Hooks, Loop
+from isas_cli.samplers.balanced import Balanced
+from isas_cli.samplers.base import Stage1Settings
+from isas_cli.samplers.gradient import Gradient
+from isas_cli.samplers.ours import Ours
+from isas_cli.samplers.relevant import Relevant
+from isas_cli.samplers.uniform import Uniform
+from isas_cli.unknowns import as_numpy
+
+STAGE1 = Stage1Settings(resolution=8, samples=2, denoise="none")
+SAMPLERS = {
+    "uniform": Uniform(),
+    "relevant": Relevant(stage1=STAGE1),
+    "gradient": Gradient(stage1=STAGE1),
+    "ours": Ours(stage1=STAGE1),
+    "balanced": Balanced(stage1=STAGE1),
+}
+
+
+def loop(p, sampler=None, budget=None, seed=1, batch=256, lr=0.05, evaluations=5, **changes) -> Loop:
+    loss = losses.L2()
+    stepper = Stepper(p.unknowns, OptimizerConfig(lr=lr, **changes))
+    evaluator = Evaluator(p, loss, 10_000, 16, seed)
+    result = Loop(
+        p,
+        loss,
+        sampler or Uniform(),
+        stepper,
+        evaluator,
+        budget or Budget(iterations=20),
+        batch,
+        seed,
+        evaluations,
+    )
+    result.rehearse()
+    return result
+
+
+def run(loop_: Loop, stop=lambda: False) -> tuple[str, list[dict]]:
+    rows: list[dict] = []
+    status = loop_.run(Hooks(evaluated=rows.append, stop=stop))
+    loop_.problem.unknowns.write(loop_.stepper.values)  # detach
+    return status, rows
+
+
+@pytest.mark.parametrize("name", SAMPLERS)
+def test_every_sampler_recovers_texture_and_roughness(name):
+    p = problem({TEXTURE: 0.5, ROUGHNESS: 0.6}, constant_target=None, resolution=(24, 16))
+    status, rows = run(loop(p, SAMPLERS[name], Budget(iterations=150), batch=1024))
+    assert status == "done"
+    first, last = rows[0], rows[-1]
+    assert last["image_rmse"] < 0.5 * first["image_rmse"]
+    assert last[f"parameter_rmse/{TEXTURE}"] < 0.5 * first[f"parameter_rmse/{TEXTURE}"]
+    assert last[f"parameter_rmse/{ROUGHNESS}"] < 0.5 * first[f"parameter_rmse/{ROUGHNESS}"]
+    assert last["nonfinite"] == 0
+
+
+def test_rows_say_what_was_spent():
+    p = problem({TEXTURE: 0.5}, constant_target=None)
+    ours = Ours(refresh=4, stage1=STAGE1)
+    l = loop(p, ours, Budget(iterations=10), evaluations=3)
+    status, rows = run(l)
+    assert [r["iteration"] for r in rows][0] == 0 and rows[-1]["iteration"] == 10
+    assert rows[0]["seconds"] == 0 and rows[0]["paths"] == 0, "the rehearsal is not billed"
+    looks = 3  # before iterations 0, 4 and 8
+    assert rows[-1]["paths"] == 10 * 2 * 256 + looks * ours.paths_per_look
+    assert ours.paths_per_look == ours.cells.count * 2 * 2
+    assert all(a["seconds"] < b["seconds"] for a, b in zip(rows, rows[1:]))
+    assert rows[-1]["seconds"] == pytest.approx(sum(l.clock.billed_seconds.values()))
+    assert set(l.clock.billed_seconds) == {"stage1", "step"}
+    assert l.clock.unbilled_seconds["evaluation"] > 0 and l.clock.unbilled_seconds["rehearsal"] > 0
+
+
+def test_evaluating_more_often_changes_nothing():
+    """Evaluation has streams of its own and touches neither parameters nor moments."""
+    ends = []
+    for evaluations in (1, 20):
+        p = problem({TEXTURE: 0.5}, constant_target=None)
+        l = loop(p, budget=Budget(iterations=20), evaluations=evaluations)
+        run(l)
+        ends.append(as_numpy(l.stepper.values[TEXTURE]))
+    assert np.abs(ends[0] - ends[1]).max() < 1e-5
+
+
+def test_same_seed_same_run_other_seed_other_run():
+    ends = []
+    for seed in (1, 1, 2):
+        p = problem({TEXTURE: 0.5}, constant_target=None)
+        l = loop(p, Ours(stage1=STAGE1), seed=seed)
+        run(l)
+        ends.append(as_numpy(l.stepper.values[TEXTURE]))
+    assert np.abs(ends[0] - ends[1]).max() < 1e-5  # threads add in another order
+    assert np.abs(ends[0] - ends[2]).max() > 1e-3
+
+
+def test_stopping_leaves_a_complete_row():
+    p = problem({TEXTURE: 0.5}, constant_target=None)
+    l = loop(p, budget=Budget(iterations=1000))
+    status, rows = run(l, stop=lambda: l.position.iteration >= 7)
+    assert status == "interrupted"
+    assert rows[-1]["iteration"] == 7
+
+
+def test_budgets_of_every_kind_end_the_run():
+    p = problem({TEXTURE: 0.5}, constant_target=None)
+    l = loop(p, budget=Budget(paths=256 * 2 * 6))
+    run(l)
+    assert l.position.iteration == 6
+    l = loop(p, budget=Budget(seconds=0.2))
+    run(l)
+    assert l.clock.seconds >= 0.2 and l.last["seconds"] == l.clock.seconds
+
+
+def test_the_image_error_does_not_contain_the_noise_of_its_own_measurement():
+    """At the truth, few samples: the plain RMSE of a noisy rendering is several times larger."""
+    p = problem({ROUGHNESS: 0.4}, constant_target=None, resolution=(48, 32))
+    evaluator = Evaluator(p, losses.L2(), 10_000, 2, 1)
+    row = evaluator(p.unknowns.truths())
+    assert row["image_rmse"] < 0.5 * np.sqrt(row["loss"])
+    wrong = evaluator(p.unknowns.values_of({ROUGHNESS: np.array([0.9], np.float32)}))
+    assert wrong["image_rmse"] > 2 * row["image_rmse"]
+    assert wrong[f"parameter_rmse/{ROUGHNESS}"] == pytest.approx(0.5)
+
+
+def test_parameter_error_leaves_out_what_no_view_sees():
+    p = problem({TEXTURE: 0.5}, constant_target=None)
+    unknown = p.unknowns.items[0]
+    unknown.seen = np.zeros(unknown.start.shape, bool)
+    unknown.seen[0, 0] = True
+    values = {TEXTURE: unknown.truth.copy()}
+    values[TEXTURE][1:] += 0.5
+    errors = Evaluator(p, losses.L2(), 100, 2, 1).parameter_errors(p.unknowns.values_of(values))
+    assert errors["parameter_rmse"] == 0
+
+
+class Broken(Stepper):
+    """Feeds not-a-numbers from the fifth step on."""
+
+    count = 0
+
+    def step(self, gradients, progress):
+        self.count += 1
+        if self.count > 12:
+            gradients = {k: g * float("nan") for k, g in gradients.items()}
+        super().step(gradients, progress)
+
+
+def test_numerical_failure_keeps_the_last_good_values():
+    p = problem({TEXTURE: 0.5}, constant_target=None)
+    loss = losses.L2()
+    stepper = Broken(p.unknowns, OptimizerConfig())
+    evaluator = Evaluator(p, loss, 100, 2, 1)
+    l = Loop(p, loss, Uniform(), stepper, evaluator, Budget(iterations=50), 256, 1, 10)
+    l.rehearse()
+    rows: list[dict] = []
+    with pytest.raises(NumericalError, match="not finite"):
+        l.run(Hooks(evaluated=rows.append))
+    p.unknowns.write(stepper.values)
+    assert rows[-1]["nonfinite"] > 0
+    assert np.all(np.isfinite(as_numpy(stepper.values[TEXTURE])))
+    assert rows[-1]["image_rmse"] < rows[0]["image_rmse"]
+
+
+def test_memory_and_kernels_do_not_grow():
+    """Kernels launched per iteration are the same early and late, and so is memory."""
+    import psutil
+
+    p = problem({TEXTURE: 0.5}, constant_target=None)
+    l = loop(p, Ours(stage1=STAGE1), Budget(iterations=10_000))
+    counts, sizes = [], []
+    for block in range(3):
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            for _ in range(40):
+                l._iterate()
+            counts.append(len(dr.kernel_history()))
+        sizes.append(psutil.Process().memory_info().rss)
+    p.unknowns.write(l.stepper.values)
+    assert counts[1] == counts[2]
+    assert sizes[2] - sizes[1] < 8 << 20

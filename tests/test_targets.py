@@ -1,0 +1,117 @@
+"""Targets and coverage: unbiased, cached by content, and honest about what is seen."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from scenes_for_tests import ROUGHNESS, TEXTURE, dictionary, problem
+
+from isas_cli import build, coverage, targets
+from isas_cli.errors import InputError
+from isas_cli.render import Renderer
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+
+
+def silent(done: int, total: int) -> None:
+    pass
+
+
+def test_pixels_match_mitsuba_s_own_rendering():
+    """Same mean as mi.render with the same integrator and a box filter, per view."""
+    p = problem({ROUGHNESS: 0.4})
+    p.unknowns.write(p.unknowns.truths())
+    for view, sensor in enumerate(p.scene.sensors()):
+        own = Renderer(p).view(view, 2048, lambda i: 50 + i)
+        stock = np.array(mi.render(p.scene, sensor=sensor, spp=2048, seed=3))
+        # Fireflies of the small lamp: compare the means of blocks, and most of the pixels.
+        assert own.shape == stock.shape
+        assert own.mean() == pytest.approx(stock.mean(), rel=0.02)
+        assert np.median(np.abs(own - stock) / stock) < 0.03
+
+
+def test_rendered_targets_are_cached_by_content():
+    calls = []
+    p = problem({TEXTURE: 0.5})
+    count = lambda done, total: calls.append(done)  # noqa: E731
+    first, key = targets.render(p, 4, 0, count)
+    rendered = len(calls)
+    assert rendered > 0
+    again, same = targets.render(p, 4, 0, count)
+    assert len(calls) == rendered and same == key
+    assert np.array_equal(np.array(first), np.array(again))
+    targets.render(p, 5, 0, count)
+    assert len(calls) > rendered, "another sample count is another target"
+    p.content_hash = "other"
+    seen = len(calls)
+    targets.render(p, 4, 0, count)
+    assert len(calls) > seen, "another scene is another target"
+
+
+def test_a_damaged_cache_is_made_anew(tmp_path):
+    p = problem({TEXTURE: 0.5})
+    first, key = targets.render(p, 2, 0, silent)
+    (tmp_path / f"target-{key}.npz").write_bytes(b"half a file")
+    again, _ = targets.render(p, 2, 0, silent)
+    assert np.array_equal(np.array(first), np.array(again))
+
+
+def test_a_cache_that_cannot_be_written_does_not_stop_the_run(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path / "file" / "below"))
+    images, _ = targets.render(problem({TEXTURE: 0.5}), 2, 0, silent)
+    assert dr.width(images) == 3 * 2 * 96
+
+
+def content(**sizes) -> str:
+    scene = mi.load_dict(dictionary(**sizes), optimize=False)
+    return build._content_hash(scene, scene.integrator(), mi.traverse(scene))
+
+
+def test_the_content_hash_sees_what_matters():
+    assert content() == content()
+    assert content() != content(depth=5)
+    assert content() != content(resolution=(12, 9))
+    assert content() != content(size=8)
+
+
+def test_coverage_finds_the_texels_that_no_view_sees():
+    """The floor reaches far behind the cameras: texels there are not seen."""
+    p = problem({TEXTURE: 0.5}, size=16, resolution=(96, 64), depth=2, floor=6.0)
+    p.unknowns.items[0].seen = None
+    coverage.fill_in(p, 1)
+    seen = p.unknowns.items[0].seen
+    assert seen.shape == (16, 16, 3)
+    assert 0.2 < seen.mean() < 1
+    # A texel is seen exactly if some pixel's derivative reaches it: check by moving all unseen.
+    starts = {TEXTURE: p.unknowns.items[0].start}
+    moved = {TEXTURE: np.where(seen, 0.5, 0.9).astype(np.float32)}
+    images = []
+    for values in (starts, moved):
+        p.unknowns.write(p.unknowns.values_of(values))
+        images.append(Renderer(p).range(0, p.views.total, 16, lambda i: i))
+    assert np.abs(images[1] - images[0]).mean() < 1e-3 * images[0].mean()
+
+
+def test_an_unknown_that_no_view_sees_is_refused():
+    scene = dictionary()
+    scene["hidden"] = {
+        "type": "sphere",
+        "center": [0, 50, 50],
+        "radius": 0.01,
+        "bsdf": {"type": "diffuse", "reflectance": 0.5},
+    }
+    import scenes_for_tests
+
+    original = scenes_for_tests.dictionary
+    scenes_for_tests.dictionary = lambda **sizes: scene
+    try:
+        p = problem({"hidden.bsdf.reflectance.value": 0.3})
+    finally:
+        scenes_for_tests.dictionary = original
+    with pytest.raises(InputError, match="hidden.bsdf.reflectance.value.*no view sees it"):
+        coverage.fill_in(p, 1)
+    p.unknowns.write(p.unknowns.starts())
