@@ -25,7 +25,7 @@ def problem_of(overrides: list[str]):
     from isas_cli.compose import compose
 
     cfg = OmegaConf.to_object(compose(overrides))
-    return build.problem(cfg.scene, cfg.target, cfg.seed, lambda done, total: None), cfg
+    return build.problem(cfg.scene, cfg.target, lambda done, total: None), cfg
 
 
 def stock(batch: int, overrides: list[str]):

@@ -16,7 +16,7 @@ import pandas
 
 HERE = Path(__file__).parent
 SIDES = ("stock", "isas", "isas-ours")
-SCENE = ["scene=pottery", "scene.arguments.resolution=512", "scene.arguments.texture=512"]
+SCENE = ["scene=pottery", "scene.arguments.resolution=512"]
 # The step's cost does not depend on how clean the targets are.
 OVERRIDES = [*SCENE, "target.spp=1"]
 

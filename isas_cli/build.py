@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import inspect
+import typing
 from collections.abc import Callable
 
 import drjit as dr
@@ -12,15 +14,15 @@ import numpy as np
 
 from . import coverage, scene_file, targets
 from .config import SceneConfig, TargetConfig
-from .errors import InputError
+from .errors import InputError, nearest
 from .pixels import Views
 from .problem import Problem
-from .unknowns import Unknowns, as_numpy, parse
+from .unknowns import Unknowns, parse
+
 
 def problem(
     scene: SceneConfig,
     target: TargetConfig,
-    seed: int,
     progress: Callable[[int, int], None],
     phase: Callable[[str], None] = lambda name: None,
 ) -> Problem:
@@ -36,8 +38,13 @@ def problem(
         integrator = loaded.integrator()
     sensors = loaded.sensors()
     if not sensors:
-        raise InputError(f"scene {scene.name} has no sensor: add at least one camera")
+        raise InputError(f"{_where(scene)} has no sensor: add at least one camera")
+    if not loaded.emitters():
+        raise InputError(f"{_where(scene)} has no emitter: without light all images are black")
     sizes = [tuple(int(x) for x in s.film().crop_size()) for s in sensors]
+    pixels = sum(width * height for width, height in sizes)
+    if pixels >= 2**32 - 1:
+        raise InputError(f"{pixels} pixels in all views together: fewer than 2^32 can be indexed")
     params = mi.traverse(loaded)
     content = _content_hash(loaded, integrator, params)
     photographs = scene.targets is not None
@@ -54,17 +61,22 @@ def problem(
         unknowns,
         content,
     )
-    phase("targets")
     if photographs:
+        phase("targets")
         result.set_targets(*targets.load(result, scene.targets, scene.masks))
-    else:
-        if scene.masks is not None:
-            raise InputError("scene.masks needs scene.targets: rendered targets have no masks")
+    phase("coverage")
+    # Not the run's own seed: runs are compared over the same entries.
+    coverage.fill_in(result, target.seed)
+    # Last, because this may take minutes and nothing can be refused after it.
+    if not photographs:
+        phase("targets")
         rendered, digest = targets.render(result, target.spp, target.seed, progress)
         result.set_targets(rendered, None, digest)
-    phase("coverage")
-    coverage.fill_in(result, seed)
     return result
+
+
+def _where(scene: SceneConfig) -> str:
+    return f"scene.path={scene.path}" if scene.path is not None else f"scene={scene.name}"
 
 
 def _from_builder(scene: SceneConfig) -> mi.Scene:
@@ -73,15 +85,25 @@ def _from_builder(scene: SceneConfig) -> mi.Scene:
         build = getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError, ValueError) as error:
         raise InputError(f"scene.builder={scene.builder}: cannot be imported ({error})") from error
-    for name, value in scene.arguments.items():
-        if isinstance(value, int) and not isinstance(value, bool) and value < 1:
-            raise InputError(f"scene.arguments.{name}={value}: at least 1")
-    try:
-        dictionary = build(**scene.arguments)
-    except TypeError as error:
-        raise InputError(f"scene.arguments do not fit {scene.builder}: {error}") from error
+    _check_arguments(scene, build)
+    dictionary = build(**scene.arguments)
     # Merging equal materials would turn two unknowns with equal starts into one.
     return mi.load_dict(dictionary, optimize=False)
+
+
+def _check_arguments(scene: SceneConfig, build: Callable) -> None:
+    """All that the builder asks for, nothing else, each of its type, whole numbers from 1 on."""
+    kinds = typing.get_type_hints(build)
+    wanted = inspect.signature(build).parameters
+    for name, value in scene.arguments.items():
+        if name not in wanted:
+            raise InputError(f"scene.arguments.{name}: no such argument; {nearest(name, wanted)}")
+        kind = kinds.get(name)
+        if kind is int and (not isinstance(value, int) or isinstance(value, bool) or value < 1):
+            raise InputError(f"scene.arguments.{name}={value}: a whole number, at least 1")
+    for name, parameter in wanted.items():
+        if name not in scene.arguments and parameter.default is parameter.empty:
+            raise InputError(f"scene.arguments.{name} is missing: {scene.builder} needs it")
 
 
 def _content_hash(scene: mi.Scene, integrator, params: mi.SceneParameters) -> str:

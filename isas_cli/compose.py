@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from collections.abc import Iterable
+from pathlib import Path
 
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
-from hydra.errors import HydraException
+from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -17,28 +19,64 @@ from .errors import InputError, nearest
 
 # scene.unknowns takes keys that no schema can list; '++' lets Hydra add them.
 _UNKNOWNS = "scene.unknowns="
+_GROUPS = ("scene", "sampler", "loss")
+# Taken as they stand, whatever letters a path has.
+_PATHS = ("scene.path", "hydra.run.dir")
+_LABELS = ("sampler.name", "sampler._target_", "loss.name", "loss._target_")
 
 
 def translate(overrides: Iterable[str]) -> list[str]:
     """Overrides as typed → overrides as Hydra's grammar takes them.
 
     ``scene.unknowns={"a.b": {"start": 0.5}}`` is JSON, whose quoted keys Hydra's grammar does not
-    know: it is rewritten with bare keys.
+    know: it is rewritten with bare keys. Otherwise nothing can be added with '+' or removed with
+    '~': what is not in the configuration has no effect, and all that is in it is needed.
     """
-    return [_translate_unknowns(o) if o.startswith(_UNKNOWNS) else o for o in overrides]
+    return [_translate(override) for override in overrides]
+
+
+def _translate(override: str) -> str:
+    bare = override.lstrip("+")
+    if bare.startswith(_UNKNOWNS):
+        return _translate_unknowns(bare)
+    key, equals, value = bare.partition("=")
+    if key in _PATHS and value and value[0] not in "'\"":
+        sweep = key == "scene.path" and "," in value and not Path(value).exists()
+        return bare if sweep else f"{key}={_hydra(value)}"
+    if bare.startswith("hydra") or bare.startswith("~hydra"):
+        return override
+    if bare.startswith("~"):
+        raise InputError(f"{bare}: a setting cannot be removed, only changed: KEY=VALUE")
+    if not equals or not key:
+        raise InputError(f"'{override}' is no setting: give KEY=VALUE, such as scene=pottery")
+    if key in _LABELS:
+        raise InputError(f"{bare}: names a choice and makes none: say {key.split('.')[0]}=NAME")
+    if key in _GROUPS and (not value or value.startswith("[")):
+        raise InputError(f"{bare}: give one name; valid: {', '.join(options(key))}")
+    return bare
 
 
 def _translate_unknowns(override: str) -> str:
     text = override[len(_UNKNOWNS) :]
     try:
         parsed = json.loads(text)
-    except json.JSONDecodeError:
+    except json.JSONDecodeError as error:
+        if text.startswith('{"'):
+            raise InputError(f"{override}: no valid JSON: {error}") from error
         return "++" + override  # perhaps it is in Hydra's own notation
-    if not isinstance(parsed, dict) or not all(isinstance(v, dict) for v in parsed.values()):
+    entries = list(parsed.values()) if isinstance(parsed, dict) else []
+    if not entries or not all(isinstance(entry, dict) for entry in entries):
         raise InputError(
             f'{override}: give {{"key": {{"start": 0.5}}}}: keys of the scene, each with a start '
             "and, if wanted, a range and an lr"
         )
+    fields = [f.name for f in dataclasses.fields(config.UnknownConfig)]
+    for key, entry in parsed.items():
+        for name in entry:
+            if name not in fields:
+                raise InputError(
+                    f"scene.unknowns['{key}'].{name}: no such entry; {nearest(name, fields)}"
+                )
     return f"++{_UNKNOWNS}{_hydra(parsed)}"
 
 
@@ -49,7 +87,9 @@ def _hydra(value) -> str:
     if isinstance(value, list):
         return "[" + ",".join(_hydra(v) for v in value) + "]"
     if isinstance(value, str):
-        return "'" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
+        # A backslash escapes only before a quote and at the end.
+        escaped = re.sub(r"(\\*)('|$)", lambda m: 2 * m[1] + ("\\'" if m[2] else ""), value)
+        return f"'{escaped}'"
     return json.dumps(value)
 
 
@@ -64,19 +104,18 @@ def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
         with initialize_config_dir(config.folder(), version_base="1.3", job_name="isas"):
             cfg = hydra_compose("config", overrides, return_hydra_config=hydra)
             OmegaConf.resolve(cfg.scene)
-            return cfg
     except (HydraException, OmegaConfBaseException) as error:
-        raise InputError(_explain(error, overrides)) from error
+        raise InputError(explain(error, overrides)) from error
+    return cfg
 
 
 def options(group: str) -> list[str]:
     """Names that a configuration group offers, in alphabetical order."""
-    from pathlib import Path
-
     return sorted(p.stem for p in (Path(config.folder()) / group).glob("*.yaml"))
 
 
-def _explain(error: Exception, overrides: list[str]) -> str:
+def explain(error: Exception, overrides: list[str]) -> str:
+    """One line for what Hydra or OmegaConf refuse about ``overrides``."""
     text = str(error)
     missing = re.search(r"Could not find '([^'/]+)/([^']+)'", text)
     if missing:
@@ -92,13 +131,26 @@ def _explain(error: Exception, overrides: list[str]) -> str:
     size = re.search(r"Interpolation key 'scene\.sizes\.([^.]+)\.", text)
     if size:
         return f"size={size.group(1)}: {nearest(size.group(1), _sizes(overrides))}"
-    absent = re.search(r"Missing mandatory value: (\S+)", text)
-    if absent:
-        return f"{absent.group(1)} is missing: give {absent.group(1)}=…"
+    if isinstance(error, OverrideParseException) and "Ambiguous" not in text:
+        reason = " ".join(text.split("\n")[0].split())
+        return (
+            f"{error.override}: cannot be read ({reason}): put a value with any of "
+            ", = : ( ) [ ] { } or quotes into quotes of its own: \"KEY='VALUE'\""
+        )
+    ambiguous = re.search(r"Ambiguous value for argument '([^']+)'", text)
+    if ambiguous:
+        return (
+            f"{ambiguous.group(1)}: several values: add -m to sweep over them, "
+            "or write a list as KEY=[A,B]"
+        )
     merging = re.search(r"Error merging override (\S.*)", text)
     if merging:
-        cause = " ".join(str(error.__cause__ or "").split("\n")[0].split())
-        return f"{merging.group(1).lstrip('+')}: {cause or 'does not fit'}"
+        cause = " ".join(str(error.__cause__ or "does not fit").split("\n")[0].split())
+        if "is not a ListConfig" in cause:
+            cause = "must be a list: [A,B]"
+        what = merging.group(1).lstrip("+")
+        # As Hydra saw it, which is not as it was typed.
+        return f"{_UNKNOWNS[:-1] if what.startswith(_UNKNOWNS) else what}: {cause}"
     return " ".join(text.split("\nSee ")[0].split())
 
 
@@ -118,6 +170,7 @@ def _explain_key(key: str, overrides: list[str]) -> str:
         node = node._get_node(parent)
         found.append(parent)
     valid = [".".join([*found, str(k)]) for k in node] if isinstance(node, DictConfig) else []
+    valid = [name for name in valid if name not in _LABELS]
     return f"{key}: no such setting; {nearest('.'.join([*found, last]), valid)}"
 
 

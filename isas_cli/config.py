@@ -1,14 +1,27 @@
-"""The configuration's schema, its composition by Hydra, and readable complaints about it."""
+"""The configuration's schema. Values out of range are refused here, before anything starts."""
 
 from __future__ import annotations
 
 import importlib.resources
+import math
 from dataclasses import dataclass, field
 from typing import Any, Dict, List, Optional
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
+from .errors import InputError
+from .schedule import factor
+
+# Dr.Jit counts the lanes of a kernel in 32 bits.
+_MOST_LANES = 2**31
+
+
+def _at_least(least: int, **values: Optional[int]) -> None:
+    """Refuse values below ``least``; names are the settings', with __ for a dot."""
+    for name, value in values.items():
+        if value is not None and value < least:
+            raise InputError(f"{name.replace('__', '.')}={value}: at least {least}")
 
 
 @dataclass
@@ -35,6 +48,9 @@ class SceneConfig:
     masks: Optional[List[str]] = None
     unknowns: Dict[str, UnknownConfig] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        _at_least(-1, scene__max_depth=self.max_depth)
+
 
 @dataclass
 class TargetConfig:
@@ -42,6 +58,10 @@ class TargetConfig:
 
     spp: int = 128
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        _at_least(1, target__spp=self.spp)
+        _at_least(0, target__seed=self.seed)
 
 
 @dataclass
@@ -65,6 +85,14 @@ class OptimizerConfig:
     beta_2: float = 0.999
     mask_updates: bool = True
 
+    def __post_init__(self) -> None:
+        if not (self.lr > 0 and math.isfinite(self.lr)):
+            raise InputError(f"optimizer.lr={self.lr}: must be a finite number above 0")
+        for name in ("beta_1", "beta_2"):
+            if not 0 <= getattr(self, name) < 1:
+                raise InputError(f"optimizer.{name}={getattr(self, name)}: must lie in [0, 1)")
+        factor(self.schedule, self.final)
+
 
 @dataclass
 class EstimatorConfig:
@@ -72,6 +100,11 @@ class EstimatorConfig:
 
     batch: int = 65536
     freeze: bool = True
+
+    def __post_init__(self) -> None:
+        _at_least(1, estimator__batch=self.batch)
+        if self.batch > _MOST_LANES:
+            raise InputError(f"estimator.batch={self.batch}: at most {_MOST_LANES}")
 
 
 @dataclass
@@ -82,6 +115,11 @@ class EvaluationConfig:
     pixels: int = 262144
     spp: int = 8
 
+    def __post_init__(self) -> None:
+        _at_least(1, evaluation__count=self.count, evaluation__pixels=self.pixels)
+        if self.spp < 2 or self.spp % 2:
+            raise InputError(f"evaluation.spp={self.spp}: must be even and at least 2 (two halves)")
+
 
 @dataclass
 class FramesConfig:
@@ -89,6 +127,10 @@ class FramesConfig:
 
     views: int = 4
     spp: int = 64
+
+    def __post_init__(self) -> None:
+        _at_least(0, frames__views=self.views)
+        _at_least(1, frames__spp=self.spp)
 
 
 @dataclass
@@ -110,6 +152,27 @@ class Config:
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
     frames: FramesConfig = field(default_factory=FramesConfig)
+
+    def __post_init__(self) -> None:
+        _at_least(0, seed=self.seed, threads=self.threads)
+        scene = self.scene
+        if scene.builder is None and scene.path is None:
+            raise InputError(f"scene={scene.name} needs a file: give scene.path=FILE.xml")
+        if scene.builder is not None:
+            for name in ("path", "max_depth"):
+                if getattr(scene, name) is not None:
+                    raise InputError(
+                        f"scene.{name}={getattr(scene, name)}: only scene=file has it, "
+                        f"not scene={scene.name}"
+                    )
+        if not scene.sizes and self.size != Config.size:
+            raise InputError(
+                f"size={self.size}: scene={scene.name} has no sizes: its films say how large it is"
+            )
+        if scene.targets is None and scene.masks is not None:
+            raise InputError("scene.masks needs scene.targets: rendered targets have no masks")
+        if scene.targets is not None and self.target != TargetConfig():
+            raise InputError("target.… is for rendered targets, but scene.targets are given")
 
 
 def register() -> None:

@@ -7,11 +7,16 @@ import time
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+from rich.table import Column
+
+from .budget import Budget
 
 # Plain lines: one per evaluation; for targets at most one every so many seconds.
 _QUIET_SECONDS = 5.0
 # Redrawing is host time: not more often than a person can read.
 _REDRAW_SECONDS = 0.25
+_ROOMY = 100  # columns of a terminal from which on the bar may be long
+_BESIDE = 12  # columns of the spinner, the longest phase's name and the gaps
 
 
 def _number(value) -> str:
@@ -21,19 +26,22 @@ def _number(value) -> str:
 class Display:
     """A live line in a terminal, plain lines elsewhere. Writes to standard error."""
 
-    def __init__(self) -> None:
+    def __init__(self, budget: Budget) -> None:
         self.console = Console(stderr=True)
         self.live = self.console.is_terminal and sys.stderr.isatty()
+        self.budget = budget
+        self._bar_width = 16 if self.console.width >= _ROOMY else 8
         self._bar: Progress | None = None
         self._last = 0.0
 
     def __enter__(self) -> "Display":
         if self.live:
+            one_line = Column(no_wrap=True, overflow="ellipsis")
             self._bar = Progress(
                 SpinnerColumn(),
-                TextColumn("{task.description}"),
-                BarColumn(bar_width=24),
-                TextColumn("{task.fields[text]}"),
+                TextColumn("{task.description}", table_column=Column(no_wrap=True)),
+                BarColumn(bar_width=self._bar_width),
+                TextColumn("{task.fields[text]}", table_column=one_line, markup=False),
                 console=self.console,
                 transient=True,
                 refresh_per_second=4,
@@ -43,12 +51,21 @@ class Display:
         return self
 
     def __exit__(self, *unused) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """Take the live line away; what follows are lasting lines."""
         if self._bar:
             self._bar.stop()
+            self._bar = None
 
     def say(self, text: str) -> None:
         """A lasting line."""
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    def interrupted(self) -> None:
+        """Ctrl-C was pressed, and the record is being finished."""
+        self.say("interrupted: finishing the record (Ctrl-C again: stop at once)")
 
     def phase(self, name: str) -> None:
         """Work of another kind begins."""
@@ -59,9 +76,8 @@ class Display:
     def targets(self, done: int, total: int) -> None:
         """Progress of rendering targets, in light paths."""
         if self._bar:
-            self._bar.update(
-                self._task, completed=done / total, text=f"{done / 1e6:.0f} of {total / 1e6:.0f} M paths"
-            )
+            text = f"{done / 1e6:.1f} of {total / 1e6:.1f} M paths"
+            self._bar.update(self._task, completed=done / total, text=text)
         elif time.monotonic() - self._last > _QUIET_SECONDS or done == total:
             self._last = time.monotonic()
             self.say(f"targets {100 * done / total:.0f} %")
@@ -69,7 +85,7 @@ class Display:
     def evaluated(self, row: dict) -> None:
         """A new row of the history: always a line where there is no terminal."""
         if not self.live:
-            self.say(_line(row))
+            self.say("  ".join(self._fields(row)))
 
     def stepped(self, loop, progress: float) -> None:
         """After each iteration; redraws at most a few times a second."""
@@ -82,13 +98,30 @@ class Display:
             "seconds": loop.clock.seconds,
             "paths": loop.position.paths,
         }
-        self._bar.update(self._task, completed=progress, text=_line(row))
+        room = self.console.width - self._bar_width - _BESIDE
+        text = _fitting(self._fields(row), room)
+        self._bar.update(self._task, completed=progress, text=text)
+
+    def _fields(self, row: dict) -> list[str]:
+        """Time, iteration, errors and speed; the first of them in the order of importance."""
+        budget, seconds = self.budget, row["seconds"]
+        spent = f"/{budget.seconds:g}" if budget.seconds is not None else ""
+        steps = f"/{budget.iterations}" if budget.iterations is not None else ""
+        rate = f"{row['paths'] / seconds / 1e6:.2f}" if seconds else "–"
+        fields = [f"{seconds:5.1f}{spent} s", f"it {row['iteration']:3d}{steps}"]
+        if "parameter_rmse" in row:
+            fields.append(f"param {_number(row['parameter_rmse'])}")
+        fields.append(f"image {_number(row.get('image_rmse'))}")
+        fields.append(f"loss {_number(row.get('loss'))}")
+        fields.append(f"{rate} M paths/s")
+        return fields
 
 
-def _line(row: dict) -> str:
-    rate = row["paths"] / row["seconds"] / 1e6 if row["seconds"] else 0.0
-    return (
-        f"{row['seconds']:7.2f} s  it {row['iteration']:<6d} loss {_number(row.get('loss'))}  "
-        f"image {_number(row.get('image_rmse'))}  "
-        f"parameters {_number(row.get('parameter_rmse'))}  {rate:.2f} M paths/s"
-    )
+def _fitting(fields: list[str], width: int) -> str:
+    """As many of the fields, from the first on, as fit into one line."""
+    line = fields[0]
+    for field in fields[1:]:
+        if len(line) + 2 + len(field) > width:
+            break
+        line += "  " + field
+    return line

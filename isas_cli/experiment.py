@@ -7,15 +7,13 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
-from . import backend
+from . import backend, interrupt
 from .budget import Budget
 from .compose import instantiate
 from .display import Display
-from .errors import InputError, NumericalError
-from .interrupt import graceful
+from .errors import NumericalError
 from .records import RunWriter
 
-_INTERRUPTED = 130
 # Written besides the billed time; a kill loses at most this much work.
 _CHECKPOINT_SECONDS = 10.0
 
@@ -23,49 +21,32 @@ _CHECKPOINT_SECONDS = 10.0
 def run(cfg: DictConfig, folder: Path) -> int:
     """Run ``cfg`` and leave its record in ``folder``. Returns 0, or 130 after Ctrl-C.
 
-    Raises InputError before anything is computed where that is possible, and NumericalError
-    after the record has been finished with the last good state.
+    Raises InputError before anything is computed where that is possible and before there is a
+    record, and NumericalError after the record has been finished with the last good state.
     """
     typed = OmegaConf.to_object(cfg)
     budget = Budget(typed.budget.seconds, typed.budget.iterations, typed.budget.paths)
-    _check_counts(typed)
-    writer = RunWriter(folder, overwrite=typed.overwrite)
     machine = backend.start(typed.variant, typed.threads)
     loss, sampler = instantiate(cfg.loss, "loss"), instantiate(cfg.sampler, "sampler")
-    with Display() as display:
-        experiment = _Experiment(cfg, typed, budget, writer, machine, loss, sampler, display)
-        return experiment.go()
-
-
-def _check_counts(typed) -> None:
-    for name, value, least in (
-        ("estimator.batch", typed.estimator.batch, 1),
-        ("evaluation.count", typed.evaluation.count, 1),
-        ("frames.views", typed.frames.views, 0),
-        ("frames.spp", typed.frames.spp, 1),
-        ("seed", typed.seed, 0),
-    ):
-        if value < least:
-            raise InputError(f"{name}={value}: at least {least}")
+    with Display(budget) as display:
+        experiment = _Experiment(cfg, typed, budget, loss, sampler, display)
+        return experiment.go(folder, machine)
 
 
 class _Experiment:
     """The state that the phases of one run share."""
 
-    def __init__(self, cfg, typed, budget, writer, machine, loss, sampler, display):
+    def __init__(self, cfg, typed, budget, loss, sampler, display):
         # Mitsuba's types exist only once the backend has started.
         from . import build
         from .adam import Stepper
         from .clock import Clock
         from .evaluate import Evaluator
         from .optimise import Loop
-        from .pictures import Pictures
 
-        self.cfg, self.typed, self.writer, self.display = cfg, typed, writer, display
+        self.cfg, self.typed, self.display = cfg, typed, display
         self.clock, self._phase, self._since = Clock(), None, time.perf_counter()
-        self.problem = build.problem(
-            typed.scene, typed.target, typed.seed, display.targets, self._begin
-        )
+        self.problem = build.problem(typed.scene, typed.target, self._rendered, self._begin)
         self._begin("prepare")
         self.stepper = Stepper(self.problem.unknowns, typed.optimizer)
         evaluator = Evaluator(
@@ -84,15 +65,11 @@ class _Experiment:
             typed.estimator.freeze,
         )
         self.loop.clock.unbilled_seconds.update(self.clock.unbilled_seconds)
-        tags = {"scene": typed.scene.name, "sampler": cfg.sampler.name}
-        self.pictures = Pictures(
-            self.problem, writer, typed.frames.views, typed.frames.spp, tags
-        )
-        self._manifest(machine)
         self._begin(None)
 
     def _begin(self, name: str | None) -> None:
         """End the running unbilled phase and begin the next."""
+        interrupt.check()
         now = time.perf_counter()
         if self._phase:
             self.clock.unbilled_seconds[self._phase] += now - self._since
@@ -100,36 +77,50 @@ class _Experiment:
         if name:
             self.display.phase(name)
 
-    def _manifest(self, machine) -> None:
-        from .manifest import describe
+    def _rendered(self, done: int, total: int) -> None:
+        interrupt.check()
+        self.display.targets(done, total)
 
-        self.writer.config(OmegaConf.to_yaml(self.cfg, resolve=True))
-        self.writer.manifest(
-            describe(machine, self.problem, self.typed.seed, self.typed.target.seed)
-        )
+    def go(self, folder: Path, machine) -> int:
+        """Rehearse, run, record. The record is finished whatever ends the loop.
 
-    def go(self) -> int:
-        """Rehearse, run, record. The record is finished whatever ends the loop."""
+        There is no folder before everything is known to work, and from then on Ctrl-C waits.
+        """
         from .optimise import Hooks
 
         loop, display = self.loop, self.display
         display.phase("compile")
         loop.rehearse()
-        with loop.clock.unbilled("writing"):
-            self.pictures.targets()
-            self.pictures.values("start", self.stepper.values, self.typed.seed, 0)
-        self._first: dict | None = None
-        self._saved = time.monotonic()
-        display.phase(str(self.cfg.sampler.name))
-        with graceful() as stop:
-            hooks = Hooks(self._evaluated, self._stepped, stop)
+        interrupt.check()
+        with interrupt.graceful(display.interrupted) as stop:
+            display.phase("pictures")
+            with loop.clock.unbilled("writing"):
+                self._open(folder, machine)
+            self._first: dict | None = None
+            self._saved = time.monotonic()
+            display.phase(str(self.cfg.sampler.name))
             try:
-                status = loop.run(hooks)
+                status = loop.run(Hooks(self._evaluated, self._stepped, stop))
             except NumericalError:
                 self._finish("numerical failure")
                 raise
             self._finish(status)
-        return _INTERRUPTED if status == "interrupted" else 0
+        return interrupt.STATUS if status == "interrupted" else 0
+
+    def _open(self, folder: Path, machine) -> None:
+        """Begin the record: configuration, manifest, and the pictures that are known by now."""
+        from .manifest import describe
+        from .pictures import Pictures
+
+        typed = self.typed
+        self.writer = RunWriter(folder, overwrite=typed.overwrite)
+        self.writer.config(OmegaConf.to_yaml(self.cfg, resolve=True))
+        self.writer.manifest(describe(machine, self.problem, typed.seed, typed.target.seed))
+        tags = {"scene": typed.scene.name, "sampler": self.cfg.sampler.name}
+        self.pictures = Pictures(
+            self.problem, self.writer, typed.frames.views, typed.frames.spp, tags
+        )
+        self.pictures.targets()
 
     def _evaluated(self, row: dict) -> None:
         self._first = self._first or row
@@ -155,6 +146,8 @@ class _Experiment:
         self._summary(status)
         self.display.phase("pictures")
         with loop.clock.unbilled("writing"):
+            # The start as well: rendered before the loop it would only delay it.
+            self.pictures.values("start", self.problem.unknowns.starts(), self.typed.seed, 0)
             self.pictures.values(
                 "result", self.stepper.values, self.typed.seed, loop.position.iteration
             )
@@ -195,7 +188,7 @@ class _Experiment:
 
     def _announce(self, status: str, page: Path) -> None:
         first, last = self._first, self.loop.last
-        self.display.__exit__()
+        self.display.stop()
         say = self.display.say
         for name in ("image_rmse", "parameter_rmse"):
             if name in last:

@@ -3,28 +3,97 @@
 from __future__ import annotations
 
 import signal
+import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+# The exit status after Ctrl-C, as shells have it: 128 + SIGINT.
+STATUS = 130
+
+_asked = False
+
 
 @contextmanager
-def graceful() -> Iterator[Callable[[], bool]]:
+def graceful(notice: Callable[[], None] = lambda: None) -> Iterator[Callable[[], bool]]:
     """Within the context SIGINT and SIGTERM only set a flag; the yielded function reads it.
 
-    A step cut in half would leave parameters and moments of different iterations. The second
-    Ctrl-C interrupts at once.
+    A step cut in half would leave parameters and moments of different iterations. ``notice`` is
+    called when the flag is first read as set (not by the handler, which may come in the middle of
+    another print); the second signal interrupts at once.
     """
-    asked = False
+    wanted = noticed = False
 
     def ask(number, frame) -> None:
-        nonlocal asked
-        if asked:
+        global _asked
+        nonlocal wanted
+        if wanted:
+            _asked = True
             raise KeyboardInterrupt
-        asked = True
+        wanted = True
 
-    previous = {s: signal.signal(s, ask) for s in (signal.SIGINT, signal.SIGTERM)}
+    def stop() -> bool:
+        nonlocal noticed
+        check()
+        if wanted and not noticed:
+            noticed = True
+            notice()
+        return wanted
+
+    with _handled({signal.SIGINT: ask, signal.SIGTERM: ask}):
+        yield stop
+
+
+@contextmanager
+def prompt() -> Iterator[None]:
+    """Within the context SIGINT and SIGTERM raise KeyboardInterrupt, wherever that is.
+
+    An exception that happens to be raised inside a callback of Dr.Jit's, or while an object is
+    deleted, may come out as another one or not at all: ``asked`` says what it was, and ``check``
+    raises it again.
+    """
+    global _asked
+    _asked = False
+
+    def interrupt(number, frame) -> None:
+        global _asked
+        _asked = True
+        raise KeyboardInterrupt
+
+    hook = sys.unraisablehook
+
+    def quiet(lost) -> None:
+        if lost.exc_type is not KeyboardInterrupt:
+            hook(lost)
+
+    sys.unraisablehook = quiet
     try:
-        yield lambda: asked
+        with _handled({signal.SIGINT: interrupt, signal.SIGTERM: interrupt}):
+            yield
+    finally:
+        sys.unraisablehook = hook
+
+
+def asked() -> bool:
+    """Whether the present or last command got a signal that should have ended it at once."""
+    return _asked
+
+
+def check() -> None:
+    """Raise the KeyboardInterrupt that got lost on its way, if one did."""
+    if _asked:
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def _handled(handlers: dict) -> Iterator[None]:
+    # Python takes signals in its main thread only; elsewhere they keep their meaning.
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    previous = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        yield
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)

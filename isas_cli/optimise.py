@@ -103,7 +103,8 @@ class Loop:
         self._evaluate(hooks)
         while self.progress < 1:
             if hooks.stop():
-                self._evaluate(hooks)
+                if self.last["iteration"] != self.position.iteration:
+                    self._evaluate(hooks)
                 return "interrupted"
             self._iterate()
             progress = self.progress

@@ -16,6 +16,8 @@ import mitsuba as mi
 # Sides of the nested tiles, pixels. A packet of 16 lanes whose draws lie s pixels apart covers a
 # compact patch for s around 64² / 4², 16² / 4² and 4: sparse, usual and concentrated sampling.
 _TILES = (128, 32, 8)
+# Entries of a distribution's guide table at most: 256 KiB, which stays in the cache.
+_GUIDE = 1 << 16
 
 
 @dataclass
@@ -96,9 +98,12 @@ class Views:
 
 
 def _divide(a: mi.UInt32, b: mi.UInt32) -> mi.UInt32:
-    """a // b. The idle lanes at the end of a wavefront gather zeros, and an integer division by
-    zero kills the process."""
-    return a // dr.maximum(b, 1)
+    """a // b, exactly: quotients of 32-bit numbers lie further apart than double precision rounds.
+
+    Vectorised, which integer division is not, and safe: the idle lanes at the end of a wavefront
+    gather zeros, and an integer division by zero kills the process.
+    """
+    return mi.UInt32(mi.Float64(a) / mi.Float64(dr.maximum(b, 1)))
 
 
 @dataclass
@@ -109,9 +114,12 @@ class PixelDistribution:
     a pixel is the step that the running sum takes there, divided by the total: exactly what is
     drawn, so importance weights match even where single precision could not tell neighbours
     apart. 8 bytes a pixel. At 70 M equal pixels a step is exact to about 1e-8 relative.
+    ``guide``: ``(G + 1,) uint32``, the slot at each G-th of the mass: a draw searches between two
+    of its entries, which touches a few cache lines of the CDF instead of twenty.
     """
 
     cdf: mi.Float64
+    guide: mi.UInt32
     size: int
 
     @staticmethod
@@ -132,7 +140,13 @@ class PixelDistribution:
         uniform = dr.select(some, mi.Float64(floor), mi.Float64(1.0))
         cdf = dr.cumsum(dr.fma(mass, scale, uniform))
         dr.eval(cdf)
-        return PixelDistribution(cdf, size)
+        entries = min(_GUIDE, 1 << (size - 1).bit_length())
+        goal = mi.Float64(dr.arange(mi.UInt32, entries + 1)) * (1.0 / entries)
+        goal *= dr.gather(mi.Float64, cdf, size - 1)
+        guide = dr.binary_search(0, size - 1, lambda j: dr.gather(mi.Float64, cdf, mi.UInt32(j)) <= goal)
+        guide = mi.UInt32(guide)
+        dr.eval(guide)
+        return PixelDistribution(cdf, guide, size)
 
     @staticmethod
     def uniform(size: int) -> "PixelDistribution":
@@ -148,15 +162,21 @@ class PixelDistribution:
         rising order keeps neighbouring lanes on neighbouring rays. Traced.
         """
         rng = mi.PCG32(size=count, initstate=mi.UInt64(seed))
-        strata = mi.Float64(dr.arange(mi.UInt32, count)) + rng.next_float64()
-        total = dr.gather(mi.Float64, self.cdf, self.size - 1)
-        goal = strata * (total / count)
-        slot = dr.binary_search(
-            0,
-            self.size - 1,
-            lambda j: dr.gather(mi.Float64, self.cdf, mi.UInt32(j)) <= goal,
+        share = (mi.Float64(dr.arange(mi.UInt32, count)) + rng.next_float64()) * (1.0 / count)
+        goal = share * dr.gather(mi.Float64, self.cdf, self.size - 1)
+        entries = dr.width(self.guide) - 1
+        bucket = dr.minimum(mi.UInt32(share * entries), entries - 1)
+        low = dr.gather(mi.UInt32, self.guide, bucket)
+        high = dr.gather(mi.UInt32, self.guide, bucket + 1)
+
+        def halve(low, high):
+            middle = (low + high) >> 1
+            right = dr.gather(mi.Float64, self.cdf, middle) <= goal
+            return dr.select(right, middle + 1, low), dr.select(right, high, middle)
+
+        slot, _ = dr.while_loop(
+            (low, high), lambda low, high: low < high, halve, labels=("low", "high")
         )
-        slot = mi.UInt32(slot)
         return slot, self.probability(slot)
 
     def probability(self, slot: mi.UInt32) -> mi.Float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import mitsuba as mi
@@ -44,12 +45,26 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator]:
         mi.parser.transform_all(settings, state)
         loaded = mi.parser.instantiate(settings, state)
     except (RuntimeError, ValueError, OSError) as error:
-        text = " ".join(str(error).split())
+        # Mitsuba begins with a place in its own source.
+        text = re.sub(r"^\[\w+\.cpp:\d+\] ", "", " ".join(str(error).split()))
         raise InputError(f"scene.path={path}: Mitsuba cannot load it: {text}") from error
     loaded = loaded[0] if isinstance(loaded, (list, tuple)) else loaded
     if not isinstance(loaded, mi.Scene):
         raise InputError(f"scene.path={path}: holds no <scene>")
+    _name_all(loaded)
     return loaded, integrator
+
+
+def _name_all(scene: mi.Scene) -> None:
+    """Give objects without an id one in the file's order: Mitsuba would call them by their
+    address in memory, and keys and content hash would differ from run to run."""
+    kinds = (("emitter", scene.emitters()), ("shape", scene.shapes()), ("sensor", scene.sensors()))
+    taken = {thing.id() for _, things in kinds for thing in things}
+    for kind, things in kinds:
+        for number, thing in enumerate(things):
+            name = f"{kind}_{number}"
+            if not thing.id() and name not in taken:
+                thing.set_id(name)
 
 
 def _integrator(state, path: str, max_depth: int | None) -> mi.Integrator:

@@ -67,8 +67,6 @@ def render(
 
     ``progress(done, total)`` counts light paths. Returns the images and their content hash.
     """
-    if spp < 1:
-        raise InputError(f"target.spp={spp}: at least 1")
     key = digest("target", _FORMAT, problem.content_hash, spp, base, mi.__version__)
     total = problem.views.total
 
@@ -102,13 +100,16 @@ def load(
     for name, files in (("scene.targets", paths), ("scene.masks", masks)):
         if files is not None and len(files) != len(sizes):
             raise InputError(
-                f"{name} lists {len(files)} files for {len(sizes)} sensors: one per sensor"
+                f"{name} lists {_counted(len(files), 'file')} for {_counted(len(sizes), 'sensor')}: "
+                "one per sensor"
             )
-    read = [_sized(images.read(Path(f)), f, size) for f, size in zip(paths, sizes)]
+    read = [_sized(images.read(Path(f)), f"target {f}", size) for f, size in zip(paths, sizes)]
     pixels = np.concatenate([r.reshape(-1) for r in read])
     mask = None
     if masks is not None:
-        loaded = [_sized(images.read_mask(Path(f)), f, size) for f, size in zip(masks, sizes)]
+        loaded = [
+            _sized(images.read_mask(Path(f)), f"mask {f}", size) for f, size in zip(masks, sizes)
+        ]
         mask = np.concatenate([m.reshape(-1) for m in loaded])
         if not mask.sum() > 0:
             raise InputError("scene.masks hide every pixel: at least one must be above 0")
@@ -119,11 +120,15 @@ def load(
     return mi.Float(pixels), device_mask, hashed.hexdigest()
 
 
-def _sized(image: np.ndarray, path: str, size: tuple[int, int]) -> np.ndarray:
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def _sized(image: np.ndarray, what: str, size: tuple[int, int]) -> np.ndarray:
     height, width = image.shape[:2]
     if (width, height) != size:
         raise InputError(
-            f"target {path} is {width}×{height} pixels, its sensor {size[0]}×{size[1]}: "
+            f"{what} is {width}×{height} pixels, its sensor {size[0]}×{size[1]}: "
             "resize one of them"
         )
     return image

@@ -58,7 +58,9 @@ def differentiable_keys(params: mi.SceneParameters) -> list[str]:
         value = params[key]
         if not (dr.is_array_v(value) and dr.is_diff_v(value) and dr.is_float_v(value)):
             continue
-        if dr.is_matrix_v(value) or dr.width(value) == 0 or key.startswith("sensor"):
+        if dr.is_matrix_v(value) or dr.width(value) == 0:
+            continue
+        if isinstance(params.properties[key][2], (mi.Sensor, mi.Film)):
             continue
         if params.flags(key) & mi.ParamFlags.NonDifferentiable or _moves_geometry(params, key):
             continue
@@ -111,6 +113,8 @@ def _start(spec, key: str, current: np.ndarray, truth_known: bool) -> np.ndarray
             )
         return loaded.astype(np.float32)
     try:
+        if isinstance(spec, bool):
+            raise TypeError
         return np.broadcast_to(np.asarray(spec, np.float32), current.shape).copy()
     except (ValueError, TypeError):
         raise InputError(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from omegaconf import OmegaConf
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from .. import config
 from ..compose import options
@@ -20,11 +20,13 @@ def _comment(path: Path) -> str:
 def main() -> int:
     """Print scenes with their unknowns and sizes, then samplers and losses."""
     console = Console()
-    table = Table("scene", "problem", "unknowns", "sizes", title="isas run scene=NAME size=SIZE")
+    keys = Column("unknowns", no_wrap=True)  # for copying: never cut
+    table = Table("scene", "problem", keys, "sizes", title="isas run scene=NAME size=SIZE")
     for name in options("scene"):
         node = OmegaConf.load(Path(config.folder()) / "scene" / f"{name}.yaml")
         unknowns = "\n".join(node.get("unknowns") or {}) or "scene.unknowns=…"
-        table.add_row(name, node.get("description", ""), unknowns, " ".join(node.get("sizes") or []))
+        sizes = " ".join(node.get("sizes") or [])
+        table.add_row(name, node.get("description", ""), unknowns, sizes)
     console.print(table)
     for group in ("sampler", "loss"):
         table = Table(group, "what it does", title=f"{group}=NAME")

@@ -1,15 +1,18 @@
-"""The three passes of a path replay integrator over given rays.
+"""Radiance and derivatives of paths along given rays: the three passes that everything uses.
 
-Thin and in one place, because the order of events matters: the replay must see the random
-numbers of the primal pass again (the sampler is cloned before it), nothing may track derivatives
-but the integrator's own loop, and results are evaluated before anyone reduces them (otherwise
-each channel's reduction renders again).
+In one place, because the order of events matters: a replay must see the random numbers of the
+primal pass again (the sampler is cloned before it), nothing may track derivatives but the
+integrator itself, and results are evaluated before anyone reduces them (otherwise each channel's
+reduction renders again). Short paths are differentiated in one go (``attached``), all others by
+path replay backpropagation.
 """
 
 from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
+
+from . import attached
 
 
 def _sample(integrator, mode, scene, sampler, ray, adjoint=None, state=None):
@@ -33,10 +36,15 @@ def primal(integrator, scene, sampler, ray) -> tuple[mi.Color3f, mi.Color3f]:
 
 
 def backward(integrator, scene, sampler, ray, adjoint: mi.Color3f) -> None:
-    """Trace one path per ray and add ⟨adjoint, dL/dθ⟩ to the gradients of the scene (PRB).
+    """Trace one path per ray and add ⟨adjoint, dL/dθ⟩ to the gradients of the scene.
 
     ``adjoint (3, N)``: ∂ℒ/∂L per path, importance weights included.
     """
+    if attached.handles(integrator):
+        with dr.resume_grad():
+            radiance = attached.radiance(scene, sampler, ray, integrator.max_depth)
+            dr.backward_from(adjoint * radiance)
+        return
     replayed = sampler.clone()
     _, state = primal(integrator, scene, sampler, ray)
     dr.eval(adjoint, state)
@@ -50,9 +58,16 @@ def forward(integrator, scene, sampler, ray) -> mi.Color3f:
     (``Unknowns.push_tangent``). The result counts a parameter that a path meets at several
     bounces once per meeting, summed before anything is squared.
     """
-    replayed = sampler.clone()
-    _, state = primal(integrator, scene, sampler, ray)
-    dr.eval(state)
-    derivative, _ = _sample(integrator, dr.ADMode.Forward, scene, replayed, ray, None, state)
+    if attached.handles(integrator):
+        with dr.resume_grad():
+            radiance = attached.radiance(scene, sampler, ray, integrator.max_depth)
+            derivative = mi.Color3f(dr.forward_to(radiance))
+    else:
+        replayed = sampler.clone()
+        _, state = primal(integrator, scene, sampler, ray)
+        dr.eval(state)
+        derivative, _ = _sample(
+            integrator, dr.ADMode.Forward, scene, replayed, ray, None, state
+        )
     dr.eval(derivative)
     return derivative
