@@ -1,8 +1,8 @@
-"""Pottery with 16 × 512² views: how far 60 billed seconds go, what stage 1 costs, how soon it starts.
+"""Pottery, 16 × 512² views: how far 60 billed seconds go, what stage 1 costs, how soon it starts.
 
-Runs `isas run` once per sampler, learning rate and seed, the samplers in turn; every sampler gets the
-same grid of learning rates and is judged by its best. The first run of all fills the caches of
-targets and kernels and does not count. Writes results/first_light.csv (one row per run) and
+Runs `isas run` once per sampler, learning rate and seed, the samplers in turn; every sampler gets
+the same grid of learning rates and is judged by its best. The first run of all fills the caches
+of targets and kernels and does not count. Writes results/first_light.csv (one row per run) and
 results/first_light.png (the best run of each sampler).
 """
 
@@ -88,8 +88,10 @@ def plot(best: dict[str, pandas.DataFrame], path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--samplers", nargs="+", default=["uniform", "relevant", "gradient", "ours", "balanced"])
-    parser.add_argument("--rates", nargs="+", type=float, default=[0.02, 0.04])
+    parser.add_argument(
+        "--samplers", nargs="+", default=["uniform", "relevant", "gradient", "ours", "balanced"]
+    )
+    parser.add_argument("--rates", nargs="+", type=float, default=[0.01, 0.02])
     parser.add_argument("--seeds", nargs="+", type=int, default=[1])
     parser.add_argument("--seconds", type=float, default=60)
     chosen = parser.parse_args()

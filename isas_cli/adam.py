@@ -7,7 +7,6 @@ import mitsuba as mi
 import numpy as np
 
 from .config import OptimizerConfig
-from .errors import InputError
 from .schedule import factor
 from .unknowns import Unknowns, as_numpy, flat, unflat
 
@@ -25,13 +24,6 @@ class Stepper:
     """
 
     def __init__(self, unknowns: Unknowns, settings: OptimizerConfig):
-        if not settings.lr > 0:
-            raise InputError(f"optimizer.lr={settings.lr}: must be above 0")
-        for name in ("beta_1", "beta_2"):
-            if not 0 <= getattr(settings, name) < 1:
-                raise InputError(
-                    f"optimizer.{name}={getattr(settings, name)}: must lie in [0, 1)"
-                )
         self.unknowns, self.settings = unknowns, settings
         self.factor = factor(settings.schedule, settings.final)
         self.scale = {key: 1.0 for key in unknowns.keys}

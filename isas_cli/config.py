@@ -113,7 +113,7 @@ class EvaluationConfig:
 
     count: int = 30
     pixels: int = 262144
-    spp: int = 8
+    spp: int = 4
 
     def __post_init__(self) -> None:
         _at_least(1, evaluation__count=self.count, evaluation__pixels=self.pixels)

@@ -44,7 +44,8 @@ class Display:
                 TextColumn("{task.fields[text]}", table_column=one_line, markup=False),
                 console=self.console,
                 transient=True,
-                refresh_per_second=4,
+                # Drawn between iterations: a thread of its own would draw in billed time.
+                auto_refresh=False,
             )
             self._task = self._bar.add_task("", total=1.0, text="")
             self._bar.start()
@@ -70,14 +71,14 @@ class Display:
     def phase(self, name: str) -> None:
         """Work of another kind begins."""
         if self._bar:
-            self._bar.update(self._task, description=name, completed=0.0, text="")
+            self._bar.update(self._task, description=name, completed=0.0, text="", refresh=True)
         self._last = time.monotonic()
 
     def targets(self, done: int, total: int) -> None:
         """Progress of rendering targets, in light paths."""
         if self._bar:
             text = f"{done / 1e6:.1f} of {total / 1e6:.1f} M paths"
-            self._bar.update(self._task, completed=done / total, text=text)
+            self._bar.update(self._task, completed=done / total, text=text, refresh=True)
         elif time.monotonic() - self._last > _QUIET_SECONDS or done == total:
             self._last = time.monotonic()
             self.say(f"targets {100 * done / total:.0f} %")
@@ -100,7 +101,7 @@ class Display:
         }
         room = self.console.width - self._bar_width - _BESIDE
         text = _fitting(self._fields(row), room)
-        self._bar.update(self._task, completed=progress, text=text)
+        self._bar.update(self._task, completed=progress, text=text, refresh=True)
 
     def _fields(self, row: dict) -> list[str]:
         """Time, iteration, errors and speed; the first of them in the order of importance."""

@@ -9,7 +9,6 @@ import mitsuba as mi
 import numpy as np
 
 from . import streams
-from .errors import InputError
 from .problem import Problem
 from .render import Renderer
 from .unknowns import as_numpy
@@ -19,26 +18,23 @@ class Evaluator:
     """Loss, image error and parameter error at given values; never billed.
 
     Renders a fixed stratified set of ``pixels`` (all of them where there are fewer) with ``spp``
-    paths each, in two independent halves A and B. ``image_rmse`` is √mean_j,c (A - T)(B - T):
-    the expectation of that product is the squared error of the *mean* image, so the noise of the
-    evaluation itself does not pass for error (clamped at 0 when noise makes it negative; the
-    target's own noise remains). ``loss`` is ℒ at the mean of the two halves and does contain
-    their noise. The same seeds every time: curves are smooth, and two runs with one seed are
-    measured alike.
+    paths each, in two independent halves A and B. ``image_rmse`` is √mean_j,c (A - T1)(B - T2),
+    T1 and T2 the independent halves of the target: the expectation of that product is the squared
+    error of the *mean* images, so the noise of neither side passes for error (clamped at 0 where
+    noise makes it negative; a photograph is both halves, and its noise remains). ``loss`` is ℒ at
+    the mean of A and B and does contain noise. The same seeds every time: curves are smooth, and
+    two runs with one seed are measured alike.
     """
 
     def __init__(self, problem: Problem, loss, pixels: int, spp: int, base: int):
-        if spp < 2 or spp % 2:
-            raise InputError(f"evaluation.spp={spp}: must be even and at least 2 (two halves)")
-        if pixels < 1:
-            raise InputError(f"evaluation.pixels={pixels}: at least 1")
         self.problem, self.loss, self.spp, self.base = problem, loss, spp, base
         total = problem.views.total
         count = min(pixels, total)
         rng = np.random.default_rng(streams.seed(base, 0, "reserve"))
         strata = (np.arange(count) + rng.random(count)) * (total / count)
         chosen = np.arange(total) if count == total else np.minimum(strata, total - 1)
-        self.pixels = mi.UInt32(chosen.astype(np.uint32))
+        self.chosen = chosen.astype(np.uint32)
+        self.pixels = mi.UInt32(self.chosen)
         self.renderer = Renderer(problem)
 
     def __call__(self, values: dict) -> dict[str, float]:
@@ -57,7 +53,10 @@ class Evaluator:
         weight = mi.Float(1)
         if self.problem.mask is not None:
             weight = dr.gather(mi.Float, self.problem.mask, self.pixels)
-        squared = dr.sum((first - target) * (second - target)) * weight
+        targets = target, target
+        if self.problem.target_halves is not None:
+            targets = self.problem.target_halves.at(target, self.chosen)
+        squared = dr.sum((first - targets[0]) * (second - targets[1])) * weight
         loss = dr.sum(self.loss.value(0.5 * (first + second), target)) * weight
         norm = 3.0 * (float(dr.sum(weight)[0]) if dr.width(weight) > 1 else dr.width(self.pixels))
         result = {

@@ -24,8 +24,8 @@ _GUIDE = 1 << 16
 class Views:
     """The films of a problem laid end to end: pixel ``j`` of view ``v`` is ``offset[v] + y w + x``.
 
-    ``width``, ``height``, ``offset``, ``end``: ``(V,) uint32`` device arrays (pixels; ``end`` is one
-    past a view's last pixel); ``count``: number of views; ``total``: pixels of all views together.
+    ``width``, ``height``, ``offset``, ``end``: ``(V,) uint32`` device arrays (pixels; ``end`` is
+    one past a view's last pixel); ``count``: views; ``total``: pixels of all views together.
     A plain dataclass, so that Dr.Jit sees the arrays when a kernel is frozen.
     """
 
@@ -108,12 +108,12 @@ def _divide(a: mi.UInt32, b: mi.UInt32) -> mi.UInt32:
 
 @dataclass
 class PixelDistribution:
-    """A pmf over the slots (pixels, tile after tile) of all views, kept as its running sum in double precision.
+    """A pmf over the slots (pixels, tile after tile) of all views, kept as its running sum.
 
-    ``cdf``: ``(n,) float64``, not normalised; ``cdf[-1]`` is the total mass. The probability of
-    a pixel is the step that the running sum takes there, divided by the total: exactly what is
-    drawn, so importance weights match even where single precision could not tell neighbours
-    apart. 8 bytes a pixel. At 70 M equal pixels a step is exact to about 1e-8 relative.
+    ``cdf``: ``(n,) float64``, not normalised; ``cdf[-1]`` is the total mass. In double precision:
+    the probability of a pixel is the step that the running sum takes there, divided by the
+    total, exactly what is drawn, so importance weights match even where single precision could
+    not tell neighbours apart. 8 bytes a pixel. At 70 M equal pixels a step is exact to 1e-8.
     ``guide``: ``(G + 1,) uint32``, the slot at each G-th of the mass: a draw searches between two
     of its entries, which touches a few cache lines of the CDF instead of twenty.
     """
@@ -143,7 +143,9 @@ class PixelDistribution:
         entries = min(_GUIDE, 1 << (size - 1).bit_length())
         goal = mi.Float64(dr.arange(mi.UInt32, entries + 1)) * (1.0 / entries)
         goal *= dr.gather(mi.Float64, cdf, size - 1)
-        guide = dr.binary_search(0, size - 1, lambda j: dr.gather(mi.Float64, cdf, mi.UInt32(j)) <= goal)
+        guide = dr.binary_search(
+            0, size - 1, lambda j: dr.gather(mi.Float64, cdf, mi.UInt32(j)) <= goal
+        )
         guide = mi.UInt32(guide)
         dr.eval(guide)
         return PixelDistribution(cdf, guide, size)

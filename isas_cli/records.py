@@ -296,4 +296,3 @@ def _parsed(path: Path, parse: Callable[[], Any]) -> Any:
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
-

@@ -145,7 +145,9 @@ def parse(params: mi.SceneParameters, specs: dict, truth_known: bool) -> list[Un
     if not valid:
         raise InputError("the scene has no differentiable parameter to recover")
     if not specs:
-        raise InputError(f"scene.unknowns is empty: name what to recover; valid: {', '.join(valid)}")
+        raise InputError(
+            f"scene.unknowns is empty: name what to recover; valid: {', '.join(valid)}"
+        )
     found = []
     for key, spec in specs.items():
         if key not in valid:

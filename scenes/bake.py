@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy import ndimage
-
 from isas_cli.scenes.meshes import Surface
+from scipy import ndimage
 
 # Paint is averaged over at least this many points a side of each texel, and more in small
 # textures, whose texels hold whole strokes. Textures beyond the limit would take too long.
@@ -32,9 +31,7 @@ def bake(
     positions, normals, covered = unfold(surface, size * finer)
     image = np.zeros(covered.shape + (3,), dtype=np.float32)
     image[covered] = paint(positions[covered], normals[covered])
-    nearest = ndimage.distance_transform_edt(
-        ~covered, return_distances=False, return_indices=True
-    )
+    nearest = ndimage.distance_transform_edt(~covered, return_distances=False, return_indices=True)
     image = image[tuple(nearest)]
     return image.reshape(size, finer, size, finer, 3).mean(axis=(1, 3))
 

@@ -25,7 +25,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-
 from isas_cli.scenes import library, meshes
 from isas_cli.scenes.cameras import orbit, perspective
 
@@ -110,12 +109,8 @@ def _objects(texture: int) -> dict[str, Any]:
     globe = mi.ScalarTransform4f().translate([0.02, radius, 0.0]).rotate([0, 0, 1], 20)
     globe = globe.rotate([1, 0, 0], -90).rotate([0, 0, 1], 100).scale(radius)
     return {
-        "cat": meshes.shape(
-            "cat", cat, _painted("models/cat/cat-texture.jpg", texture, texture)
-        ),
-        "hen": meshes.shape(
-            "hen", hen, _painted("models/chicken/chicken.jpg", texture, texture)
-        ),
+        "cat": meshes.shape("cat", cat, _painted("models/cat/cat-texture.jpg", texture, texture)),
+        "hen": meshes.shape("hen", hen, _painted("models/chicken/chicken.jpg", texture, texture)),
         "globe": {
             "type": "sphere",
             "to_world": globe,

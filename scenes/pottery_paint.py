@@ -7,7 +7,6 @@ the -x side and its spout on the +x side.
 from __future__ import annotations
 
 import numpy as np
-
 from isas_cli.scenes.library import BRIGHTEST, DARKEST
 from isas_cli.scenes.noise import fractal_noise, solid_noise
 
@@ -15,9 +14,10 @@ from isas_cli.scenes.noise import fractal_noise, solid_noise
 AXIS_X = 0.094
 # Outer radius of the turned body at some heights; what reaches beyond it at the back is handle.
 _HEIGHTS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.9, 1.0)
-_RADII = (
-    (0.300, 0.320, 0.332, 0.361, 0.382, 0.394, 0.384, 0.374, 0.353, 0.330, 0.313, 0.307)
-    + (0.315, 0.337, 0.345)
+_RADII = (0.300, 0.320, 0.332, 0.361, 0.382, 0.394, 0.384, 0.374, 0.353, 0.330, 0.313, 0.307) + (
+    0.315,
+    0.337,
+    0.345,
 )
 
 # Linear albedo.

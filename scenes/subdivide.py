@@ -10,9 +10,9 @@ Reference: Charles Loop, "Smooth Subdivision Surfaces Based on Triangles", 1987.
 from __future__ import annotations
 
 import numpy as np
+from isas_cli.scenes.meshes import Surface, corner_normals, from_corners
 
 from isas_cli.errors import InputError
-from isas_cli.scenes.meshes import Surface, corner_normals, from_corners
 
 
 def subdivide(surface: Surface, levels: int, name: str) -> Surface:
@@ -22,9 +22,7 @@ def subdivide(surface: Surface, levels: int, name: str) -> Surface:
     linearly within each triangle. No vertex of the result is shared: V = 3 F. Raises InputError
     when the mesh is not closed, since borders would need rules of their own.
     """
-    positions, inverse = np.unique(
-        surface.vertices.astype(np.float64), axis=0, return_inverse=True
-    )
+    positions, inverse = np.unique(surface.vertices.astype(np.float64), axis=0, return_inverse=True)
     faces = inverse.ravel()[surface.faces]
     texcoords = surface.texcoords[surface.faces]
     for _ in range(levels):
@@ -45,9 +43,7 @@ def _split(corners: np.ndarray, middles: np.ndarray) -> np.ndarray:
     return np.concatenate([np.stack(part, axis=1) for part in parts])
 
 
-def _refine(
-    positions: np.ndarray, faces: np.ndarray, name: str
-) -> tuple[np.ndarray, np.ndarray]:
+def _refine(positions: np.ndarray, faces: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
     """One level: positions (V, 3) float64 and faces (F, 3) to the same of the finer mesh."""
     starts, ends = faces, np.roll(faces, -1, axis=1)
     opposite = np.roll(faces, -2, axis=1)

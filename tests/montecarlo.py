@@ -19,7 +19,7 @@ class Comparison:
 
     def __str__(self) -> str:
         return (
-            f"entry {self.worst}: difference {self.difference:.3g}, corrected p {self.p_value:.3g}; "
+            f"{self.worst}: difference {self.difference:.3g}, corrected p {self.p_value:.3g}, "
             f"smallest bias that 95 % of such tests would notice there: {self.smallest_visible:.3g}"
         )
 
@@ -43,7 +43,7 @@ def z_against(a: np.ndarray, exact: np.ndarray) -> float:
 
 
 def chi_square(counts: np.ndarray, probability: np.ndarray, least: float = 5.0) -> float:
-    """p-value of drawn ``counts`` under ``probability``; cells expected below ``least`` are pooled."""
+    """p-value of drawn ``counts``; cells expected below ``least`` are pooled."""
     expected = probability * counts.sum()
     rare = expected < least
     observed = np.append(counts[~rare], counts[rare].sum())

@@ -22,7 +22,7 @@ def dictionary(
     size: int = 4, resolution: tuple[int, int] = (12, 8), depth: int = 4, floor: float = 1.0
 ) -> dict:
     """A textured floor before a glossy wall: both see each other (interreflection), under a small
-    bright lamp and a dim sky, from two cameras of different film sizes. ``floor``: half its side."""
+    bright lamp and a dim sky, from two cameras of different sizes. ``floor``: half its side."""
     look = mi.ScalarTransform4f().look_at
     place = mi.ScalarTransform4f()
 

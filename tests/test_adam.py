@@ -92,7 +92,9 @@ def test_each_unknown_has_its_own_rate():
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5})
     p.unknowns.items[0].lr, p.unknowns.items[1].lr = 0.1, None
     stepper = Stepper(p.unknowns, settings(lr=0.01))
-    stepper.step({k: unflat(v, mi.Float(np.ones(dr.width(flat(v))))) for k, v in stepper.values.items()}, 0.0)
+    stepper.step(
+        {k: unflat(v, mi.Float(np.ones(dr.width(flat(v))))) for k, v in stepper.values.items()}, 0.0
+    )
     moved = {k: 0.5 - as_numpy(v).mean() for k, v in stepper.values.items()}
     assert moved[TEXTURE] == pytest.approx(0.1, rel=1e-3)
     assert moved[ROUGHNESS] == pytest.approx(0.01, rel=1e-3)

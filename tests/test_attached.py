@@ -83,7 +83,9 @@ def test_long_paths_are_replayed():
     assert attached.handles(mi.load_dict({"type": "prb", "max_depth": 5}))
     for other in ({"max_depth": 6}, {"max_depth": -1}, {"max_depth": 4, "rr_depth": 3}):
         assert not attached.handles(mi.load_dict({"type": "prb", **other}))
-    assert not attached.handles(mi.load_dict({"type": "prb", "max_depth": 3, "hide_emitters": True}))
+    assert not attached.handles(
+        mi.load_dict({"type": "prb", "max_depth": 3, "hide_emitters": True})
+    )
 
 
 def test_inner_product_of_forward_and_backward():

@@ -78,7 +78,9 @@ def test_gradient_matches_central_differences(step):
     renderer = Renderer(p)
     texels = starts[TEXTURE].size
 
-    directions = {"all texels": (TEXTURE, np.ones(starts[TEXTURE].shape, np.float32), slice(0, texels))}
+    directions = {
+        "all texels": (TEXTURE, np.ones(starts[TEXTURE].shape, np.float32), slice(0, texels))
+    }
     for index in (0, 4, 8):
         one = np.zeros(texels, np.float32)
         one[index] = 1
@@ -96,8 +98,10 @@ def test_gradient_matches_central_differences(step):
             ends.append(loss_by_halves(renderer, p.unknowns.values_of(moved), 4096))
         difference = (ends[1] - ends[0]) / (2 * step)
         got = mean[entries].sum()
-        noise = np.sqrt((error[entries] ** 2).sum()) if entries.stop - entries.start == 1 else (
-            rows[:, entries].sum(axis=1).std(ddof=1) / np.sqrt(len(rows))
+        noise = (
+            np.sqrt((error[entries] ** 2).sum())
+            if entries.stop - entries.start == 1
+            else (rows[:, entries].sum(axis=1).std(ddof=1) / np.sqrt(len(rows)))
         )
         # 2 %: curvature of the loss over the step, and the noise of the differences themselves.
         assert abs(got - difference) < 4 * noise + 0.02 * abs(difference), (

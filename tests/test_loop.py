@@ -30,7 +30,9 @@ SAMPLERS = {
 }
 
 
-def loop(p, sampler=None, budget=None, seed=1, batch=256, lr=0.05, evaluations=5, **changes) -> Loop:
+def loop(
+    p, sampler=None, budget=None, seed=1, batch=256, lr=0.05, evaluations=5, **changes
+) -> Loop:
     loss = losses.L2()
     stepper = Stepper(p.unknowns, OptimizerConfig(lr=lr, **changes))
     evaluator = Evaluator(p, loss, 10_000, 16, seed)
@@ -181,7 +183,7 @@ def test_memory_and_kernels_do_not_grow():
     p = problem({TEXTURE: 0.5}, constant_target=None)
     l = loop(p, Ours(stage1=STAGE1), Budget(iterations=10_000))
     counts, sizes = [], []
-    for block in range(3):
+    for _ in range(3):
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
             for _ in range(40):

@@ -89,10 +89,7 @@ def test_drawn_pixels_follow_the_pmf(name):
     assert chi_square(counts, p) > 0.01 / len(cases())
 
     batches = np.array(
-        [
-            np.bincount(draw(d, 97, streams.seed(6, i, "draw")), minlength=300)
-            for i in range(128)
-        ]
+        [np.bincount(draw(d, 97, streams.seed(6, i, "draw")), minlength=300) for i in range(128)]
     )
     common = (batches.std(axis=0) > 0) & (batches.sum(axis=0) > 20)  # where t is nearly normal
     if common.any():
@@ -117,8 +114,8 @@ def test_expected_draws_are_exact_per_stratum():
 
 
 def test_every_pixel_of_a_large_film_can_be_drawn():
-    """20 M pixels of equal weight, more than float32 has uniform numbers: neighbours must not merge,
-    and mass at the very end must be found."""
+    """20 M pixels of equal weight, more than float32 has uniform numbers: neighbours must
+    not merge, and mass at the very end must be found."""
     n = 20_000_000
     d = PixelDistribution.uniform(n)
     last = mi.UInt32(n - 1)

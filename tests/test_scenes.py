@@ -8,11 +8,11 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import yaml
-
-from isas_cli.errors import InputError
 from isas_cli.scenes import library, meshes
 from isas_cli.scenes.bake import bake, unfold
 from isas_cli.scenes.subdivide import subdivide
+
+from isas_cli.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ["pottery", "jumpydumpy", "dodoco"]
@@ -223,6 +223,4 @@ def test_baked_paint_lies_where_the_renderer_looks_it_up():
     texture = mi.load_dict(library.texture(image))
     hit = dr.zeros(mi.SurfaceInteraction3f)
     hit.uv = mi.Point2f((2 + 0.5) / size, (5 + 0.5) / size)
-    np.testing.assert_allclose(
-        np.array(texture.eval(hit)).ravel(), positions[5, 2], atol=1e-3
-    )
+    np.testing.assert_allclose(np.array(texture.eval(hit)).ravel(), positions[5, 2], atol=1e-3)

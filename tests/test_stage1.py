@@ -28,7 +28,9 @@ def per_path_derivatives(p, cells, samples: int, base: int, iteration: int) -> n
     rows = []
     for key in p.unknowns.keys:
         for k in range(dr.width(flat(starts[key]))):
-            tangents = {j: unflat(v, dr.zeros(mi.Float, dr.width(flat(v)))) for j, v in starts.items()}
+            tangents = {
+                j: unflat(v, dr.zeros(mi.Float, dr.width(flat(v)))) for j, v in starts.items()
+            }
             unit = np.zeros(dr.width(flat(starts[key])), np.float32)
             unit[k] = 1
             tangents[key] = unflat(starts[key], mi.Float(unit))
@@ -67,7 +69,9 @@ def test_the_sum_is_squared_after_it_is_taken():
     """A single unknown that a path may meet more than once: the moment of its whole derivative."""
     p = problem({ROUGHNESS: 0.5})
     cells = Cells.over(p.film_sizes, 4)
-    exact = (per_path_derivatives(p, cells, 8, 1, 0)[0] ** 2).reshape(3, cells.count, 8).mean(axis=2)
+    exact = (
+        (per_path_derivatives(p, cells, 8, 1, 0)[0] ** 2).reshape(3, cells.count, 8).mean(axis=2)
+    )
     stage1 = Stage1(p, losses.L2(), cells, 8)
     starts = p.unknowns.starts()
     _, second = stage1.derivative(starts, random_signs(starts, 5), 1, 0)
@@ -76,7 +80,7 @@ def test_the_sum_is_squared_after_it_is_taken():
 
 
 def test_residual_moment_counts_the_noise_of_the_paths():
-    """p_j1 is E[⟨∂ℓ⟩²] of single paths: at the truth, where the mean vanishes, only noise is left."""
+    """p_j1 is E[⟨∂ℓ⟩²] of single paths: at the truth, where the mean vanishes, noise is left."""
     p = problem({ROUGHNESS: 0.4}, constant_target=None)
     stage1 = Stage1(p, losses.L2(), Cells.over(p.film_sizes, 4), 64)
     first, second = stage1.residual(p.unknowns.truths(), 1, 0)

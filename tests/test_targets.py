@@ -8,6 +8,8 @@ from scenes_for_tests import ROUGHNESS, TEXTURE, dictionary, problem
 
 from isas_cli import build, coverage, targets
 from isas_cli.errors import InputError
+from isas_cli.evaluate import Evaluator
+from isas_cli.losses import L2
 from isas_cli.render import Renderer
 
 
@@ -115,3 +117,19 @@ def test_an_unknown_that_no_view_sees_is_refused():
     with pytest.raises(InputError, match="hidden.bsdf.reflectance.value.*no view sees it"):
         coverage.fill_in(p, 1)
     p.unknowns.write(p.unknowns.starts())
+
+
+def test_the_image_error_does_not_contain_the_noise_of_the_targets():
+    """At the truth, against targets of few paths: (I - T)² alone would report their noise."""
+    p = problem({ROUGHNESS: 0.4}, resolution=(96, 64))
+    rendered, key = targets.render(p, 6, 0, silent)
+    p.set_targets(rendered, None, key)
+    truth = p.unknowns.truths()
+    halves, p.target_halves = p.target_halves, None
+    plain = Evaluator(p, L2(), 100_000, 8, 1)(truth)["image_rmse"]
+    p.target_halves = halves
+    known = Evaluator(p, L2(), 100_000, 8, 1)(truth)["image_rmse"]
+    assert known < 0.4 * plain
+    first, second = halves.at(dr.gather(mi.Color3f, rendered, mi.UInt32(7)), np.array([7]))
+    mean = 0.5 * (np.array(first) + np.array(second))
+    assert np.allclose(mean.reshape(3), np.array(rendered)[21:24], rtol=1e-2)

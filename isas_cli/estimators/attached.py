@@ -77,9 +77,7 @@ def radiance(scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, max_depth: int
 
         # ------------------ Detached BSDF sampling -------------------
         with dr.suspend_grad():
-            sample, weight = bsdf.sample(
-                context, si, sampler.next_1d(), sampler.next_2d(), active
-            )
+            sample, weight = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), active)
             # The roulette's number, unused: the stream stays in step with prb's.
             sampler.next_1d()
             next_ray = si.spawn_ray(si.to_world(sample.wo))
@@ -90,7 +88,5 @@ def radiance(scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, max_depth: int
         with dr.suspend_grad():
             previous, pdf, ray = si, sample.pdf, next_ray
             delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-            hit = scene.ray_intersect_preliminary(
-                ray, coherent=False, reorder=False, active=active
-            )
+            hit = scene.ray_intersect_preliminary(ray, coherent=False, reorder=False, active=active)
     return L

@@ -66,8 +66,6 @@ def forward(integrator, scene, sampler, ray) -> mi.Color3f:
         replayed = sampler.clone()
         _, state = primal(integrator, scene, sampler, ray)
         dr.eval(state)
-        derivative, _ = _sample(
-            integrator, dr.ADMode.Forward, scene, replayed, ray, None, state
-        )
+        derivative, _ = _sample(integrator, dr.ADMode.Forward, scene, replayed, ray, None, state)
     dr.eval(derivative)
     return derivative

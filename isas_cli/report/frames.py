@@ -137,9 +137,7 @@ def _sheet(
     return canvas
 
 
-def _cell(
-    axes: Axes, image: np.ndarray | None, exposure: float, scale: _Scale | None
-) -> None:
+def _cell(axes: Axes, image: np.ndarray | None, exposure: float, scale: _Scale | None) -> None:
     """One picture: through the display curve, or through its column's colour scale."""
     if image is None:
         axes.set_facecolor("#eeeeee")

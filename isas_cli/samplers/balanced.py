@@ -37,7 +37,9 @@ class Balanced(Sampler):
     power: float = 0.5
     passes: int = 4
     least: float = 0.1
-    stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(resolution=128, samples=2))
+    stage1: Stage1Settings = field(
+        default_factory=lambda: Stage1Settings(resolution=128, samples=2)
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

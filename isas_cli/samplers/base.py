@@ -87,7 +87,9 @@ class Sampler:
 
     def distribution(self, weights: mi.Float) -> PixelDistribution:
         """The pmf over all pixels that the cells' weights stand for."""
-        return self._expand(weights, self.cells, self.problem.views, dr.opaque(mi.Float64, self.floor))
+        return self._expand(
+            weights, self.cells, self.problem.views, dr.opaque(mi.Float64, self.floor)
+        )
 
     @property
     def paths_per_look(self) -> int:

@@ -22,7 +22,9 @@ class Relevant(Sampler):
     """
 
     refresh: int = 0
-    stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(resolution=128, samples=2))
+    stage1: Stage1Settings = field(
+        default_factory=lambda: Stage1Settings(resolution=128, samples=2)
+    )
 
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
         super().prepare(problem, loss, batch, freeze)

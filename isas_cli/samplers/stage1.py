@@ -35,43 +35,38 @@ class Stage1:
         def mean(values):
             return dr.block_reduce(dr.ReduceOp.Add, values, samples) * (1.0 / samples)
 
+        def trace(sensors, views, cells, seeds):
+            view, column, row = cells.place(views, samples, seeds[0])
+            stream = rays.stream(seeds[1], count)
+            ray, weight = rays.spawn(sensors, views, view, column, row, stream)
+            return views.index(view, column, row), stream, ray, weight
+
+        def moments(derivative):
+            dr.eval(derivative)
+            size = dr.abs(derivative)
+            first = mi.Color3f(*[mean(size[c]) for c in range(3)])
+            second = mi.Color3f(*[mean(dr.square(size[c])) for c in range(3)])
+            dr.eval(first, second)
+            return first, second
+
         def residual_kernel(scene, sensors, views, leaves, cells, targets, mask, seeds):
             with dr.suspend_grad():
-                view, column, row = cells.place(views, samples, seeds[0])
-                stream = rays.stream(seeds[1], count)
-                ray, weight = rays.spawn(sensors, views, view, column, row, stream)
+                pixel, stream, ray, weight = trace(sensors, views, cells, seeds)
                 radiance, _ = replay.primal(integrator, scene, stream, ray)
-                pixel = views.index(view, column, row)
-                derivative = loss.derivative(
-                    radiance * weight, dr.gather(mi.Color3f, targets, pixel)
-                )
+                target = dr.gather(mi.Color3f, targets, pixel)
+                derivative = loss.derivative(radiance * weight, target)
                 if mask is not None:
                     derivative *= dr.gather(mi.Float, mask, pixel)
-                dr.eval(derivative)
-                size = dr.abs(derivative)
-                first = mi.Color3f(*[mean(size[c]) for c in range(3)])
-                second = mi.Color3f(*[mean(dr.square(size[c])) for c in range(3)])
-                dr.eval(first, second)
-            return first, second
+                return moments(derivative)
 
         def derivative_kernel(scene, sensors, views, leaves, cells, seeds):
             with dr.suspend_grad():
-                view, column, row = cells.place(views, samples, seeds[0])
-                stream = rays.stream(seeds[1], count)
-                ray, weight = rays.spawn(sensors, views, view, column, row, stream)
-                derivative = replay.forward(integrator, scene, stream, ray) * weight
-                dr.eval(derivative)
-                size = dr.abs(derivative)
-                first = mi.Color3f(*[mean(size[c]) for c in range(3)])
-                second = mi.Color3f(*[mean(dr.square(size[c])) for c in range(3)])
-                dr.eval(first, second)
-            return first, second
+                _, stream, ray, weight = trace(sensors, views, cells, seeds)
+                return moments(replay.forward(integrator, scene, stream, ray) * weight)
 
         def sensitivity_kernel(scene, sensors, views, leaves, cells, seeds):
             with dr.suspend_grad():
-                view, column, row = cells.place(views, samples, seeds[0])
-                stream = rays.stream(seeds[1], count)
-                ray, weight = rays.spawn(sensors, views, view, column, row, stream)
+                _, stream, ray, weight = trace(sensors, views, cells, seeds)
                 replay.backward(integrator, scene, stream, ray, mi.Color3f(1) * weight)
 
         wrap = dr.freeze if freeze else (lambda f: f)
