@@ -18,12 +18,14 @@ class Evaluator:
     """Loss, image error and parameter error at given values; never billed.
 
     Renders a fixed stratified set of ``pixels`` (all of them where there are fewer) with ``spp``
-    paths each, in two independent halves A and B. ``image_rmse`` is √mean_j,c (A - T1)(B - T2),
-    T1 and T2 the independent halves of the target: the expectation of that product is the squared
-    error of the *mean* images, so the noise of neither side passes for error (clamped at 0 where
-    noise makes it negative; a photograph is both halves, and its noise remains). ``loss`` is ℒ at
-    the mean of A and B and does contain noise. The same seeds every time: curves are smooth, and
-    two runs with one seed are measured alike.
+    paths each, in two independent halves A and B, with the same seeds every time.
+
+    ``image_rmse`` is √mean_j,c (A - A*)(B - B*). Where the truth is known, A* and B* are the
+    truth rendered with the very same random numbers: the expectation of the product is the
+    squared difference of the *mean* images, its noise vanishes as the images agree, and neither
+    the evaluation's noise nor the targets' passes for error. For photographs A* and B* are both
+    the photograph, whose noise remains. (Clamped at 0 where noise makes the mean negative.)
+    ``loss`` is ℒ at the mean of A and B against the targets and does contain noise.
     """
 
     def __init__(self, problem: Problem, loss, pixels: int, spp: int, base: int):
@@ -33,15 +35,18 @@ class Evaluator:
         rng = np.random.default_rng(streams.seed(base, 0, "reserve"))
         strata = (np.arange(count) + rng.random(count)) * (total / count)
         chosen = np.arange(total) if count == total else np.minimum(strata, total - 1)
-        self.chosen = chosen.astype(np.uint32)
-        self.pixels = mi.UInt32(self.chosen)
+        self.pixels = mi.UInt32(chosen.astype(np.uint32))
         self.renderer = Renderer(problem)
+        self.target = dr.gather(mi.Color3f, problem.targets, self.pixels)
+        self.references = (self.target, self.target)
+        if problem.truth_known:
+            self.references = self._halves(problem.unknowns.truths())
 
-    def __call__(self, values: dict) -> dict[str, float]:
-        """``loss``, ``image_rmse``, ``parameter_rmse`` and ``parameter_rmse/<key>``."""
+    def _halves(self, values: dict) -> tuple[mi.Color3f, mi.Color3f]:
+        """Two independent renderings of the chosen pixels at ``values``. Evaluates."""
         self.problem.unknowns.write(values)
         half = self.spp // 2
-        first, second = (
+        halves = tuple(
             self.renderer.pixels(
                 self.pixels,
                 half,
@@ -49,15 +54,17 @@ class Evaluator:
             )
             for h in (0, 1)
         )
-        target = dr.gather(mi.Color3f, self.problem.targets, self.pixels)
+        dr.eval(halves)
+        return halves
+
+    def __call__(self, values: dict) -> dict[str, float]:
+        """``loss``, ``image_rmse``, ``parameter_rmse`` and ``parameter_rmse/<key>``."""
+        first, second = self._halves(values)
         weight = mi.Float(1)
         if self.problem.mask is not None:
             weight = dr.gather(mi.Float, self.problem.mask, self.pixels)
-        targets = target, target
-        if self.problem.target_halves is not None:
-            targets = self.problem.target_halves.at(target, self.chosen)
-        squared = dr.sum((first - targets[0]) * (second - targets[1])) * weight
-        loss = dr.sum(self.loss.value(0.5 * (first + second), target)) * weight
+        squared = dr.sum((first - self.references[0]) * (second - self.references[1])) * weight
+        loss = dr.sum(self.loss.value(0.5 * (first + second), self.target)) * weight
         norm = 3.0 * (float(dr.sum(weight)[0]) if dr.width(weight) > 1 else dr.width(self.pixels))
         result = {
             "loss": float(dr.sum(loss)[0]) / norm,

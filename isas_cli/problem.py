@@ -13,30 +13,12 @@ from .unknowns import Unknowns
 
 
 @dataclass
-class TargetHalves:
-    """A rendered target T as the mean of two independent renderings T1 and T2.
-
-    ``difference``: T1 - T2, ``(n, 3) float16`` on the host; ``share``: weight of T2 in the mean.
-    An error measured against both halves, (I - T1)(I - T2), does not contain the target's noise.
-    """
-
-    difference: np.ndarray
-    share: float
-
-    def at(self, target: mi.Color3f, pixel: np.ndarray) -> tuple[mi.Color3f, mi.Color3f]:
-        """T1 and T2 of the given pixels, of which ``target`` holds T."""
-        difference = mi.Color3f(self.difference[pixel].astype(np.float32).T)
-        return target + self.share * difference, target - (1 - self.share) * difference
-
-
-@dataclass
 class Problem:
     """Everything that defines what is to be found; knows no sampler and no optimiser.
 
     ``targets``: ``(3 n,) float32``, linear radiance, pixel after pixel of all views;
     ``mask``: ``(n,) float32`` weights of the pixels, or None for all ones;
     ``share``: 1 / (3 Σ_j w_j), the factor between a pixel's ∂ℓ/∂I and ∂ℒ/∂I (opaque, one entry);
-    ``target_halves``: what a rendered target's noise is known by, None for photographs;
     ``film_sizes``: ``[(width, height), …]`` per view; ``content_hash``: of scene and cameras.
     """
 
@@ -52,7 +34,6 @@ class Problem:
     mask: mi.Float | None = None
     share: mi.Float | None = None
     target_hash: str = ""
-    target_halves: TargetHalves | None = None
     warnings: list[str] = field(default_factory=list)
 
     @property

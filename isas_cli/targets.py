@@ -14,12 +14,12 @@ import numpy as np
 
 from . import images, streams
 from .errors import InputError, IsasError
-from .problem import Problem, TargetHalves
+from .problem import Problem
 from .records import write_atomically
 from .render import Renderer
 
 # Raised when what a cached target means changes.
-_FORMAT = 2
+_FORMAT = 1
 
 
 def cache_folder() -> Path:
@@ -80,34 +80,14 @@ def render(
             progress(done, total * spp)
 
         renderer = Renderer(problem)
-        first, second = (
-            renderer.range(
-                0, total, part, lambda i, h=h: streams.seed(base, 2 * i + h, "target"), advance
-            )
-            for h, part in enumerate(_halves(spp))
-        )
-        share = _halves(spp)[1] / spp
-        rendered = (1 - share) * first + share * second
-        # Half precision does for noise.
-        difference = np.clip(first - second, -6e4, 6e4).astype(np.float16)
-        return {
-            "images": rendered.astype(np.float32),
-            "difference": difference,
-            "nonfinite": np.array(renderer.nonfinite),
-        }
+        rendered = renderer.range(0, total, spp, lambda i: streams.seed(base, i, "target"), advance)
+        return {"images": rendered, "nonfinite": np.array(renderer.nonfinite)}
 
     arrays = cached(f"target-{key}", compute)
-    if spp > 1:
-        problem.target_halves = TargetHalves(arrays["difference"], _halves(spp)[1] / spp)
     lost = int(arrays["nonfinite"])
     if lost:
         problem.warnings.append(f"{lost} of {total * spp} target paths were not finite: left out")
     return mi.Float(arrays["images"].reshape(-1)), key
-
-
-def _halves(spp: int) -> tuple[int, int]:
-    """Paths a pixel of the two independent halves that a target is the mean of."""
-    return spp - spp // 2, spp // 2
 
 
 def load(
