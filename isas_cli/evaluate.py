@@ -25,7 +25,8 @@ class Evaluator:
     squared difference of the *mean* images, its noise vanishes as the images agree, and neither
     the evaluation's noise nor the targets' passes for error. For photographs A* and B* are both
     the photograph, whose noise remains. (Clamped at 0 where noise makes the mean negative.)
-    ``loss`` is ℒ at the mean of A and B against the targets and does contain noise.
+    ``loss`` is ℒ from A and B against the targets, whose noise it contains, and A's and B's own
+    only where the loss is not quadratic.
     """
 
     def __init__(self, problem: Problem, loss, pixels: int, spp: int, base: int):
@@ -64,7 +65,7 @@ class Evaluator:
         if self.problem.mask is not None:
             weight = dr.gather(mi.Float, self.problem.mask, self.pixels)
         squared = dr.sum((first - self.references[0]) * (second - self.references[1])) * weight
-        loss = dr.sum(self.loss.value(0.5 * (first + second), self.target)) * weight
+        loss = dr.sum(self.loss.measured(first, second, self.target)) * weight
         norm = 3.0 * (float(dr.sum(weight)[0]) if dr.width(weight) > 1 else dr.width(self.pixels))
         result = {
             "loss": float(dr.sum(loss)[0]) / norm,

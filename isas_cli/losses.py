@@ -8,6 +8,9 @@ with w_j the target mask (1 where there is none). ``derivative`` returns ∂ℓ/
 estimator multiplies by w_j / (3 Σ w). The image-space estimators feed a *single-sample* radiance
 into it: that is unbiased for ∂ℒ/∂I exactly when ∂ℓ/∂I is linear in I (ISAS §4.1), which
 ``linear`` says.
+
+``measured`` is ℓ from two independent renderings of a pixel, for evaluation: without the noise of
+the renderings where the loss is quadratic in I.
 """
 
 from __future__ import annotations
@@ -31,6 +34,9 @@ class L2:
 
     def value(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
         return dr.square(image - target)
+
+    def measured(self, a: mi.Color3f, b: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
+        return (a - target) * (b - target)
 
     def derivative(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
         return 2 * (image - target)
@@ -56,6 +62,9 @@ class RelativeL2:
     def value(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
         return dr.square(image - target) / (dr.square(target) + self.epsilon)
 
+    def measured(self, a: mi.Color3f, b: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
+        return (a - target) * (b - target) / (dr.square(target) + self.epsilon)
+
     def derivative(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
         return 2 * (image - target) / (dr.square(target) + self.epsilon)
 
@@ -74,6 +83,10 @@ class L1:
 
     def value(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
         return dr.abs(image - target)
+
+    def measured(self, a: mi.Color3f, b: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
+        """At the mean of both, whose noise it contains."""
+        return self.value(0.5 * (a + b), target)
 
     def derivative(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
         difference = image - target

@@ -34,6 +34,16 @@ def test_linear_says_whether_the_derivative_is_linear(name, rng):
     assert np.allclose(mean, at_mean, rtol=1e-3, atol=1e-4) == loss.linear
 
 
+@pytest.mark.parametrize("name", LOSSES)
+def test_measured_loss_is_free_of_noise_where_the_loss_is_quadratic(name, rng):
+    loss = LOSSES[name]
+    a, b = (mi.Color3f(rng.exponential(1, (3, 200_000))) for _ in range(2))
+    target = mi.Color3f(0.7)
+    mean = np.array(loss.measured(a, b, target), np.float64).mean()
+    exact = float(loss.value(mi.Color3f(1.0), target)[0][0])
+    assert (abs(mean / exact - 1) < 0.05) == loss.linear
+
+
 def test_black_targets_stay_finite():
     assert np.all(np.isfinite(np.array(RelativeL2().derivative(mi.Color3f(5.0), mi.Color3f(0.0)))))
 

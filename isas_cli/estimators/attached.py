@@ -56,7 +56,9 @@ def radiance(scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, max_depth: int
             si = hit.compute_surface_interaction(ray, ray_flags=mi.RayFlags.All, active=active)
             bsdf = si.bsdf(ray)
             ds = mi.DirectionSample3f(scene, si=si, ref=previous)
-            mis = _mis_weight(pdf, scene.pdf_emitter_direction(previous, ds, ~delta))
+            mis = mi.Float(1)  # nothing else could have sampled what the camera sees
+            if depth > 0:
+                mis = _mis_weight(pdf, scene.pdf_emitter_direction(previous, ds, ~delta))
         L += β * mis * ds.emitter.eval(si, active)
         active &= si.is_valid()
         if depth + 1 == max_depth:
