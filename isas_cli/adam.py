@@ -14,7 +14,8 @@ from .unknowns import Unknowns, as_numpy, flat, unflat
 class Stepper:
     """Dr.Jit's Adam with what an inverse problem needs around it.
 
-    - Non-finite gradient entries are counted (``nonfinite``) and replaced by zero before they
+    - Non-finite gradient entries are counted (``nonfinite``; ``touched`` counts these and all that
+      are not zero) and replaced by zero before they
       reach a moment: one NaN would poison its entry for good.
     - Adam divides by √v̂ + ε with ε = 1e-8. A loss that is a mean over millions of pixels has
       gradients of that size, and ε would slow it silently. ``scale`` (per unknown, fixed for the
@@ -37,7 +38,8 @@ class Stepper:
         )
         for key, value in values.items():
             self.adam[key] = value
-        self.nonfinite = dr.zeros(mi.UInt32, 1)
+        self.nonfinite = dr.zeros(mi.UInt64, 1)
+        self.touched = dr.zeros(mi.UInt64, 1)
 
     @property
     def values(self) -> dict:
@@ -50,25 +52,27 @@ class Stepper:
     def step(self, gradients: dict, progress: float) -> None:
         """One Adam step along ``gradients`` (by key, any scale). Evaluates the new values."""
         factor = self.factor(progress)
-        rates, bad = {}, mi.UInt32(0)
+        rates, bad, touched = {}, mi.UInt64(0), mi.UInt64(0)
         for unknown in self.unknowns:
             key = unknown.key
             rates[key] = (unknown.lr or self.settings.lr) * factor
             entries = flat(gradients[key])
             finite = dr.isfinite(entries)
-            bad += dr.count(~finite)
+            bad += mi.UInt64(dr.count(~finite))
+            touched += mi.UInt64(dr.count(~finite | (entries != 0)))
             # Opaque, because the factor differs from run to run and would compile anew.
             scale = dr.opaque(mi.Float, self.scale[key])
             clean = dr.select(finite, entries * scale, 0)
             dr.set_grad(self.adam[key], unflat(gradients[key], clean))
         self.nonfinite += bad
+        self.touched += touched
         self.adam.set_learning_rate(rates)
         self.adam.step(eval=False)
         for unknown in self.unknowns:
             if np.isfinite(unknown.low) or np.isfinite(unknown.high):
                 value = self.adam[unknown.key]
                 self.adam[unknown.key] = dr.clip(dr.detach(value), unknown.low, unknown.high)
-        dr.eval(self.adam.state, self.nonfinite)
+        dr.eval(self.adam.state, self.nonfinite, self.touched)
 
     def calibrate(self, gradients: list[dict]) -> None:
         """Fix ``scale`` as 1 / (root mean square of the non-zero finite entries), per unknown."""

@@ -32,10 +32,11 @@ def problem(
     """
     phase("load")
     if scene.path is not None:
-        loaded, integrator = scene_file.load(scene.path, scene.max_depth)
+        loaded, integrator, description = scene_file.load(scene.path, scene.max_depth)
     else:
         loaded = _from_builder(scene)
         integrator = loaded.integrator()
+        description = f"{scene.builder} {dict(scene.arguments)}"
     sensors = loaded.sensors()
     if not sensors:
         raise InputError(f"{_where(scene)} has no sensor: add at least one camera")
@@ -46,7 +47,7 @@ def problem(
     if pixels >= 2**32 - 1:
         raise InputError(f"{pixels} pixels in all views together: fewer than 2^32 can be indexed")
     params = mi.traverse(loaded)
-    content = _content_hash(loaded, integrator, params)
+    content = _content_hash(loaded, integrator, params, description)
     photographs = scene.targets is not None
     found = parse(params, scene.unknowns, truth_known=not photographs)
     # Traversed anew: reading a parameter marks it as a candidate for an update.
@@ -106,11 +107,18 @@ def _check_arguments(scene: SceneConfig, build: Callable) -> None:
             raise InputError(f"scene.arguments.{name} is missing: {scene.builder} needs it")
 
 
-def _content_hash(scene: mi.Scene, integrator, params: mi.SceneParameters) -> str:
-    """Hash of what a rendering depends on: the scene's description and all its arrays."""
+def _content_hash(
+    scene: mi.Scene, integrator, params: mi.SceneParameters, description: str = ""
+) -> str:
+    """Hash of what a rendering depends on: the scene's description and all its arrays.
+
+    ``description``: what the scene was made from. Mitsuba's own texts leave properties out, such
+    as a bitmap's wrap mode or an integrator's hidden emitters.
+    """
     hashed = hashlib.blake2b(digest_size=16)
     hashed.update(str(scene).encode())
-    hashed.update(str(integrator).encode())
+    hashed.update(f"{integrator} {getattr(integrator, 'hide_emitters', None)}".encode())
+    hashed.update(description.encode())
     for key in sorted(params.keys()):
         value = params[key]
         hashed.update(key.encode())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -26,9 +28,11 @@ def fill_in(problem: Problem, base: int) -> None:
 
     Raises InputError for an unknown that no view sees: nothing could be learnt about it.
     """
-    key = digest(
-        "coverage", 2, problem.content_hash, problem.unknowns.keys, base, mi.__version__, _THRESHOLD
-    )
+    # What is seen depends on the start: a light that starts at zero shows nothing.
+    starts = [hashlib.blake2b(u.start.tobytes()).hexdigest() for u in problem.unknowns]
+    masked = "" if problem.mask is None else problem.target_hash
+    what = (problem.content_hash, problem.unknowns.keys, starts, masked, base)
+    key = digest("coverage", 3, *what, mi.__version__, _THRESHOLD)
     arrays = cached(f"coverage-{key}", lambda: _measure(problem, base))
     for index, unknown in enumerate(problem.unknowns):
         unknown.seen = arrays[f"seen{index}"].reshape(unknown.start.shape)
@@ -48,18 +52,20 @@ def _measure(problem: Problem, base: int) -> dict[str, np.ndarray]:
     """
     unknowns, integrator = problem.unknowns, problem.integrator
 
-    def kernel(scene, sensors, views, leaves, first, stride, seed, signed):
+    def kernel(scene, sensors, views, leaves, mask, first, stride, seed, signed):
         with dr.suspend_grad():
             count = lanes
-            pixel = dr.minimum(
-                first + mi.UInt32(mi.Float64(dr.arange(mi.UInt32, count)) * stride),
-                views.total - 1,
-            )
+            chosen = first + mi.UInt32(mi.Float64(dr.arange(mi.UInt32, count)) * stride)
+            inside = chosen < views.total  # the last pass may reach beyond
+            pixel = dr.minimum(chosen, views.total - 1)
             view, column, row = views.locate(pixel)
             stream = rays.stream(seed, count)
             ray, weight = rays.spawn(sensors, views, view, column, row, stream)
             sign = dr.select(stream.next_1d() < 0.5, mi.Float(-1), 1)
-            adjoint = mi.Color3f(dr.select(signed, sign, 1)) * weight
+            counts = dr.select(inside, mi.Float(1), 0)
+            if mask is not None:
+                counts *= dr.gather(mi.Float, mask, pixel)
+            adjoint = mi.Color3f(dr.select(signed, sign, 1) * counts) * weight
             replay.backward(integrator, scene, stream, ray, adjoint)
 
     total = problem.views.total
@@ -78,6 +84,7 @@ def _measure(problem: Problem, base: int) -> dict[str, np.ndarray]:
                 problem.sensors,
                 problem.views,
                 unknowns.leaves,
+                problem.mask,
                 dr.opaque(mi.UInt32, int(chunk * lanes * stride)),
                 dr.opaque(mi.Float64, stride),
                 dr.opaque(mi.UInt32, streams.seed(base, 2 * i + signed, "coverage")),

@@ -31,12 +31,15 @@ class Evaluator:
 
     def __init__(self, problem: Problem, loss, pixels: int, spp: int, base: int):
         self.problem, self.loss, self.spp, self.base = problem, loss, spp, base
-        total = problem.views.total
-        count = min(pixels, total)
-        rng = np.random.default_rng(streams.seed(base, 0, "reserve"))
-        strata = (np.arange(count) + rng.random(count)) * (total / count)
-        chosen = np.arange(total) if count == total else np.minimum(strata, total - 1)
-        self.pixels = mi.UInt32(chosen.astype(np.uint32))
+        counting = np.arange(problem.views.total, dtype=np.uint32)
+        if problem.mask is not None:
+            counting = counting[np.array(problem.mask) > 0]
+        count = min(pixels, counting.size)
+        rng = np.random.default_rng(streams.seed(base, 0, "evaluation_place"))
+        strata = (np.arange(count) + rng.random(count)) * (counting.size / count)
+        if count < counting.size:
+            counting = counting[np.minimum(strata.astype(np.int64), counting.size - 1)]
+        self.pixels = mi.UInt32(counting)
         self.renderer = Renderer(problem)
         self.target = dr.gather(mi.Color3f, problem.targets, self.pixels)
         self.references = (self.target, self.target)
@@ -66,7 +69,9 @@ class Evaluator:
             weight = dr.gather(mi.Float, self.problem.mask, self.pixels)
         squared = dr.sum((first - self.references[0]) * (second - self.references[1])) * weight
         loss = dr.sum(self.loss.measured(first, second, self.target)) * weight
-        norm = 3.0 * (float(dr.sum(weight)[0]) if dr.width(weight) > 1 else dr.width(self.pixels))
+        norm = 3.0 * dr.width(self.pixels)
+        if self.problem.mask is not None:
+            norm = 3.0 * float(dr.sum(weight)[0])
         result = {
             "loss": float(dr.sum(loss)[0]) / norm,
             "image_rmse": math.sqrt(max(0.0, float(dr.sum(squared)[0]) / norm)),

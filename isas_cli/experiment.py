@@ -161,6 +161,17 @@ class _Experiment:
         page = write(self.writer.folder)
         self._announce(status, page)
 
+    def _warnings(self) -> list[str]:
+        """What a reader of the figures should know."""
+        warnings = list(self.problem.warnings)
+        renderers = (self.loop.evaluator.renderer, self.pictures.renderer)
+        lost = sum(r.nonfinite for r in renderers)
+        if lost:
+            warnings.append(f"{lost} paths of evaluations and pictures were not finite: left out")
+        if not self.loop.estimator.loss.linear:
+            warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
+        return warnings
+
     def _summary(self, status: str) -> None:
         errors = ("loss", "image_rmse", "parameter_rmse")
 
@@ -182,7 +193,7 @@ class _Experiment:
                 "seconds_unbilled": dict(loop.clock.unbilled_seconds),
                 "start": of(self._first),
                 "final": of(loop.last),
-                "warnings": self.problem.warnings,
+                "warnings": self._warnings(),
             }
         )
 
@@ -193,7 +204,7 @@ class _Experiment:
         for name in ("image_rmse", "parameter_rmse"):
             if name in last:
                 say(f"{name}: {first[name]:.4g} → {last[name]:.4g}")
-        for warning in self.problem.warnings:
+        for warning in self._warnings():
             say(f"warning: {warning}")
         if status == "interrupted":
             say("interrupted: the record is complete up to here")

@@ -22,11 +22,11 @@ from .unknowns import flat
 _REHEARSAL_STEPS = 5
 # Evaluations crowd towards the start, where the error falls fastest.
 _EVALUATION_POWER = 1.5
-# Estimates of which more than this share of the entries is not finite since the last evaluation
-# carry no information worth going on with.
+# If more than this share of the touched gradient entries since the last evaluation is not finite,
+# going on makes no sense.
 _NONFINITE_LIMIT = 0.5
 # Iteration numbers of the rehearsal: out of reach of any run, so that no stream repeats.
-_REHEARSAL_BASE = 1 << 27
+_REHEARSAL_BASE = 1 << 24
 
 
 @dataclass
@@ -72,7 +72,7 @@ class Loop:
         self.estimator = TwoPath(problem, loss, batch, freeze)
         self.sampler.prepare(problem, loss, batch, freeze)
         self._weights = self._distribution = self._gradients = None
-        self._counted = 0
+        self._counted = 0, 0
 
     @property
     def progress(self) -> float:
@@ -159,17 +159,16 @@ class Loop:
             "stage1_seconds": self.clock.billed_seconds["stage1"],
             "learning_rate": self.stepper.rate(self.progress),
         }
-        steps = p.iteration - (self.last["iteration"] if self.last else 0)
         self.last = row
         hooks.evaluated(row)
-        self._check(nonfinite, steps)
+        self._check(nonfinite, int(self.stepper.touched[0]))
 
-    def _check(self, nonfinite: int, steps: int) -> None:
-        entries = sum(u.start.size for u in self.problem.unknowns)
-        fresh, self._counted = nonfinite - self._counted, nonfinite
-        if steps and fresh > _NONFINITE_LIMIT * entries * steps:
+    def _check(self, nonfinite: int, touched: int) -> None:
+        bad, all_ = nonfinite - self._counted[0], touched - self._counted[1]
+        self._counted = nonfinite, touched
+        if bad > _NONFINITE_LIMIT * all_:
             raise NumericalError(
-                f"{fresh} of the last {entries * steps} gradient entries were not finite: the "
+                f"{bad} of the last {all_} gradient entries were not finite (zeros left out): the "
                 "last good values are kept; look for values at the edge of their range"
             )
 

@@ -31,7 +31,7 @@ class Pictures:
         self.problem.unknowns.write(values)
         for view in self.views:
             image = self.renderer.view(
-                view, self.spp, lambda s, v=view: streams.seed(base, v * self.spp + s, "frame")
+                view, self.spp, lambda s, v=view: streams.seed(base, (v << 16) + s, "frame")
             )
             tags = {"view": view, "iteration": iteration}
             self._write(f"{kind}_v{view:02d}", image, _RGB, kind, **tags)

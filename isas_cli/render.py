@@ -19,9 +19,8 @@ _LANES = 1 << 20
 class Renderer:
     """Means over independent paths for given pixels, at the scene's present values.
 
-    ``render(pixels, spp, seeds)``: ``pixels (N,) uint32`` device array, one seed per sample and
-    chunk from ``seeds(i)``. Returns ``(3, N)`` radiance. Paths that come out non-finite are left
-    out of the mean and counted in ``nonfinite``.
+    One seed per sample and chunk of pixels, from ``seed(i)``. Paths that come out non-finite are
+    left out of the mean and counted in ``nonfinite``.
     """
 
     def __init__(self, problem: Problem):

@@ -22,8 +22,8 @@ _REPLAY = {
 _DIRECT_DEPTH = 2
 
 
-def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator]:
-    """The scene of an XML file and the path replay integrator that renders it.
+def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str]:
+    """The scene of an XML file, the integrator that replays its paths, and its text of properties.
 
     Bitmap textures are loaded in floating point, or 8-bit files could not be differentiated.
     Nothing is merged: two materials that start equal stay two unknowns. ``max_depth`` overrides
@@ -42,6 +42,7 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator]:
         for node in state.nodes:
             if node.props.plugin_name() == "bitmap" and "format" not in node.props:
                 node.props["format"] = "variant"
+        description = "".join(str(node.props) for node in state.nodes)
         mi.parser.transform_all(settings, state)
         loaded = mi.parser.instantiate(settings, state)
     except (RuntimeError, ValueError, OSError) as error:
@@ -52,7 +53,7 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator]:
     if not isinstance(loaded, mi.Scene):
         raise InputError(f"scene.path={path}: holds no <scene>")
     _name_all(loaded)
-    return loaded, integrator
+    return loaded, integrator, description
 
 
 def _name_all(scene: mi.Scene) -> None:

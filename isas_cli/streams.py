@@ -16,7 +16,9 @@ PURPOSES = (
     "target",
     "coverage",
     "frame",
-    "reserve",
+    "balance_place",
+    "balance_adjoint",
+    "evaluation_place",
 )
 _SLOTS = 16  # purposes per iteration, a power of two above len(PURPOSES)
 

@@ -169,6 +169,11 @@ def parse(params: mi.SceneParameters, specs: dict, truth_known: bool) -> list[Un
         if spec.lr is not None and not spec.lr > 0:
             raise InputError(f"scene.unknowns['{key}'].lr={spec.lr}: must be above 0")
         truth = current if truth_known else None
+        if truth is not None and (truth.min() < low or truth.max() > high):
+            raise InputError(
+                f"scene.unknowns['{key}']: the scene's own value, the truth, is outside its range "
+                f"[{low:g}, {high:g}]; give a range that holds it"
+            )
         found.append(Unknown(key, start, truth, low, high, spec.lr))
     return found
 

@@ -38,7 +38,7 @@ def run(p, rng, size: float, steps: int = 20, calibrated: bool = True) -> dict:
 @pytest.mark.parametrize("size", [1e-6, 1e-12])
 def test_scaling_the_loss_changes_nothing(size):
     """The same gradients times 1e-6 (and 1e-12: a mean over 64 M pixels seen by few) give the same
-    trajectory. Without the scale they do not: Adam's ε = 1e-8 takes over."""
+    trajectory. Without the scale, smaller ones do not: Adam's ε = 1e-8 takes over."""
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5})
     ours = run(p, np.random.default_rng(1), 1.0)
     small = run(p, np.random.default_rng(1), size)

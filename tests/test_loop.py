@@ -151,6 +151,28 @@ def test_parameter_error_leaves_out_what_no_view_sees():
     assert errors["parameter_rmse"] == 0
 
 
+class Small(losses.L2):
+    """L2 times 1e-6."""
+
+    def derivative(self, image, target):
+        return 1e-6 * super().derivative(image, target)
+
+
+def test_a_loss_times_a_millionth_gives_the_same_run():
+    """The whole loop, rehearsal and calibration included."""
+    ends = []
+    for loss in (losses.L2(), Small()):
+        p = problem({TEXTURE: 0.5}, constant_target=None)
+        stepper = Stepper(p.unknowns, OptimizerConfig())
+        evaluator = Evaluator(p, losses.L2(), 100, 2, 1)
+        l = Loop(p, loss, Uniform(), stepper, evaluator, Budget(iterations=20), 256, 1, 2)
+        l.rehearse()
+        run(l)
+        ends.append(as_numpy(stepper.values[TEXTURE]))
+    assert np.abs(ends[0] - 0.5).max() > 0.05
+    assert np.abs(ends[0] - ends[1]).max() < 1e-4
+
+
 class Broken(Stepper):
     """Feeds not-a-numbers from the fifth step on."""
 
@@ -159,7 +181,8 @@ class Broken(Stepper):
     def step(self, gradients, progress):
         self.count += 1
         if self.count > 12:
-            gradients = {k: g * float("nan") for k, g in gradients.items()}
+            nan = float("nan")  # where the batch touched; the rest stays zero
+            gradients = {k: dr.select(g != 0, nan, 0) for k, g in gradients.items()}
         super().step(gradients, progress)
 
 

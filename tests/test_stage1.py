@@ -143,3 +143,12 @@ def test_denoising_keeps_energy_and_sign(quality, rng):
     assert np.all(np.isfinite(clean)) and np.all(clean >= 0)
     assert abs(clean.mean() / np.nanmean(noisy) - 1) < 0.25
     assert clean.std() < 0.7 * np.nanstd(noisy)
+
+
+def test_denoising_does_not_depend_on_scale(rng):
+    cells = Cells.over([(64, 64)], 64)
+    image = rng.uniform(0.5, 2, (3, cells.count)).astype(np.float32)
+    denoise = Denoiser(cells, "fast")
+    plain = np.array(denoise(mi.Color3f(image)))
+    tiny = np.array(denoise(mi.Color3f(image * np.float32(1e-12))))
+    assert np.allclose(tiny * 1e12, plain, rtol=1e-3)

@@ -78,6 +78,12 @@ def test_the_content_hash_sees_what_matters():
     assert content() != content(depth=5)
     assert content() != content(resolution=(12, 9))
     assert content() != content(size=8)
+    scene = mi.load_dict(dictionary(), optimize=False)
+    hashes = set()
+    for hidden in (False, True):
+        shown = mi.load_dict({"type": "prb", "max_depth": 4, "hide_emitters": hidden})
+        hashes |= {build._content_hash(scene, shown, mi.traverse(scene), d) for d in ("a", "b")}
+    assert len(hashes) == 4
 
 
 def test_coverage_finds_the_texels_that_no_view_sees():

@@ -43,7 +43,9 @@ def backward(integrator, scene, sampler, ray, adjoint: mi.Color3f) -> None:
     if attached.handles(integrator):
         with dr.resume_grad():
             radiance = attached.radiance(scene, sampler, ray, integrator.max_depth)
-            dr.backward_from(adjoint * radiance)
+            # Paths too short to reach any unknown have no derivative.
+            if dr.grad_enabled(radiance):
+                dr.backward_from(adjoint * radiance)
         return
     replayed = sampler.clone()
     _, state = primal(integrator, scene, sampler, ray)
@@ -61,7 +63,9 @@ def forward(integrator, scene, sampler, ray) -> mi.Color3f:
     if attached.handles(integrator):
         with dr.resume_grad():
             radiance = attached.radiance(scene, sampler, ray, integrator.max_depth)
-            derivative = mi.Color3f(dr.forward_to(radiance))
+            derivative = dr.zeros(mi.Color3f, dr.width(ray.o))
+            if dr.grad_enabled(radiance):
+                derivative = mi.Color3f(dr.forward_to(radiance))
     else:
         replayed = sampler.clone()
         _, state = primal(integrator, scene, sampler, ray)

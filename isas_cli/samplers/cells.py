@@ -29,7 +29,8 @@ class Cells:
         sizes = []
         for width, height in film_sizes:
             side = max(1.0, max(width, height) / resolution)
-            sizes.append((math.ceil(width / side), math.ceil(height / side)))
+            fit = (math.ceil(width / side), math.ceil(height / side))
+            sizes.append((min(fit[0], resolution), min(fit[1], resolution)))
         return Cells(
             Views.of(sizes),
             mi.Float([w / c for (w, _), (c, _) in zip(film_sizes, sizes)]),

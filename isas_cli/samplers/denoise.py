@@ -39,14 +39,18 @@ class Denoiser:
         dr.eval(self._slot)
 
     def __call__(self, values: mi.Color3f) -> mi.Color3f:
-        """Denoised, non-negative values. The unused part of the atlas holds zeros. Evaluates."""
+        """Denoised, non-negative values. The unused part of the atlas holds zeros. Evaluates.
+
+        The largest value is brought to one before and back after: the filter's own exposure gives
+        up on images below about 1e-8, which squared derivatives of dark scenes are.
+        """
+        values = dr.select(dr.isfinite(values), dr.maximum(values, 0), 0)
+        top = dr.max(dr.max(values))
+        scale = dr.select(top > 0, dr.rcp(top), 1)
         flat = dr.zeros(mi.Float, self._width * self._height * 3)
         for channel in range(3):
-            # HDR input of squared derivatives may overflow half precision inside the filter.
-            value = dr.select(dr.isfinite(values[channel]), dr.maximum(values[channel], 0), 0)
-            dr.scatter(flat, value, self._slot * 3 + channel)
+            dr.scatter(flat, values[channel] * scale, self._slot * 3 + channel)
         atlas = mi.TensorXf(flat, (self._height, self._width, 3))
         clean = self._oidn.denoise(atlas, hdr=True, quality=self._quality).array
-        return dr.maximum(
-            mi.Color3f(*[dr.gather(mi.Float, clean, self._slot * 3 + c) for c in range(3)]), 0
-        )
+        channels = [dr.gather(mi.Float, clean, self._slot * 3 + c) for c in range(3)]
+        return dr.maximum(mi.Color3f(*channels), 0) / scale

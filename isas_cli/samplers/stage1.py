@@ -39,7 +39,7 @@ class Stage1:
             view, column, row = cells.place(views, samples, seeds[0])
             stream = rays.stream(seeds[1], count)
             ray, weight = rays.spawn(sensors, views, view, column, row, stream)
-            return views.index(view, column, row), stream, ray, weight
+            return view, views.index(view, column, row), stream, ray, weight
 
         def moments(derivative):
             dr.eval(derivative)
@@ -51,7 +51,7 @@ class Stage1:
 
         def residual_kernel(scene, sensors, views, leaves, cells, targets, mask, seeds):
             with dr.suspend_grad():
-                pixel, stream, ray, weight = trace(sensors, views, cells, seeds)
+                _, pixel, stream, ray, weight = trace(sensors, views, cells, seeds)
                 radiance, _ = replay.primal(integrator, scene, stream, ray)
                 target = dr.gather(mi.Color3f, targets, pixel)
                 derivative = loss.derivative(radiance * weight, target)
@@ -61,13 +61,16 @@ class Stage1:
 
         def derivative_kernel(scene, sensors, views, leaves, cells, seeds):
             with dr.suspend_grad():
-                _, stream, ray, weight = trace(sensors, views, cells, seeds)
+                _, _, stream, ray, weight = trace(sensors, views, cells, seeds)
                 return moments(replay.forward(integrator, scene, stream, ray) * weight)
 
         def sensitivity_kernel(scene, sensors, views, leaves, cells, seeds):
             with dr.suspend_grad():
-                _, stream, ray, weight = trace(sensors, views, cells, seeds)
-                replay.backward(integrator, scene, stream, ray, mi.Color3f(1) * weight)
+                view, _, stream, ray, weight = trace(sensors, views, cells, seeds)
+                # A sample stands for all pixels of its cell, of which large films have more.
+                pixels = dr.gather(mi.Float, cells.scale_x, view)
+                pixels *= dr.gather(mi.Float, cells.scale_y, view)
+                replay.backward(integrator, scene, stream, ray, mi.Color3f(pixels) * weight)
 
         wrap = dr.freeze if freeze else (lambda f: f)
         self._residual = wrap(residual_kernel)
@@ -111,7 +114,8 @@ class Stage1:
         unknowns = self.problem.unknowns
         unknowns.attach(values)
         for i in range(passes):
-            seeds = self._seeds(base, iteration + i, "stage1_place", "stage1_adjoint")
+            # Streams of their own: a derivative must not be divided by a sum of itself.
+            seeds = self._seeds(base, iteration + i, "balance_place", "balance_adjoint")
             self._sensitivity(*self._arguments(), seeds)
         return {k: dr.abs(flat(g)) for k, g in unknowns.gradients().items()}
 
