@@ -82,8 +82,31 @@ class Stepper:
             size = float(np.sqrt(np.mean(entries**2))) if entries.size else 0.0
             self.scale[key] = 1.0 / size if size > 0 else 1.0
 
+    def noise(self, gradients: dict) -> float:
+        """How far the gradient lies from its running mean: PBDR Eq. (9) of one iteration t,
+
+            1/N Σ_k (g_t,k^smoothed - g_t,k^unsmoothed)²,
+
+        g^unsmoothed the estimate ``gradients``, g^smoothed Adam's first moment after the step,
+        bias-corrected; N counts the entries k that the estimate touched (where ``mask_updates``
+        leaves the others alone, their moments are of earlier iterations). In the gradient's own
+        unit, squared; NaN without a step or a finite touched entry. On the host.
+        """
+        total, count = 0.0, 0
+        for key in self.unknowns.keys:
+            steps, first, _, _ = self.adam.state[key][3]
+            entries = np.array(flat(gradients[key]), dtype=np.float64)
+            touched = np.isfinite(entries) & (entries != 0)
+            if int(steps[0]) == 0 or not touched.any():
+                continue
+            correction = self.scale[key] * (1 - self.settings.beta_1 ** int(steps[0]))
+            smoothed = np.array(first, dtype=np.float64) / correction
+            total += float(np.sum((smoothed - entries)[touched] ** 2))
+            count += int(touched.sum())
+        return total / count if count else float("nan")
+
     def export(self) -> tuple[dict[str, np.ndarray], dict]:
-        """Values and moments as arrays, step counts and scales as JSON, for a checkpoint."""
+        """Values and moments as arrays; step counts, scales and counters as JSON."""
         arrays, steps = {}, {}
         for key in self.unknowns.keys:
             count, first, second, _ = self.adam.state[key][3]
@@ -91,4 +114,19 @@ class Stepper:
             arrays[f"first/{key}"] = np.array(first)
             arrays[f"second/{key}"] = np.array(second)
             steps[key] = int(count[0])
-        return arrays, {"steps": steps, "scale": self.scale}
+        counters = {"nonfinite": int(self.nonfinite[0]), "touched": int(self.touched[0])}
+        return arrays, {"steps": steps, "scale": self.scale, **counters}
+
+    def restore(self, arrays: dict[str, np.ndarray], state: dict) -> None:
+        """Take over what ``export`` gave, to the last bit. KeyError where something is missing."""
+        values = {key: arrays[f"value/{key}"] for key in self.unknowns.keys}
+        self.restart(self.unknowns.values_of(values))
+        for key in self.unknowns.keys:
+            value, promoted, rate, (count, first, second, most) = self.adam.state[key]
+            moments = [type(first)(arrays[f"{name}/{key}"]) for name in ("first", "second")]
+            steps = type(count)(state["steps"][key])
+            self.adam.state[key] = value, promoted, rate, (steps, *moments, most)
+        self.scale = dict(state["scale"])
+        self.nonfinite += state["nonfinite"]
+        self.touched += state["touched"]
+        dr.eval(self.adam.state, self.nonfinite, self.touched)

@@ -9,6 +9,7 @@ import argparse
 import os
 import sys
 import traceback
+from pathlib import Path
 
 from . import __version__, interrupt
 from .errors import InputError, IsasError, nearest
@@ -23,15 +24,35 @@ Recover a scene's unknown parameters from its images and leave a record of it.
   isas run scene=jumpydumpy loss=relative_l2 size=tiny budget.iterations=50
   isas run scene=file scene.path=my.xml 'scene.unknowns={"jar.bsdf.base_color.data": {"start": 0}}'
   isas run scene=pottery hydra.run.dir=DIR              put the record into DIR
+  isas run resume=DIR [budget.seconds=120]              go on with a run that ended early
   isas run -m scene=pottery sampler=uniform,ours seed=1,2      one run each, in turn
   isas run scene=pottery --cfg job                      print the configuration and stop
 
 Every setting of the printed configuration can be given as KEY=VALUE.
 Status: 0 done, 2 bad configuration or input, 3 numerical failure, 130 interrupted."""
 
+_RACE_HELP = """\
+usage: isas race scene=NAME samplers=[A,B,…] [seed=[1,2,…]] [KEY=VALUE ...]
+       isas race scene=NAME contestants=[{KEY:VALUE,…},{…}] [seed=[1,2,…]] [KEY=VALUE ...]
+       isas race resume=DIR [budget.seconds=…]
+
+Let several configurations take turns in one process until each has had the same billed budget,
+and compare them. Scene, targets and compiled kernels are shared; a drift of the machine falls on
+all alike. Each contestant and seed leaves an ordinary run folder below the race's.
+
+  isas race scene=pottery 'samplers=[uniform,gradient,ours]' budget.seconds=60 'seed=[1,2,3]'
+  isas race scene=pottery 'contestants=[{sampler:ours,optimizer.lr:0.01},{sampler:uniform}]'
+  isas race scene=pottery 'samplers=[uniform,ours]' hydra.run.dir=DIR slice=0.5
+
+slice is a turn's length in billed seconds (default 1). Everything else is as in isas run --help.
+Status: 0 done, 2 bad configuration or input, 3 numerical failure of one, 130 interrupted."""
+
 
 _SUMMARIES = {
     "run": "recover a scene's unknowns (isas run --help)",
+    "race": "let configurations take turns at equal time (isas race --help)",
+    "compare": "tables, plots and a page over finished runs",
+    "watch": "show how a run is going on",
     "scenes": "list the scenes, samplers and losses",
     "doctor": "say whether this machine can run it",
     "report": "write a run's plots and page anew",
@@ -53,8 +74,18 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"isas {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
-    # `run` is listed for the help only: its arguments are Hydra's and are passed on unparsed.
+    # `run` and `race` are here for the help only: their arguments are Hydra's, passed on unparsed.
     commands.add_parser("run", help=_SUMMARIES["run"], add_help=False)
+    commands.add_parser("race", help=_SUMMARIES["race"], add_help=False)
+    compare = commands.add_parser("compare", help=_SUMMARIES["compare"])
+    compare.add_argument("folders", nargs="+", metavar="DIR", help="runs, or folders of runs")
+    compare.add_argument("--output", metavar="DIR", help="where to (default: DIR/comparison)")
+    compare.add_argument(
+        "--baseline", metavar="METHOD", help="what others are set against (default: uniform)"
+    )
+    watch = commands.add_parser("watch", help=_SUMMARIES["watch"])
+    watch.add_argument("folder", metavar="DIR", help="a run's folder, or one of several runs")
+    watch.add_argument("--once", action="store_true", help="show the present state and leave")
     commands.add_parser("scenes", help=_SUMMARIES["scenes"])
     doctor = commands.add_parser("doctor", help=_SUMMARIES["doctor"])
     doctor.add_argument("--variant", default="auto", help="Mitsuba variant (default: auto)")
@@ -72,6 +103,13 @@ def _dispatch(arguments: list[str]) -> int:
         from .commands.run import main as run
 
         return run(arguments[1:])
+    if command == "race":
+        if {"-h", "--help"} & set(arguments[1:]):
+            print(_RACE_HELP)
+            return 0
+        from .commands.race import main as race
+
+        return race(arguments[1:])
     if command and not command.startswith("-") and command not in _SUMMARIES:
         raise InputError(f"{command}: no such command; {nearest(command, _SUMMARIES)}")
     parsed = _parser().parse_args(arguments)
@@ -83,9 +121,16 @@ def _dispatch(arguments: list[str]) -> int:
         from .doctor import report
 
         return report(parsed.variant)
-    if parsed.command == "report":
-        from pathlib import Path
+    if parsed.command == "compare":
+        from .commands.compare import main as compare
 
+        output = Path(parsed.output) if parsed.output else None
+        return compare([Path(folder) for folder in parsed.folders], output, parsed.baseline)
+    if parsed.command == "watch":
+        from .commands.watch import main as watch
+
+        return watch(Path(parsed.folder), parsed.once)
+    if parsed.command == "report":
         from .report import write
 
         print(write(Path(parsed.folder)))

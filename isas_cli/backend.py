@@ -11,6 +11,8 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -84,6 +86,25 @@ def start(variant: str = "auto", threads: int = 0) -> Backend:
         threads=dr.thread_count(),
         device=gpu or _cpu_name(),
     )
+
+
+@contextmanager
+def loading() -> Iterator[None]:
+    """Within the context at least two threads work.
+
+    Mitsuba hands the reading of an EXR file to the thread pool and waits: the only thread of a
+    pool of one would wait for itself.
+    """
+    import drjit as dr
+
+    wanted = dr.thread_count()
+    if wanted < 2:
+        dr.set_thread_count(2)
+    try:
+        yield
+    finally:
+        if wanted < 2:
+            dr.set_thread_count(wanted)
 
 
 def sync() -> None:

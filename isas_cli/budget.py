@@ -29,6 +29,10 @@ class Budget:
         if self.seconds is None and self.iterations is None and self.paths is None:
             object.__setattr__(self, "seconds", _DEFAULT_SECONDS)
 
+    def __str__(self) -> str:
+        limits = vars(self).items()
+        return ", ".join(f"{name}={value:g}" for name, value in limits if value is not None)
+
     def progress(self, seconds: float, iterations: int, paths: int) -> float:
         """Share of the budget spent, from 0 to 1 (1: stop)."""
         spent = ((seconds, self.seconds), (iterations, self.iterations), (paths, self.paths))

@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from . import coverage, scene_file, targets
+from . import backend, coverage, scene_file, targets
 from .config import SceneConfig, TargetConfig
 from .errors import InputError, nearest
 from .pixels import Views
@@ -31,12 +31,13 @@ def problem(
     ``phase(name)`` is told when work of another kind begins ('load', 'targets', 'coverage').
     """
     phase("load")
-    if scene.path is not None:
-        loaded, integrator, description = scene_file.load(scene.path, scene.max_depth)
-    else:
-        loaded = _from_builder(scene)
-        integrator = loaded.integrator()
-        description = f"{scene.builder} {dict(scene.arguments)}"
+    with backend.loading():
+        if scene.path is not None:
+            loaded, integrator, description = scene_file.load(scene.path, scene.max_depth)
+        else:
+            loaded = _from_builder(scene)
+            integrator = loaded.integrator()
+            description = f"{scene.builder} {dict(scene.arguments)}"
     sensors = loaded.sensors()
     if not sensors:
         raise InputError(f"{_where(scene)} has no sensor: add at least one camera")

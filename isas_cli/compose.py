@@ -80,6 +80,13 @@ def _translate_unknowns(override: str) -> str:
     return f"++{_UNKNOWNS}{_hydra(parsed)}"
 
 
+def override(value) -> str:
+    """A setting's value in Hydra's override grammar; plain words as they are."""
+    if isinstance(value, str) and re.fullmatch(r"[\w.+/-]+", value):
+        return value
+    return _hydra(value)
+
+
 def _hydra(value) -> str:
     """A JSON value in Hydra's override grammar."""
     if isinstance(value, dict):

@@ -123,13 +123,14 @@ class EvaluationConfig:
 
 @dataclass
 class FramesConfig:
-    """Pictures at the end: how many views, paths per pixel."""
+    """Pictures at the end: how many views, paths per pixel; ``snapshots`` on the way, at most."""
 
     views: int = 4
     spp: int = 64
+    snapshots: int = 12
 
     def __post_init__(self) -> None:
-        _at_least(0, frames__views=self.views)
+        _at_least(0, frames__views=self.views, frames__snapshots=self.snapshots)
         _at_least(1, frames__spp=self.spp)
 
 
@@ -146,6 +147,7 @@ class Config:
     variant: str = "auto"
     threads: int = 0
     overwrite: bool = False
+    tracker: str = "none"
     budget: BudgetConfig = field(default_factory=BudgetConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)

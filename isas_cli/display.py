@@ -26,7 +26,7 @@ def _number(value) -> str:
 class Display:
     """A live line in a terminal, plain lines elsewhere. Writes to standard error."""
 
-    def __init__(self, budget: Budget) -> None:
+    def __init__(self, budget: Budget | None) -> None:
         self.console = Console(stderr=True)
         self.live = self.console.is_terminal and sys.stderr.isatty()
         self.budget = budget
@@ -94,20 +94,24 @@ class Display:
         if not self._bar or now - self._last < _REDRAW_SECONDS:
             return
         self._last = now
-        row = (loop.last or {}) | {
+        room = self.console.width - self._bar_width - _BESIDE
+        text = _fitting(self._fields(self._present(loop)), room)
+        self._bar.update(self._task, completed=progress, text=text, refresh=True)
+
+    @staticmethod
+    def _present(loop) -> dict:
+        """The last row with what has been spent since."""
+        return (loop.last or {}) | {
             "iteration": loop.position.iteration,
             "seconds": loop.clock.seconds,
             "paths": loop.position.paths,
         }
-        room = self.console.width - self._bar_width - _BESIDE
-        text = _fitting(self._fields(row), room)
-        self._bar.update(self._task, completed=progress, text=text, refresh=True)
 
     def _fields(self, row: dict) -> list[str]:
         """Time, iteration, errors and speed; the first of them in the order of importance."""
         budget, seconds = self.budget, row["seconds"]
-        spent = f"/{budget.seconds:g}" if budget.seconds is not None else ""
-        steps = f"/{budget.iterations}" if budget.iterations is not None else ""
+        spent = f"/{budget.seconds:g}" if budget and budget.seconds is not None else ""
+        steps = f"/{budget.iterations}" if budget and budget.iterations is not None else ""
         rate = f"{row['paths'] / seconds / 1e6:.2f}" if seconds else "–"
         fields = [f"{seconds:5.1f}{spent} s", f"it {row['iteration']:3d}{steps}"]
         if "parameter_rmse" in row:
@@ -116,6 +120,60 @@ class Display:
         fields.append(f"loss {_number(row.get('loss'))}")
         fields.append(f"{rate} M paths/s")
         return fields
+
+
+class Lane:
+    """One contestant's share of a race's display."""
+
+    def __init__(self, race: "RaceDisplay", name: str):
+        self.race, self.name, self.progress = race, name, 0.0
+
+    def phase(self, name: str) -> None:
+        self.race.phase(f"{name} {self.name}")
+
+    def evaluated(self, row: dict) -> None:
+        if not self.race.live:
+            self.race.say(f"{self.name}:  " + "  ".join(self.race._fields(row)))
+
+    def stepped(self, loop, progress: float) -> None:
+        self.progress = progress
+        self.race.redraw(self, loop)
+
+
+class RaceDisplay(Display):
+    """One line for all contestants of a race: whose turn it is, and how far all are together."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__(None)
+        self.lanes: list[Lane] = []
+        self.count = count
+
+    def lane(self, name: str) -> Lane:
+        self.lanes.append(Lane(self, name))
+        return self.lanes[-1]
+
+    def redraw(self, lane: Lane, loop) -> None:
+        """After an iteration of one contestant."""
+        now = time.monotonic()
+        if not self._bar or now - self._last < _REDRAW_SECONDS:
+            return
+        self._last = now
+        together = sum(each.progress for each in self.lanes) / self.count
+        row = self._present(loop)
+        room = self.console.width - self._bar_width - _BESIDE - len(lane.name)
+        self._bar.update(
+            self._task,
+            description=lane.name,
+            completed=together,
+            text=_fitting(self._fields(row), room),
+            refresh=True,
+        )
+
+    def ended(self, name: str, status: str, first: dict, last: dict) -> None:
+        """A contestant's record is finished."""
+        measure = "parameter_rmse" if "parameter_rmse" in last else "image_rmse"
+        change = f"{measure} {_number(first.get(measure))} → {_number(last.get(measure))}"
+        self.say(f"{name}: {status}, {change}")
 
 
 def _fitting(fields: list[str], width: int) -> str:

@@ -29,7 +29,15 @@ class Evaluator:
     only where the loss is not quadratic.
     """
 
-    def __init__(self, problem: Problem, loss, pixels: int, spp: int, base: int):
+    def __init__(
+        self,
+        problem: Problem,
+        loss,
+        pixels: int,
+        spp: int,
+        base: int,
+        renderer: Renderer | None = None,
+    ):
         self.problem, self.loss, self.spp, self.base = problem, loss, spp, base
         counting = np.arange(problem.views.total, dtype=np.uint32)
         if problem.mask is not None:
@@ -40,7 +48,7 @@ class Evaluator:
         if count < counting.size:
             counting = counting[np.minimum(strata.astype(np.int64), counting.size - 1)]
         self.pixels = mi.UInt32(counting)
-        self.renderer = Renderer(problem)
+        self.renderer = Renderer(problem, renderer)
         self.target = dr.gather(mi.Color3f, problem.targets, self.pixels)
         self.references = (self.target, self.target)
         if problem.truth_known:

@@ -7,12 +7,15 @@ import os
 import platform
 import sys
 from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
 
 import psutil
 
 from . import __version__
 from .backend import Backend
-from .problem import Problem
+
+if TYPE_CHECKING:
+    from .problem import Problem
 
 _PACKAGES = ("mitsuba", "drjit", "mitsuba-oidn", "hydra-core", "OpenImageIO", "numpy", "pandas")
 
@@ -24,13 +27,51 @@ def _version(package: str) -> str | None:
         return None
 
 
-def describe(backend: Backend, problem: Problem, seed: int, target_seed: int) -> dict:
+def process() -> dict:
+    """Which process writes, where and since when: whether it still lives can be asked."""
+    return {
+        "started": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+        "host": platform.node(),
+        "pid": os.getpid(),
+    }
+
+
+def alive(manifest: dict) -> bool:
+    """Whether the process that wrote ``manifest`` last still runs on this machine.
+
+    A number may have gone to another process since: one that began after the run is another.
+    """
+    latest = [manifest, *manifest.get("resumed", [])][-1]
+    pid, started = latest.get("pid"), latest.get("started")
+    if not pid or latest.get("host") != platform.node() or pid == os.getpid():
+        return False
+    try:
+        process = psutil.Process(pid)
+        begun, dead = process.create_time(), process.status() == psutil.STATUS_ZOMBIE
+    except psutil.Error:
+        return False
+    return not dead and begun <= datetime.datetime.fromisoformat(started).timestamp() + 1
+
+
+def continuation(iteration: int, seconds: float) -> dict:
+    """The manifest's entry for a continuation that starts at ``iteration``, ``seconds`` billed."""
+    return {
+        "isas": __version__,
+        "command": sys.argv,
+        "folder": os.getcwd(),
+        **process(),
+        "iteration": iteration,
+        "seconds": seconds,
+    }
+
+
+def describe(backend: Backend, problem: "Problem", seed: int, target_seed: int) -> dict:
     """Versions, machine, seeds, content hashes and command line of the present process."""
     return {
         "isas": __version__,
         "command": sys.argv,
         "folder": os.getcwd(),
-        "started": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+        **process(),
         "python": platform.python_version(),
         "packages": {p: _version(p) for p in _PACKAGES},
         "variant": backend.variant,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 
 from .adam import Stepper
@@ -53,15 +55,13 @@ class Loop:
     def __init__(
         self,
         problem: Problem,
-        loss,
         sampler: Sampler,
         stepper: Stepper,
         evaluator: Evaluator,
         budget: Budget,
-        batch: int,
+        estimator: TwoPath,
         seed: int,
         evaluations: int,
-        freeze: bool = True,
     ):
         self.problem, self.sampler, self.stepper = problem, sampler, stepper
         self.evaluator, self.budget, self.seed = evaluator, budget, seed
@@ -69,8 +69,8 @@ class Loop:
         self.clock = Clock()
         self.position = Position()
         self.last: dict | None = None
-        self.estimator = TwoPath(problem, loss, batch, freeze)
-        self.sampler.prepare(problem, loss, batch, freeze)
+        self.lost = 0  # paths of evaluations that came out non-finite
+        self.estimator = estimator
         self._weights = self._distribution = self._gradients = None
         self._counted = 0, 0
 
@@ -100,18 +100,42 @@ class Loop:
         Raises NumericalError when the estimates are mostly non-finite; values and moments are
         then those of the last step, which are finite.
         """
-        self._evaluate(hooks)
+        self.begin(hooks)
+        return "done" if self.advance(hooks) else self.halt(hooks)
+
+    def begin(self, hooks: Hooks) -> None:
+        """Evaluate the start, which a continued run has behind it."""
+        if self.last is None:
+            self._evaluate(hooks)
+        if self.progress >= 1 and self.last["iteration"] != self.position.iteration:
+            self._evaluate(hooks)
+
+    def advance(self, hooks: Hooks, seconds: float = math.inf) -> bool:
+        """Iterate for about ``seconds`` of billed time, at least once; True: the budget is spent.
+
+        Raises NumericalError like ``run``.
+        """
+        until = self.clock.seconds + seconds
         while self.progress < 1:
             if hooks.stop():
-                if self.last["iteration"] != self.position.iteration:
-                    self._evaluate(hooks)
-                return "interrupted"
+                return False
             self._iterate()
             progress = self.progress
             if progress >= 1 or progress >= self._next_evaluation():
                 self._evaluate(hooks)
             hooks.stepped(self, progress)
-        return "done"
+            if self.clock.seconds >= until:
+                break
+        return self.progress >= 1
+
+    def halt(self, hooks: Hooks) -> str:
+        """Stop before the budget is spent, with a row that says where. Returns 'interrupted'."""
+        if self.last["iteration"] != self.position.iteration:
+            # Out of turn: a continuation shall evaluate when it would have without the stop.
+            evaluations = self.position.evaluations
+            self._evaluate(hooks)
+            self.position.evaluations = evaluations
+        return "interrupted"
 
     def _iterate(self) -> None:
         p = self.position
@@ -128,6 +152,10 @@ class Loop:
 
     def _look(self, iteration: int) -> None:
         self._weights = self.sampler.look(self.stepper.values, self.seed, iteration)
+        self._spread()
+
+    def _spread(self) -> None:
+        """From the cells' weights to the distribution that draws follow."""
         self._distribution = self.sampler.distribution(self._weights)
         dr.eval(self._distribution.cdf)
 
@@ -143,9 +171,12 @@ class Loop:
     def _evaluate(self, hooks: Hooks) -> None:
         p = self.position
         with self.clock.unbilled("evaluation"):
+            before = self.evaluator.renderer.nonfinite
             row = self.evaluator(self.stepper.values)
+            self.lost += self.evaluator.renderer.nonfinite - before
             nonfinite = int(self.stepper.nonfinite[0])
             norm = self._gradient_norm()
+            noise = self._gradients and self.stepper.noise(self._gradients)
         # One evaluation may stand for several that a long iteration has jumped over.
         p.evaluations += 1
         while self._next_evaluation() <= self.progress < 1:
@@ -155,6 +186,7 @@ class Loop:
             "seconds": self.clock.seconds,
             "paths": p.paths,
             "gradient_norm": norm,
+            "gradient_noise": noise,
             "nonfinite": nonfinite,
             "stage1_seconds": self.clock.billed_seconds["stage1"],
             "learning_rate": self.stepper.rate(self.progress),
@@ -194,16 +226,31 @@ class Loop:
             "iteration": p.iteration,
             "paths": p.paths,
             "evaluations": p.evaluations,
+            "counted": self._counted,
+            "lost": self.lost,
             "billed": dict(self.clock.billed_seconds),
+            "unbilled": dict(self.clock.unbilled_seconds),
         }
         return arrays, state
+
+    def restore(self, arrays: dict[str, np.ndarray], state: dict) -> None:
+        """Go on where ``export`` was called: after ``rehearse``, before ``run``. Raises KeyError
+        or ValueError where something is missing or does not fit."""
+        self.stepper.restore(arrays, state)
+        if "cells" in arrays:
+            self._weights = mi.Float(arrays["cells"])
+            self._spread()
+        names = ("iteration", "paths", "evaluations")
+        self.position = Position(*(int(state[name]) for name in names))
+        self._counted, self.lost = tuple(state["counted"]), state["lost"]
+        self.clock.billed_seconds.update(state["billed"])
+        for phase, seconds in state["unbilled"].items():
+            self.clock.unbilled_seconds[phase] += seconds
 
     def density(self) -> np.ndarray | None:
         """p_j n of every pixel at present (1: as often as uniformly), or None before a look."""
         if self._distribution is None:
             return None
-        import mitsuba as mi
-
         views = self.problem.views
         slot = dr.arange(mi.UInt32, views.total)
         density = dr.zeros(mi.Float, views.total)

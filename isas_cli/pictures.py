@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mitsuba as mi
 import numpy as np
 
 from . import streams
@@ -11,27 +12,39 @@ from .render import Renderer
 from .unknowns import as_numpy
 
 _RGB = ["R", "G", "B"]
+# Snapshots: about a million paths each, whatever the films' size.
+_SNAPSHOT_SIDE, _SNAPSHOT_SPP = 256, 16
 
 
 class Pictures:
     """Writes frames/*.exr for up to ``views`` views spread evenly over the problem's."""
 
-    def __init__(self, problem: Problem, writer: RunWriter, views: int, spp: int, tags: dict):
+    def __init__(
+        self,
+        problem: Problem,
+        writer: RunWriter,
+        views: int,
+        spp: int,
+        base: int,
+        tags: dict,
+        renderer: Renderer | None = None,
+    ):
         count = len(problem.film_sizes)
         chosen = np.linspace(0, count, min(views, count), endpoint=False)
         self.views = [int(v) for v in chosen]
-        self.problem, self.writer, self.spp, self.tags = problem, writer, spp, tags
-        self.renderer = Renderer(problem)
+        self.problem, self.writer, self.tags = problem, writer, tags
+        self.spp, self.base = spp, base
+        self.renderer = Renderer(problem, renderer)
 
     def _write(self, name: str, image: np.ndarray, channels: list[str], what: str, **more) -> None:
         self.writer.frame(name, image, channels, {**self.tags, "what": what, **more})
 
-    def values(self, kind: str, values: dict, base: int, iteration: int) -> None:
+    def values(self, kind: str, values: dict, iteration: int) -> None:
         """Every view at ``values``, and their texture unknowns. ``kind``: start or result."""
         self.problem.unknowns.write(values)
         for view in self.views:
             image = self.renderer.view(
-                view, self.spp, lambda s, v=view: streams.seed(base, (v << 16) + s, "frame")
+                view, self.spp, lambda s, v=view: streams.seed(self.base, (v << 16) + s, "frame")
             )
             tags = {"view": view, "iteration": iteration}
             self._write(f"{kind}_v{view:02d}", image, _RGB, kind, **tags)
@@ -39,6 +52,25 @@ class Pictures:
                 error = np.abs(image - self.problem.target_image(view))
                 self._write(f"error_v{view:02d}", error, _RGB, "|result - target|", **tags)
         self._textures(kind, {k: as_numpy(v) for k, v in values.items()}, iteration)
+
+    def snapshot(self, values: dict, iteration: int, seconds: float) -> np.ndarray:
+        """The first view at ``values``, every n-th pixel of it, for an animation afterwards.
+
+        Returns it, ``(H, W, 3) float32``, linear, at most 256 pixels a side. All snapshots use the
+        same random numbers, so that only what is found moves.
+        """
+        self.problem.unknowns.write(values)
+        width, height = self.problem.film_sizes[0]
+        step = -(-max(width, height) // _SNAPSHOT_SIDE)
+        rows, columns = np.arange(step // 2, height, step), np.arange(step // 2, width, step)
+        pixel = mi.UInt32((rows[:, None] * width + columns).astype(np.uint32).ravel())
+        mean = self.renderer.pixels(
+            pixel, _SNAPSHOT_SPP, lambda s: streams.seed(self.base, s, "snapshot")
+        )
+        image = np.array(mean).T.reshape(rows.size, columns.size, 3)
+        tags = {"view": 0, "iteration": iteration, "seconds": seconds}
+        self._write(f"progress_v00_i{iteration:06d}", image, _RGB, "snapshot", **tags)
+        return image
 
     def targets(self) -> None:
         """Targets of the chosen views and, where known, true textures."""

@@ -23,9 +23,13 @@ class Renderer:
     left out of the mean and counted in ``nonfinite``.
     """
 
-    def __init__(self, problem: Problem):
+    def __init__(self, problem: Problem, like: "Renderer | None" = None):
+        """``like``: a renderer of the same problem, whose recorded kernel is used again."""
         self.problem = problem
         self.nonfinite = 0
+        if like is not None:
+            self._kernel = like._kernel
+            return
         integrator = problem.integrator
 
         def kernel(scene, sensors, views, leaves, pixel, total, bad, seed):

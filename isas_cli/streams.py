@@ -19,6 +19,7 @@ PURPOSES = (
     "balance_place",
     "balance_adjoint",
     "evaluation_place",
+    "snapshot",
 )
 _SLOTS = 16  # purposes per iteration, a power of two above len(PURPOSES)
 

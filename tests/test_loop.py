@@ -1,6 +1,7 @@
 """The loop: what is billed, what is recorded, and that it recovers what it should."""
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 import pytest
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
@@ -10,6 +11,7 @@ from isas_cli.adam import Stepper
 from isas_cli.budget import Budget
 from isas_cli.config import OptimizerConfig
 from isas_cli.errors import NumericalError
+from isas_cli.estimators.two_path import TwoPath
 from isas_cli.evaluate import Evaluator
 from isas_cli.optimise import Hooks, Loop
 from isas_cli.samplers.balanced import Balanced
@@ -18,7 +20,7 @@ from isas_cli.samplers.gradient import Gradient
 from isas_cli.samplers.ours import Ours
 from isas_cli.samplers.relevant import Relevant
 from isas_cli.samplers.uniform import Uniform
-from isas_cli.unknowns import as_numpy
+from isas_cli.unknowns import as_numpy, unflat
 
 STAGE1 = Stage1Settings(resolution=8, samples=2, denoise="none")
 SAMPLERS = {
@@ -30,25 +32,23 @@ SAMPLERS = {
 }
 
 
+def assembled(p, loss, stepper, evaluator, budget, sampler=None, batch=256, seed=1, count=5):
+    sampler = sampler or Uniform()
+    sampler.prepare(p, loss, batch)
+    estimator = TwoPath(p, loss, batch)
+    result = Loop(p, sampler, stepper, evaluator, budget, estimator, seed, count)
+    result.rehearse()
+    return result
+
+
 def loop(
     p, sampler=None, budget=None, seed=1, batch=256, lr=0.05, evaluations=5, **changes
 ) -> Loop:
     loss = losses.L2()
     stepper = Stepper(p.unknowns, OptimizerConfig(lr=lr, **changes))
     evaluator = Evaluator(p, loss, 10_000, 16, seed)
-    result = Loop(
-        p,
-        loss,
-        sampler or Uniform(),
-        stepper,
-        evaluator,
-        budget or Budget(iterations=20),
-        batch,
-        seed,
-        evaluations,
-    )
-    result.rehearse()
-    return result
+    budget = budget or Budget(iterations=20)
+    return assembled(p, loss, stepper, evaluator, budget, sampler, batch, seed, evaluations)
 
 
 def run(loop_: Loop, stop=lambda: False) -> tuple[str, list[dict]]:
@@ -165,8 +165,7 @@ def test_a_loss_times_a_millionth_gives_the_same_run():
         p = problem({TEXTURE: 0.5}, constant_target=None)
         stepper = Stepper(p.unknowns, OptimizerConfig())
         evaluator = Evaluator(p, losses.L2(), 100, 2, 1)
-        l = Loop(p, loss, Uniform(), stepper, evaluator, Budget(iterations=20), 256, 1, 2)
-        l.rehearse()
+        l = assembled(p, loss, stepper, evaluator, Budget(iterations=20), count=2)
         run(l)
         ends.append(as_numpy(stepper.values[TEXTURE]))
     assert np.abs(ends[0] - 0.5).max() > 0.05
@@ -191,8 +190,7 @@ def test_numerical_failure_keeps_the_last_good_values():
     loss = losses.L2()
     stepper = Broken(p.unknowns, OptimizerConfig())
     evaluator = Evaluator(p, loss, 100, 2, 1)
-    l = Loop(p, loss, Uniform(), stepper, evaluator, Budget(iterations=50), 256, 1, 10)
-    l.rehearse()
+    l = assembled(p, loss, stepper, evaluator, Budget(iterations=50), count=10)
     rows: list[dict] = []
     with pytest.raises(NumericalError, match="not finite"):
         l.run(Hooks(evaluated=rows.append))
@@ -219,3 +217,24 @@ def test_memory_and_kernels_do_not_grow():
     p.unknowns.write(l.stepper.values)
     assert counts[1] == counts[2]
     assert sizes[2] - sizes[1] < 8 << 20
+
+
+def test_gradient_noise_is_the_distance_from_adams_mean():
+    """PBDR Eq. (9) over the touched entries, against NumPy's own running mean."""
+    p, rng = problem({TEXTURE: 0.5}, constant_target=None), np.random.default_rng(4)
+    stepper = Stepper(p.unknowns, OptimizerConfig(mask_updates=False))
+    stepper.scale = {TEXTURE: 1e3}
+    mean, size = 0.0, as_numpy(stepper.values[TEXTURE]).size
+    zero = {TEXTURE: unflat(stepper.values[TEXTURE], dr.zeros(mi.Float, size))}
+    assert np.isnan(stepper.noise(zero)), "before the first step there is no mean"
+    for t in range(1, 5):
+        g = rng.normal(size=size).astype(np.float32)
+        gradients = {TEXTURE: unflat(stepper.values[TEXTURE], mi.Float(g))}
+        stepper.step(gradients, 0.0)
+        mean = 0.9 * mean + 0.1 * g.astype(np.float64)
+        expected = np.mean((mean / (1 - 0.9**t) - g) ** 2)
+        assert stepper.noise(gradients) == pytest.approx(expected, rel=1e-4, abs=1e-9)
+    half = np.where(np.arange(size) % 2, g, 0).astype(np.float32)
+    touched = np.mean(((mean / (1 - 0.9**4) - half) ** 2)[half != 0])
+    gradients = {TEXTURE: unflat(stepper.values[TEXTURE], mi.Float(half))}
+    assert stepper.noise(gradients) == pytest.approx(touched, rel=1e-4)

@@ -27,6 +27,7 @@ ROW = {
     "parameter_rmse/a.data": 0.5,
     "parameter_rmse/b.data": 2.0**-40,
     "gradient_norm": math.inf,
+    "gradient_noise": 1e-20,
     "nonfinite": 2,
     "stage1_seconds": 0,
     "learning_rate": 0.02,
@@ -178,8 +179,43 @@ def test_another_schema_version_is_refused_by_name(tmp_path, name):
     writer = records.RunWriter(tmp_path)
     writer.manifest({})
     (tmp_path / name).write_text('{"schema": 99}')
-    with pytest.raises(InputError, match=rf"{name}: schema version 99; this isas reads 1"):
+    with pytest.raises(InputError, match=rf"{name}: schema version 99; this isas reads "):
         records.load(tmp_path)
+
+
+def test_a_run_of_schema_1_is_read_and_its_checkpoint_refused_by_name(tmp_path):
+    writer = records.RunWriter(tmp_path)
+    writer.manifest({})
+    writer.evaluation({k: v for k, v in ROW.items() if k != "gradient_noise"})
+    writer.checkpoint({"x": np.zeros(3)}, {})
+    path = tmp_path / "manifest.json"
+    path.write_text(path.read_text().replace('"schema": 2', '"schema": 1'))
+    old = pandas.read_csv(tmp_path / "history.csv").drop(columns="gradient_noise")
+    old.to_csv(tmp_path / "history.csv", index=False)
+    run = records.load(tmp_path)
+    assert run.manifest["schema"] == 1 and run.history["gradient_noise"].isna().all()
+    assert run.history["paths"][0] == ROW["paths"]
+    with np.load(tmp_path / "checkpoint" / "state.npz") as file:
+        members = dict(file)
+    state = members["state"].tobytes().replace(b'"schema": 2', b'"schema": 1')
+    members["state"] = np.frombuffer(state, np.uint8)
+    np.savez(tmp_path / "checkpoint" / "state.npz", **members)
+    with pytest.raises(InputError, match="state.npz: schema version 1; this isas reads 2"):
+        records.load_checkpoint(tmp_path)
+
+
+def test_a_reopened_record_keeps_the_rows_up_to_its_checkpoint(tmp_path):
+    writer = records.RunWriter(tmp_path)
+    writer.manifest({})
+    for iteration in (0, 4, 9):
+        writer.evaluation({**ROW, "iteration": iteration, "parameter_rmse": None})
+    writer.summary({"status": "interrupted"})
+    again = records.RunWriter.reopen(tmp_path, 4)
+    assert [row["iteration"] for row in again.rows] == [0, 4]
+    assert "parameter_rmse" not in again.rows[0] and again.rows[0]["image_rmse"] == 1 / 3
+    assert not (tmp_path / "summary.json").exists(), "the run has not ended"
+    again.evaluation({**ROW, "iteration": 7})
+    assert records.load(tmp_path).history["iteration"].tolist() == [0, 4, 7]
 
 
 def test_a_folder_without_a_run_is_refused_in_one_line(tmp_path):

@@ -26,14 +26,14 @@ def run(cfg: DictConfig, name: str) -> int:
     if not name:
         raise InputError("hydra.run.dir is empty: give hydra.run.dir=DIR")
     folder = Path(name)
-    _check_folder(folder, cfg.overwrite)
+    check_folder(folder, cfg.overwrite)
 
     from .. import experiment
 
     return experiment.run(cfg, folder)
 
 
-def _check_folder(folder: Path, overwrite: bool) -> None:
+def check_folder(folder: Path, overwrite: bool) -> None:
     """Refuse an unusable output folder before anything is computed, and leave nothing there."""
     existing = folder.absolute()
     while not existing.exists() and existing != existing.parent:

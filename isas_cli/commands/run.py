@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import open_dict
@@ -15,6 +17,11 @@ from . import one, sweep
 def main(arguments: list[str]) -> int:
     """Run what ``arguments`` (as typed) say. Raises IsasError; else returns the exit status."""
     flags, overrides = _split(arguments)
+    continued = [o for o in overrides if o.startswith("resume=")]
+    if continued:
+        if flags or len(continued) > 1:
+            raise InputError("resume=DIR goes on with one run: give no flags and one folder")
+        return _resume(arguments, continued[0], [o for o in overrides if o not in continued])
     overrides = translate(overrides)
     # So that the record's command line is the one typed, however this was called.
     with one.argv(["isas", "run", *arguments]), interrupt.prompt():
@@ -28,6 +35,17 @@ def main(arguments: list[str]) -> int:
         with open_dict(cfg):
             del cfg["hydra"]
         return one.run(cfg, folder)
+
+
+def _resume(arguments: list[str], wanted: str, overrides: list[str]) -> int:
+    from .. import experiment, resumption
+
+    folder = wanted.partition("=")[2].strip("\"'")
+    if not folder:
+        raise InputError("resume is empty: give resume=DIR, a run's folder")
+    changes = resumption.parse(overrides)
+    with one.argv(["isas", "run", *arguments]), interrupt.prompt():
+        return experiment.resume(Path(folder), changes)
 
 
 def _split(arguments: list[str]) -> tuple[list[str], list[str]]:

@@ -1,0 +1,202 @@
+"""One loop and the folder that its record goes to."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from omegaconf import DictConfig, OmegaConf
+
+from . import manifest, records, trackers
+from .config import Config
+from .errors import InputError
+from .optimise import Hooks, Loop
+from .pictures import Pictures
+from .records import RunWriter
+from .render import Renderer
+
+# Written besides the billed time; a kill loses about this much work, or, where writing is slow
+# (large textures), as much as keeps writing below this share of the time.
+_CHECKPOINT_SECONDS = 5.0
+_CHECKPOINT_SHARE = 0.01
+
+
+class Recorder:
+    """Writes what a loop does: begin with ``open`` or ``reopen``, hand ``hooks`` to the loop, end
+    with ``finish``, whatever ended the loop. ``display`` has ``evaluated(row)``,
+    ``stepped(loop, progress)`` and ``phase(name)``.
+    """
+
+    def __init__(
+        self,
+        cfg: DictConfig,
+        typed: Config,
+        loop: Loop,
+        folder: Path,
+        display,
+        renderer: Renderer | None = None,
+    ):
+        self.cfg, self.typed, self.loop, self.display = cfg, typed, loop, display
+        self.folder, self._renderer = Path(folder), renderer
+        self._first: dict = {}
+        self._saved = 0.0
+        self._pause = _CHECKPOINT_SECONDS
+        self._snapshots = 0
+
+    def open(self, machine) -> None:
+        """Begin the record: configuration, manifest, a checkpoint of the start, and the pictures
+        that are known by now. Raises InputError when the folder holds a run already."""
+        loop, typed = self.loop, self.typed
+        with loop.clock.unbilled("writing"):
+            self._take(RunWriter(self.folder, overwrite=typed.overwrite))
+            self._config()
+            self.writer.manifest(
+                manifest.describe(machine, loop.problem, typed.seed, typed.target.seed)
+            )
+        self._checkpoint()
+        with loop.clock.unbilled("writing"):
+            self.pictures.targets()
+
+    def reopen(self, earlier: dict) -> None:
+        """Go on with a record whose manifest is ``earlier``, from its checkpoint.
+
+        Raises InputError where the checkpoint is missing, damaged or of another scene.
+        """
+        loop = self.loop
+        arrays, state = records.load_checkpoint(self.folder)
+        try:
+            loop.restore(arrays, state)
+        except (KeyError, ValueError, TypeError) as error:
+            what = "/checkpoint/state.npz does not fit this run"
+            raise InputError(f"{self.folder}{what}: {error!r}") from error
+        with loop.clock.unbilled("writing"):
+            self._take(RunWriter.reopen(self.folder, state["iteration"]), state["iteration"])
+            rows = self.writer.rows
+            if rows:
+                self._first, loop.last = rows[0], rows[-1]
+            self._config()
+            entry = manifest.continuation(state["iteration"], loop.clock.seconds)
+            earlier["resumed"] = [*earlier.get("resumed", []), entry]
+            self.writer.manifest(earlier)
+        self._snapshots = self._snapshots_due(loop.position.evaluations)
+        self._saved = time.monotonic()
+
+    def _take(self, writer: RunWriter, iteration: int = 0) -> None:
+        typed = self.typed
+        self.writer = writer
+        text = OmegaConf.to_yaml(self.cfg, resolve=True)
+        purge = iteration or None
+        self.tracker = trackers.open(typed.tracker, self.folder, text, purge_step=purge)
+        self.pictures = Pictures(
+            self.loop.problem,
+            writer,
+            typed.frames.views,
+            typed.frames.spp,
+            typed.seed,
+            {"scene": typed.scene.name, "sampler": self.cfg.sampler.name, "seed": typed.seed},
+            self._renderer,
+        )
+
+    def _config(self) -> None:
+        self.writer.config(OmegaConf.to_yaml(self.cfg, resolve=True))
+
+    def hooks(self, stop) -> Hooks:
+        return Hooks(self._evaluated, self._stepped, stop)
+
+    def _evaluated(self, row: dict) -> None:
+        self._first = self._first or row
+        loop = self.loop
+        with loop.clock.unbilled("writing"):
+            self.writer.evaluation(row)
+            self.tracker.evaluation(row)
+        due = self._snapshots_due(loop.position.evaluations)
+        if due > self._snapshots or (due and loop.progress >= 1):
+            self._snapshots = due
+            with loop.clock.unbilled("pictures"):
+                image = self.pictures.snapshot(
+                    loop.stepper.values, row["iteration"], row["seconds"]
+                )
+                self.tracker.image("snapshot", image, row["iteration"])
+        self.display.evaluated(row)
+
+    def _snapshots_due(self, evaluations: int) -> int:
+        """How many snapshots there should be after so many evaluations, evenly spread."""
+        wanted, total = self.typed.frames.snapshots, self.typed.evaluation.count
+        return min(wanted, -(-evaluations * wanted // total))
+
+    def _stepped(self, loop: Loop, progress: float) -> None:
+        self.display.stepped(loop, progress)
+        if time.monotonic() - self._saved > self._pause:
+            self._checkpoint()
+
+    def _checkpoint(self) -> None:
+        begun = time.monotonic()
+        with self.loop.clock.unbilled("writing"):
+            arrays, state = self.loop.export()
+            self.writer.checkpoint(arrays, state)
+        self._saved = time.monotonic()
+        self._pause = max(_CHECKPOINT_SECONDS, (self._saved - begun) / _CHECKPOINT_SHARE)
+
+    def finish(self, status: str) -> Path:
+        """Checkpoint, summary, pictures, report, in this order: the dearest first.
+
+        Returns the path of the report's page.
+        """
+        loop = self.loop
+        self._checkpoint()
+        self._summary(status)
+        self.display.phase("pictures")
+        with loop.clock.unbilled("pictures"):
+            # The start as well: rendered before the loop it would only delay it.
+            self.pictures.values("start", loop.problem.unknowns.starts(), 0)
+            self.pictures.values("result", loop.stepper.values, loop.position.iteration)
+            density = loop.density()
+            if density is not None:
+                self.pictures.density(density, loop.position.iteration)
+        self._summary(status)
+        self.tracker.close()
+        from .report import write
+
+        self.display.phase("report")
+        return write(self.folder)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a reader of the figures should know."""
+        warnings = list(self.loop.problem.warnings)
+        lost = self.loop.lost + self.pictures.renderer.nonfinite
+        if lost:
+            warnings.append(f"{lost} paths of evaluations and pictures were not finite: left out")
+        if not self.loop.estimator.loss.linear:
+            warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
+        return warnings
+
+    @property
+    def ends(self) -> tuple[dict, dict]:
+        """First and last row of the history."""
+        return self._first, self.loop.last or {}
+
+    def _summary(self, status: str) -> None:
+        errors = ("loss", "image_rmse", "parameter_rmse")
+
+        def of(row: dict) -> dict:
+            return {k: v for k, v in row.items() if k in errors or k.startswith("parameter_rmse/")}
+
+        loop = self.loop
+        self.writer.summary(
+            {
+                "status": status,
+                "scene": self.typed.scene.name,
+                "sampler": self.cfg.sampler.name,
+                "loss": self.cfg.loss.name,
+                "seed": self.typed.seed,
+                "iterations": loop.position.iteration,
+                "paths": loop.position.paths,
+                "seconds_billed": loop.clock.seconds,
+                "seconds_by_phase": dict(loop.clock.billed_seconds),
+                "seconds_unbilled": dict(loop.clock.unbilled_seconds),
+                "start": of(self._first),
+                "final": of(loop.last),
+                "warnings": self.warnings,
+            }
+        )

@@ -1,0 +1,116 @@
+"""How a record's files get onto the disk whole, and what their layout is."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, unquote
+
+import numpy as np
+import yaml
+
+from ..errors import InputError, IsasError
+
+# 2: history.csv has gradient_noise; checkpoints hold counters, times and the last gradient's place.
+SCHEMA_VERSION = 2
+READABLE = (1, 2)
+
+KEY_PREFIX = "parameter_rmse/"
+BEFORE_KEYS = ["iteration", "seconds", "paths", "loss", "image_rmse", "parameter_rmse"]
+AFTER_KEYS = [
+    "gradient_norm",
+    "gradient_noise",
+    "nonfinite",
+    "stage1_seconds",
+    "learning_rate",
+]
+WHOLE_NUMBERS = ("iteration", "paths", "nonfinite")
+
+
+def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+    """Calls `write(temporary path)` and renames the result to `path`, which appears whole or not.
+
+    The folder is made when missing. If anything fails, the temporary file goes and an earlier
+    version of `path` stays as it was. Raises IsasError, one line naming the file, for an OSError
+    (disk full, no permission); other exceptions pass.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(temporary)
+        with open(temporary, "rb") as written:
+            os.fsync(written.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        raise IsasError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        with contextlib.suppress(OSError):  # renamed already, or never made
+            temporary.unlink()
+
+
+def safe_name(key: str) -> str:
+    """A file name for an unknown's key; `key_of` gives the key back."""
+    return quote(key, safe="")
+
+
+def key_of(name: str) -> str:
+    """The key that `safe_name` made `name` from."""
+    return unquote(name)
+
+
+def write_text(path: Path, text: str) -> None:
+    def write(temporary: Path) -> None:
+        temporary.write_text(text, encoding="utf-8")
+
+    write_atomically(path, write)
+
+
+def write_json(path: Path, d: dict[str, Any]) -> None:
+    plain = _plain({"schema": SCHEMA_VERSION, **d})
+    write_text(path, json.dumps(plain, indent=2, allow_nan=False) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    """The value in JSON's types; NaN and infinity, which JSON lacks, become None."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, (np.generic, np.ndarray, Path)):
+        return _plain(scalar(value))
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def scalar(value: Any) -> Any:
+    """NumPy's numbers and arrays and paths as plain Python; TypeError for anything else."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"{type(value).__name__} does not fit into a JSON file")
+
+
+def check_schema(path: Path, content: Any, readable: tuple[int, ...] = READABLE) -> None:
+    """Raises InputError for a file of a schema version that is not ``readable``."""
+    found = content.get("schema") if isinstance(content, dict) else None
+    if found not in readable:
+        known = " and ".join(str(version) for version in readable)
+        raise InputError(f"{path}: schema version {found}; this isas reads {known}")
+
+
+def parsed(path: Path, parse: Callable[[], Any]) -> Any:
+    try:
+        return parse()
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
+
+
+def one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

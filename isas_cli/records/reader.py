@@ -1,0 +1,122 @@
+"""Reading a run's record back, typed."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import yaml
+
+from ..errors import InputError
+from .files import (
+    AFTER_KEYS,
+    BEFORE_KEYS,
+    KEY_PREFIX,
+    SCHEMA_VERSION,
+    WHOLE_NUMBERS,
+    check_schema,
+    one_line,
+    parsed,
+)
+
+if TYPE_CHECKING:
+    import pandas
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run as read from its folder.
+
+    history: the columns of history.csv, whole numbers as int64 and the others as float64, NaN where
+    not known; no rows when the run was killed before its first evaluation. summary: None when the
+    run was killed before it could end.
+    """
+
+    folder: Path
+    config: dict[str, Any]
+    manifest: dict[str, Any]
+    history: pandas.DataFrame
+    summary: dict[str, Any] | None
+
+    @property
+    def keys(self) -> list[str]:
+        """The unknowns that have a parameter error of their own, in the order of the columns."""
+        return [c[len(KEY_PREFIX) :] for c in self.history.columns if c.startswith(KEY_PREFIX)]
+
+
+def load(folder: Path) -> Run:
+    """Reads a run. Raises InputError, one line, for a folder that is missing, holds no run, was
+    written under another schema version, or holds a file that is damaged."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such run folder")
+    if not (folder / "manifest.json").is_file():
+        raise InputError(f"{folder} holds no run: it has no manifest.json")
+    manifest = read_json(folder / "manifest.json")
+    has_summary = (folder / "summary.json").is_file()
+    return Run(
+        folder=folder,
+        config=_read_config(folder / "config.yaml"),
+        manifest=manifest,
+        history=_read_history(folder / "history.csv"),
+        summary=read_json(folder / "summary.json") if has_summary else None,
+    )
+
+
+def load_checkpoint(folder: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The arrays and the state that `RunWriter.checkpoint` last wrote. Raises InputError when there
+    is none, it is damaged, or it was written under another schema version."""
+    path = Path(folder) / "checkpoint" / "state.npz"
+    if not path.is_file():
+        raise InputError(f"{folder} holds no checkpoint: it has no checkpoint/state.npz")
+    try:
+        with open(path, "rb") as stored, np.load(stored, allow_pickle=False) as file:
+            members = {name: file[name] for name in file.files}
+        wrapped = json.loads(members.pop("state").tobytes().decode())
+    except Exception as error:  # numpy, zipfile and json each have their own kinds for damage
+        raise InputError(f"{path}: damaged: {one_line(error)}") from error
+    # Only of this version: an older one lacks what a bit-identical continuation needs.
+    check_schema(path, wrapped, (SCHEMA_VERSION,))
+    return {name[len("array/") :]: array for name, array in members.items()}, wrapped["state"]
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    content = parsed(path, lambda: json.loads(path.read_text(encoding="utf-8")))
+    check_schema(path, content)
+    return content
+
+
+def _read_config(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        return {}
+    content = parsed(path, lambda: yaml.safe_load(path.read_text(encoding="utf-8")))
+    return content if isinstance(content, dict) else {}
+
+
+def _read_history(path: Path) -> pandas.DataFrame:
+    import pandas  # half a second: only who reads a run pays for it
+
+    if path.is_file():
+        # As text first: pandas' own parser of numbers may be off in the last digit.
+        table = parsed(path, lambda: pandas.read_csv(path, dtype=str).fillna("nan"))
+    else:
+        table = pandas.DataFrame({name: [] for name in BEFORE_KEYS + AFTER_KEYS})
+    for name in AFTER_KEYS:  # of an older schema
+        if name not in table:
+            table[name] = "nan"
+    kinds = {c: "int64" if c in WHOLE_NUMBERS else "float64" for c in table.columns}
+    return parsed(path, lambda: table.astype(kinds))
+
+
+def read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
+    """Column names and rows of a history.csv as text; nothing where there is none."""
+    if not path.is_file():
+        return [], []
+    text = parsed(path, lambda: path.read_text(encoding="utf-8"))
+    columns, *rows = csv.reader(io.StringIO(text)) or [[]]
+    return columns, rows

@@ -1,0 +1,168 @@
+"""Writing one run's record."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import operator
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from .files import (
+    AFTER_KEYS,
+    BEFORE_KEYS,
+    KEY_PREFIX,
+    SCHEMA_VERSION,
+    WHOLE_NUMBERS,
+    scalar,
+    write_atomically,
+    write_json,
+    write_text,
+)
+from .reader import read_rows
+
+_RECORD_FILES = ("manifest.json", "config.yaml", "history.csv", "summary.json")
+_MADE_FILES = (
+    "error.txt",
+    "report.html",
+    "frames/*.exr",
+    "frames/*.png",
+    "plots/*.png",
+    "checkpoint/state.npz",
+    "tensorboard/events.*",
+)
+_LEFT_OVER = (".*.tmp", "frames/.*.tmp", "plots/.*.tmp", "checkpoint/.*.tmp")  # of a killed run
+
+
+class RunWriter:
+    """Writes the files of one run into `folder`.
+
+    Raises InputError when the folder cannot be written, or already holds a run and `overwrite` is
+    false. With `overwrite` the earlier run's files go, and nothing else that lies in the folder.
+    Every method raises IsasError, one line naming the file, when the disk refuses.
+    """
+
+    def __init__(self, folder: Path, overwrite: bool = False):
+        self.folder = Path(folder)
+        self._columns: list[str] = []
+        self._rows: list[list[str]] = []
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=self.folder).close()
+            if any((self.folder / name).exists() for name in _RECORD_FILES):
+                if not overwrite:
+                    message = "already holds a run; choose another folder with hydra.run.dir=DIR"
+                    raise InputError(f"{self.folder} {message}")
+                for pattern in _RECORD_FILES + _MADE_FILES + _LEFT_OVER:
+                    for old in self.folder.glob(pattern):
+                        old.unlink()
+        except OSError as error:
+            raise InputError(
+                f"cannot write to the output folder {self.folder}: {error.strerror or error}; "
+                "choose another with hydra.run.dir=DIR"
+            ) from error
+
+    @classmethod
+    def reopen(cls, folder: Path, iteration: int) -> "RunWriter":
+        """The writer of a run that goes on after ``iteration``: rows beyond it, which were
+        measured after the checkpoint that is continued, will be measured again, and the summary
+        of the earlier end goes. Raises InputError when the folder cannot be written."""
+        writer = cls.__new__(cls)
+        writer.folder = Path(folder)
+        columns, rows = read_rows(writer.folder / "history.csv")
+        added = [name for name in AFTER_KEYS if columns and name not in columns]
+        writer._columns = columns + added
+        place = columns.index("iteration") if columns else 0
+        writer._rows = [row + [""] * len(added) for row in rows if int(row[place]) <= iteration]
+        try:
+            tempfile.TemporaryFile(dir=writer.folder).close()
+            (writer.folder / "summary.json").unlink(missing_ok=True)
+            for pattern in _LEFT_OVER:
+                for old in writer.folder.glob(pattern):
+                    old.unlink()
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from error
+        return writer
+
+    @property
+    def rows(self) -> list[dict[str, float]]:
+        """The rows of history.csv so far, as numbers; cells that are not known are left out."""
+        return [
+            {
+                name: int(cell) if name in WHOLE_NUMBERS else float(cell)
+                for name, cell in zip(self._columns, row)
+                if cell
+            }
+            for row in self._rows
+        ]
+
+    def config(self, text_yaml: str) -> None:
+        """The resolved configuration, as YAML text."""
+        write_text(self.folder / "config.yaml", text_yaml)
+
+    def manifest(self, d: dict[str, Any]) -> None:
+        """What the run was made with: versions, machine, seeds, hashes. The schema is added."""
+        write_json(self.folder / "manifest.json", d)
+
+    def evaluation(self, row: dict[str, Any]) -> None:
+        """Adds a row to history.csv.
+
+        row: the columns of the module's tables, `seconds` billed, `paths` light paths traced within
+        billed time; `parameter_rmse/<key>` may stand for any number of keys, the same in all rows.
+        A missing or None value stays empty, which reads as NaN; the whole-number columns must be
+        there. Raises ValueError for a column that is not known.
+        """
+        if not self._columns:
+            keys = [name for name in row if name.startswith(KEY_PREFIX)]
+            self._columns = BEFORE_KEYS + keys + AFTER_KEYS
+        strange = sorted(set(row) - set(self._columns))
+        if strange:
+            raise ValueError(f"history.csv has no column {', '.join(strange)}")
+        self._rows.append([_cell(name, row.get(name)) for name in self._columns])
+        text = io.StringIO()
+        table = csv.writer(text, lineterminator="\n")
+        table.writerow(self._columns)
+        table.writerows(self._rows)
+        write_text(self.folder / "history.csv", text.getvalue())
+
+    def summary(self, d: dict[str, Any]) -> None:
+        """How the run ended. The schema is added; NaN and infinity become null."""
+        write_json(self.folder / "summary.json", d)
+
+    def frame(
+        self, name: str, image: np.ndarray, channels: list[str], metadata: dict[str, Any]
+    ) -> None:
+        """frames/<name>.exr; the arguments are those of `images.write_exr`."""
+        # Imported here: images stands on this module, and readers need no OpenImageIO.
+        from ..images import write_exr
+
+        write_exr(self.folder / "frames" / f"{name}.exr", image, channels, metadata)
+
+    def checkpoint(self, arrays: dict[str, np.ndarray], state: dict[str, Any]) -> None:
+        """Arrays (any names; ValueError for objects) and JSON state, swapped in as one file."""
+        members = {f"array/{name}": np.asarray(array) for name, array in arrays.items()}
+        if any(member.dtype.hasobject for member in members.values()):
+            raise ValueError("a checkpoint holds arrays of numbers, not of Python objects")
+        text = json.dumps({"schema": SCHEMA_VERSION, "state": state}, default=scalar)
+        members["state"] = np.frombuffer(text.encode(), dtype=np.uint8)
+
+        def write(temporary: Path) -> None:
+            with open(temporary, "wb") as file:  # a path would get a second extension
+                np.savez(file, **members)
+
+        write_atomically(self.folder / "checkpoint" / "state.npz", write)
+
+
+def _cell(column: str, value: Any) -> str:
+    """A number as text that reads back as the same number; empty for None and NaN."""
+    if column in WHOLE_NUMBERS:
+        return str(operator.index(value))
+    if value is None or math.isnan(value):
+        return ""
+    return repr(float(value))

@@ -1,0 +1,68 @@
+"""From a configuration to a loop that can run, sharing what several loops have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from omegaconf import DictConfig, OmegaConf
+
+from .adam import Stepper
+from .budget import Budget
+from .compose import instantiate
+from .config import Config
+from .estimators.two_path import TwoPath
+from .evaluate import Evaluator
+from .optimise import Loop
+from .problem import Problem
+from .render import Renderer
+
+
+class Workshop:
+    """Makes loops on one problem.
+
+    Loops of equal settings get the same estimator, sampler and evaluator, so that each kernel is
+    recorded once: these hold no state of a run (a sampler's cells and distribution live in its
+    loop). Where one setting differs, nothing that depends on it is shared.
+    """
+
+    def __init__(self, problem: Problem):
+        self.problem = problem
+        self.renderer = Renderer(problem)
+        self._made: dict = {}
+
+    def _once(self, kind: str, settings: tuple, make: Callable):
+        key = kind, *settings
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
+
+    def loop(self, cfg: DictConfig, typed: Config, budget: Budget) -> Loop:
+        """The loop that ``cfg`` (``typed``: the same, checked) describes. Renders references.
+
+        Raises InputError for settings of loss or sampler that do not fit.
+        """
+        named, chosen = (OmegaConf.to_yaml(node, resolve=True) for node in (cfg.loss, cfg.sampler))
+        loss = self._once("loss", (named,), lambda: instantiate(cfg.loss, "loss"))
+        batch, freeze = typed.estimator.batch, typed.estimator.freeze
+        shared = named, batch, freeze
+
+        def sampler():
+            made = instantiate(cfg.sampler, "sampler")
+            made.prepare(self.problem, loss, batch, freeze)
+            return made
+
+        measuring = named, typed.evaluation.pixels, typed.evaluation.spp, typed.seed
+        return Loop(
+            self.problem,
+            self._once("sampler", (chosen, *shared), sampler),
+            Stepper(self.problem.unknowns, typed.optimizer),
+            self._once(
+                "evaluator",
+                measuring,
+                lambda: Evaluator(self.problem, loss, *measuring[1:], self.renderer),
+            ),
+            budget,
+            self._once("estimator", shared, lambda: TwoPath(self.problem, loss, batch, freeze)),
+            typed.seed,
+            typed.evaluation.count,
+        )
