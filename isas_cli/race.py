@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,8 +53,10 @@ def continued(label: str, folder: Path, changes: dict) -> Entry | None:
     return Entry(label, cfg, folder, earlier)
 
 
-def run(entries: list[Entry], slice_seconds: float) -> int:
+def run(entries: list[Entry], slice_seconds: float, begin: Callable[[], None]) -> int:
     """Race ``entries`` in slices of about ``slice_seconds`` billed. Each leaves an ordinary run.
+
+    ``begin`` is called once, when everything is known to work and before any record.
 
     All share one process and, where scene and targets are the same, these and every compiled
     kernel. Each round every entry gets one slice, the order rotating by one, so that a drift of
@@ -65,6 +68,7 @@ def run(entries: list[Entry], slice_seconds: float) -> int:
     with RaceDisplay(len(entries)) as display:
         lanes = _Lanes(entries, display)
         with interrupt.graceful(display.interrupted) as stop:
+            begin()
             lanes.open(machine)
             status = lanes.run(slice_seconds, stop)
     return status

@@ -31,14 +31,12 @@ def main(arguments: list[str]) -> int:
             raise InputError(f"{argument}: no such flag; see isas race --help")
     own, overrides = _own(arguments)
     with one.argv(["isas", "race", *arguments]), interrupt.prompt():
-        if "resume" in own:
-            folder, entries = _continued(own, overrides)
-        else:
-            folder, entries = _fresh(own, overrides)
+        turn = _slice(own)
+        plan = _continued if "resume" in own else _fresh
+        folder, entries, begin = plan(own, overrides)
         from .. import race
 
-        status = race.run(entries, _slice(own))
-        return _compared(folder, status)
+        return _compared(folder, race.run(entries, turn, begin))
 
 
 def _own(arguments: list[str]) -> tuple[dict[str, str], list[str]]:
@@ -74,7 +72,7 @@ def _slice(own: dict[str, str]) -> float:
 
 
 def _fresh(own: dict[str, str], overrides: list[str]):
-    """Folder and entries of a new race, written down in race.yaml."""
+    """Folder and entries of a new race, and what writes them down in race.yaml."""
     from ..race import Entry
 
     for text in overrides:
@@ -100,12 +98,15 @@ def _fresh(own: dict[str, str], overrides: list[str]):
             planned.append({"label": label, "folder": str(place.relative_to(folder))})
     _distinct("contestants: folder", [plan["folder"] for plan in planned])
     written = yaml.safe_dump({"schema": 1, "entries": planned}, sort_keys=False)
-    write_atomically(folder / _FILE, lambda path: path.write_text(written, encoding="utf-8"))
-    return folder, entries
+
+    def begin() -> None:
+        write_atomically(folder / _FILE, lambda path: path.write_text(written, encoding="utf-8"))
+
+    return folder, entries, begin
 
 
 def _continued(own: dict[str, str], overrides: list[str]):
-    """Folder and unfinished entries of an earlier race."""
+    """Folder and unfinished entries of an earlier race; there is nothing to write down."""
     from ..race import continued
 
     strange = sorted(set(own) - {"resume", "slice"})
@@ -122,7 +123,7 @@ def _continued(own: dict[str, str], overrides: list[str]):
     entries = [entry for entry in found if entry is not None]
     if not entries:
         raise InputError(f"{folder}: every contestant has spent its budget: give a larger one")
-    return folder, entries
+    return folder, entries, lambda: None
 
 
 def _differences(own: dict[str, str]) -> list[dict[str, Any]]:
