@@ -6,6 +6,8 @@ border at which files are decoded to that and encoded from it. It knows nothing 
 
 from __future__ import annotations
 
+import datetime
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,8 @@ from .records import write_atomically
 _INT32 = range(-(2**31), 2**31)
 _INTEGER_FORMATS = {oiio.UINT8: 255.0, oiio.UINT16: 65535.0}
 _FLOAT_FORMATS = (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
+# CIE x and y of red, green, blue and white (ITU-R BT.709), which sRGB has too.
+_REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 
 
 def srgb_decode(encoded: np.ndarray) -> np.ndarray:
@@ -72,11 +76,15 @@ def write_exr(
     channels: list[str],
     metadata: dict[str, str | float | int],
 ) -> None:
-    """Writes a 32-bit float, scene-linear EXR, whole or not at all.
+    """Writes a 32-bit float EXR, whole or not at all.
 
     image     (H, W, C) or, for one channel, (H, W); linear; NaN is kept as it is
     channels  C names, such as R, G, B or Y
     metadata  each entry becomes the attribute `isas:<key>`; `what` is the ImageDescription as well
+
+    With R, G and B the file says that it is scene-linear with Rec. 709 primaries, by name
+    (colorInteropID) and by numbers (chromaticities); without them, that it holds data, which no
+    viewer should convert. Date and time are UTC.
 
     Raises IsasError naming the file when it cannot be written.
     """
@@ -87,18 +95,19 @@ def write_exr(
     height, width, count = pixels.shape
     spec = oiio.ImageSpec(width, height, count, oiio.FLOAT)
     spec.channelnames = tuple(channels)
-    spec.attribute("oiio:ColorSpace", "lin_rec709_scene")
+    if set("RGB") <= set(channels):
+        spec.attribute("oiio:ColorSpace", "lin_rec709_scene")
+        spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), _REC709)
+    else:
+        spec.attribute("oiio:ColorSpace", "data")
     spec.attribute("compression", "zip")
-    spec.attribute("Software", f"isas {__version__}")
-    if "what" in metadata:
-        spec.attribute("ImageDescription", str(metadata["what"]))
-    for key, value in metadata.items():
-        spec.attribute(f"isas:{key}", _attribute(value))
+    spec.attribute("utcOffset", 0.0)  # the header's date has no time zone of its own
+    _describe(spec, {key: _attribute(value) for key, value in metadata.items()})
     _write(Path(path), "openexr", spec, pixels)
 
 
 def to_display(image: np.ndarray, exposure: float = 1.0) -> np.ndarray:
-    """Linear (H, W, 3) to display values, uint8 (H, W, 3).
+    """Linear values to display values, uint8; any shape, such as (H, W, 3).
 
     One curve: x = clip(exposure · image, 0, 1), then the sRGB curve (IEC 61966-2-1), rounded.
     NaN becomes black: a caller who shows pictures that may hold NaN marks those pixels itself.
@@ -108,15 +117,63 @@ def to_display(image: np.ndarray, exposure: float = 1.0) -> np.ndarray:
     return np.rint(srgb_encode(clipped) * 255.0).astype(np.uint8)
 
 
-def write_png(path: str | Path, image: np.ndarray) -> None:
-    """Writes an 8-bit picture, uint8 (H, W, 3) already encoded for display, whole or not at all."""
+def exposure_for(pictures: Iterable[np.ndarray]) -> float:
+    """The factor that brings the 99th percentile of all finite values of linear pictures, of any
+    shapes, to 1, which is white; 1 where no such value is positive."""
+    values = [np.asarray(picture)[np.isfinite(picture)] for picture in pictures]
+    together = np.concatenate(values) if values else np.zeros(0)
+    level = float(np.percentile(together, 99.0)) if together.size else 0.0
+    return 1.0 / level if level > 0 else 1.0
+
+
+def write_png(
+    path: str | Path, image: np.ndarray, metadata: dict[str, str | float | int] | None = None
+) -> None:
+    """Writes an 8-bit picture, uint8 (H, W, C) already encoded for display, whole or not at all.
+
+    The file says that it is sRGB. Each entry of `metadata` becomes a text chunk `isas:<key>`;
+    `what` is the Description as well. Raises IsasError naming the file when it cannot be written.
+    """
     pixels = np.ascontiguousarray(image)
     if pixels.dtype != np.uint8 or pixels.ndim != 3:
         raise ValueError(f"write_png: wants uint8 (H, W, C), got {pixels.dtype} {pixels.shape}")
     height, width, count = pixels.shape
     spec = oiio.ImageSpec(width, height, count, oiio.UINT8)
-    spec.attribute("Software", f"isas {__version__}")
+    spec.attribute("oiio:ColorSpace", "srgb_rec709_display")
+    _describe(spec, {key: _text(value) for key, value in (metadata or {}).items()})
     _write(Path(path), "png", spec, pixels)
+
+
+def write_preview(
+    path: str | Path,
+    image: np.ndarray,
+    exposure: float = 1.0,
+    metadata: dict[str, str | float | int] | None = None,
+) -> None:
+    """Writes a PNG of a linear picture, (H, W, 1 or 3), shown through `to_display`.
+
+    Its text chunks state the curve and the exposure besides `metadata` (see `write_png`). Raises
+    IsasError naming the file when it cannot be written.
+    """
+    curve = "clip(exposure * linear, 0, 1), then sRGB (IEC 61966-2-1), 8 bits"
+    stated = {**(metadata or {}), "curve": curve, "exposure": float(exposure)}
+    write_png(path, to_display(image, exposure), stated)
+
+
+def _describe(spec: oiio.ImageSpec, metadata: dict[str, str | float | int]) -> None:
+    """Who made the picture, when (UTC) and what it is; `metadata`: of types the format holds."""
+    now = datetime.datetime.now(datetime.timezone.utc)
+    spec.attribute("Software", f"isas {__version__}")
+    spec.attribute("DateTime", now.strftime("%Y:%m:%d %H:%M:%S"))
+    if "what" in metadata:
+        spec.attribute("ImageDescription", str(metadata["what"]))
+    for key, value in {"date": now.isoformat(timespec="seconds"), **metadata}.items():
+        spec.attribute(f"isas:{key}", value)
+
+
+def _text(value: str | float | int) -> str:
+    """A metadata value as a PNG's text chunk holds it; what lies outside ASCII is escaped."""
+    return str(value).encode("ascii", "backslashreplace").decode()
 
 
 def _attribute(value: str | float | int) -> str | float | int:

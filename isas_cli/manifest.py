@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from . import __version__
+from . import __version__, progress
 from .backend import Backend
 
 if TYPE_CHECKING:
@@ -37,20 +37,9 @@ def process() -> dict:
 
 
 def alive(manifest: dict) -> bool:
-    """Whether the process that wrote ``manifest`` last still runs on this machine.
-
-    A number may have gone to another process since: one that began after the run is another.
-    """
+    """Whether another process of this machine still writes the run of ``manifest``."""
     latest = [manifest, *manifest.get("resumed", [])][-1]
-    pid, started = latest.get("pid"), latest.get("started")
-    if not pid or latest.get("host") != platform.node() or pid == os.getpid():
-        return False
-    try:
-        process = psutil.Process(pid)
-        begun, dead = process.create_time(), process.status() == psutil.STATUS_ZOMBIE
-    except psutil.Error:
-        return False
-    return not dead and begun <= datetime.datetime.fromisoformat(started).timestamp() + 1
+    return latest.get("pid") != os.getpid() and progress.alive(manifest) is True
 
 
 def continuation(iteration: int, seconds: float) -> dict:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
-from . import streams
+from . import images, streams
 from .problem import Problem
 from .records import RunWriter, safe_name
 from .render import Renderer
@@ -35,9 +35,19 @@ class Pictures:
         self.problem, self.writer, self.tags = problem, writer, tags
         self.spp, self.base = spp, base
         self.renderer = Renderer(problem, renderer)
+        # One exposure for all pictures of a run, so that they can be compared.
+        self.exposure = images.exposure_for([problem.target_image(v) for v in self.views])
 
-    def _write(self, name: str, image: np.ndarray, channels: list[str], what: str, **more) -> None:
-        self.writer.frame(name, image, channels, {**self.tags, "what": what, **more})
+    def _write(
+        self,
+        name: str,
+        image: np.ndarray,
+        channels: list[str],
+        what: str,
+        exposure: float | None = None,
+        **more,
+    ) -> None:
+        self.writer.frame(name, image, channels, {**self.tags, "what": what, **more}, exposure)
 
     def values(self, kind: str, values: dict, iteration: int) -> None:
         """Every view at ``values``, and their texture unknowns. ``kind``: start or result."""
@@ -47,7 +57,7 @@ class Pictures:
                 view, self.spp, lambda s, v=view: streams.seed(self.base, (v << 16) + s, "frame")
             )
             tags = {"view": view, "iteration": iteration}
-            self._write(f"{kind}_v{view:02d}", image, _RGB, kind, **tags)
+            self._write(f"{kind}_v{view:02d}", image, _RGB, kind, self.exposure, **tags)
             if kind == "result":
                 error = np.abs(image - self.problem.target_image(view))
                 self._write(f"error_v{view:02d}", error, _RGB, "|result - target|", **tags)
@@ -80,7 +90,8 @@ class Pictures:
                 self.problem.target_image(view),
                 _RGB,
                 "target",
-                **{"view": view},
+                self.exposure,
+                view=view,
             )
         if self.problem.truth_known:
             self._textures("truth", {u.key: u.truth for u in self.problem.unknowns}, 0)
@@ -100,4 +111,4 @@ class Pictures:
             if array.ndim == 3 and array.shape[2] in (1, 3):
                 channels = _RGB if array.shape[2] == 3 else ["Y"]
                 tags = {"key": key, "iteration": iteration}
-                self._write(f"{kind}_{safe_name(key)}", array, channels, kind, **tags)
+                self._write(f"{kind}_{safe_name(key)}", array, channels, kind, 1.0, **tags)

@@ -12,7 +12,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from .progress import KILLED, RUNNING, UNREADABLE, Follower, Standing
+from .progress import KILLED, RUNNING, UNREADABLE, Follower, Standing, alive
 from .records import Run
 
 _MEASURES = {"image_rmse": "cyan", "parameter_rmse": "magenta"}
@@ -53,8 +53,12 @@ def ending(follower: Follower) -> list[str]:
     text = status + (f": {summary['error']}" if summary.get("error") else "")
     said = [text + (f"; go on with: {resume}" if status == "interrupted" else "")]
     said += [f"warning: {warning}" for warning in summary.get("warnings") or []]
-    page = follower.folder / "report.html"
-    return said + ([f"report: {page}"] if page.is_file() else [])
+    report = follower.folder / "report.html"
+    if report.is_file():
+        said.append(f"report: {report}")
+    elif alive(run.manifest):
+        said.append(f"report: {report}, which is being written")
+    return said
 
 
 def page(follower: Follower, console: Console) -> RenderableType:

@@ -70,7 +70,9 @@ class Recorder:
             what = "/checkpoint/state.npz does not fit this run"
             raise InputError(f"{self.folder}{what}: {error!r}") from error
         with loop.clock.unbilled("writing"):
-            self._take(RunWriter.reopen(self.folder, state["iteration"]), state["iteration"])
+            # The row of this iteration stays; trackers drop what comes after it.
+            writer = RunWriter.reopen(self.folder, state["iteration"])
+            self._take(writer, purge_step=state["iteration"] + 1)
             rows = self.writer.rows
             if rows:
                 self._first, loop.last = rows[0], rows[-1]
@@ -81,19 +83,25 @@ class Recorder:
         self._snapshots = self._snapshots_due(loop.position.evaluations)
         self._saved = time.monotonic()
 
-    def _take(self, writer: RunWriter, iteration: int = 0) -> None:
+    def _take(self, writer: RunWriter, purge_step: int | None = None) -> None:
         typed = self.typed
         self.writer = writer
         text = OmegaConf.to_yaml(self.cfg, resolve=True)
-        purge = iteration or None
-        self.tracker = trackers.open(typed.tracker, self.folder, text, purge_step=purge)
+        self.tracker = trackers.open(typed.tracker, self.folder, text, purge_step)
         self.pictures = Pictures(
             self.loop.problem,
             writer,
             typed.frames.views,
             typed.frames.spp,
             typed.seed,
-            {"scene": typed.scene.name, "sampler": self.cfg.sampler.name, "seed": typed.seed},
+            {
+                "scene": typed.scene.name,
+                "scene_hash": self.loop.problem.content_hash,
+                "target_hash": self.loop.problem.target_hash,
+                "sampler": self.cfg.sampler.name,
+                "loss": self.cfg.loss.name,
+                "seed": typed.seed,
+            },
             self._renderer,
         )
 
@@ -116,7 +124,7 @@ class Recorder:
                 image = self.pictures.snapshot(
                     loop.stepper.values, row["iteration"], row["seconds"]
                 )
-                self.tracker.image("snapshot", image, row["iteration"])
+                self.tracker.image("snapshot", image, row["iteration"], self.pictures.exposure)
         self.display.evaluated(row)
 
     def _snapshots_due(self, evaluations: int) -> int:

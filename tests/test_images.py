@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import datetime
 import resource
+import struct
 
+import mitsuba as mi
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+from PIL import Image
 
-from isas_cli import images
+from isas_cli import __version__, images
 from isas_cli.errors import InputError, IsasError
 
 
@@ -27,6 +31,27 @@ def write(path, pixels, channels=("R", "G", "B"), **attributes):
 
 def picture(height=5, width=7, channels=3):
     return np.random.default_rng(1).random((height, width, channels)).astype(np.float32)
+
+
+def exr_header(path):
+    """The attributes of an EXR's header, {name: (type, bytes)}, read by the format's definition:
+    magic number and version, then name, type and size of each attribute, up to an empty name."""
+    data = path.read_bytes()
+    assert data[:4] == b"\x76\x2f\x31\x01"
+    place, attributes = 8, {}
+    while data[place]:
+        name, kind, rest = data[place : place + 600].split(b"\0", 2)
+        place += len(name) + len(kind) + 2
+        (size,) = struct.unpack_from("<i", data, place)
+        attributes[name.decode()] = kind.decode(), data[place + 4 : place + 4 + size]
+        place += 4 + size
+    return attributes
+
+
+def seconds_ago(date, form):
+    """How long ago a UTC date, as text in the form given, was."""
+    stamp = datetime.datetime.strptime(date, form).replace(tzinfo=datetime.timezone.utc)
+    return (datetime.datetime.now(datetime.timezone.utc) - stamp).total_seconds()
 
 
 def test_exr_keeps_values_channel_names_and_metadata(tmp_path):
@@ -52,6 +77,45 @@ def test_one_channel_is_written_as_named_and_read_as_grey(tmp_path):
     assert np.array_equal(images.read(tmp_path / "y.exr"), np.repeat(density[..., None], 3, 2))
     with pytest.raises(ValueError, match="channels"):
         images.write_exr(tmp_path / "y.exr", picture(), ["Y"], {})
+
+
+def test_another_reader_finds_values_channels_and_strings_of_an_exr(tmp_path):
+    """Mitsuba reads with an OpenEXR of its own."""
+    path, image = tmp_path / "a.exr", picture() * 100 - 1
+    images.write_exr(path, image, ["R", "G", "B"], {"what": "result", "scene": "pottery"})
+    bitmap = mi.Bitmap(str(path))
+    assert bitmap.pixel_format() == mi.Bitmap.PixelFormat.RGB and not bitmap.srgb_gamma()
+    assert [field.name for field in bitmap.struct_()] == ["R", "G", "B"]
+    assert np.array_equal(np.array(bitmap), image)
+    assert bitmap.metadata()["isas:scene"] == "pottery"
+    assert bitmap.metadata()["comments"] == "result"
+    images.write_exr(path, image[..., 0], ["Y"], {})
+    assert mi.Bitmap(str(path)).pixel_format() == mi.Bitmap.PixelFormat.Y
+    assert np.array_equal(np.array(mi.Bitmap(str(path))).reshape(image.shape[:2]), image[..., 0])
+
+
+def test_an_exr_says_in_which_colours_and_when_it_was_made(tmp_path):
+    path = tmp_path / "a.exr"
+    images.write_exr(path, picture(), ["R", "G", "B"], {"view": 3, "seconds": 1.5})
+    header = exr_header(path)
+    assert header["colorInteropID"] == ("string", b"lin_rec709_scene")
+    kind, primaries = header["chromaticities"]
+    bt709 = [0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290]
+    assert kind == "chromaticities" and struct.unpack("<8f", primaries) == pytest.approx(bt709)
+    assert header["utcOffset"] == ("float", struct.pack("<f", 0))
+    assert header["Software"] == ("string", f"isas {__version__}".encode())
+    assert header["isas:view"] == ("int", struct.pack("<i", 3))
+    assert header["isas:seconds"] == ("float", struct.pack("<f", 1.5))
+    assert -1 <= seconds_ago(header["capDate"][1].decode(), "%Y:%m:%d %H:%M:%S") < 600
+    assert -1 <= seconds_ago(header["isas:date"][1].decode(), "%Y-%m-%dT%H:%M:%S+00:00") < 600
+
+
+def test_what_is_no_colour_says_so(tmp_path):
+    images.write_exr(tmp_path / "a.exr", picture()[..., 0], ["Y"], {"what": "p_j n"})
+    header = exr_header(tmp_path / "a.exr")
+    assert header["colorInteropID"] == ("string", b"data") and "chromaticities" not in header
+    spec = oiio.ImageInput.open(str(tmp_path / "a.exr")).spec()
+    assert spec.get_string_attribute("oiio:ColorSpace") == "data"
 
 
 def test_eight_bits_are_decoded_from_srgb(tmp_path):
@@ -146,6 +210,40 @@ def test_png_is_written_as_it_is(tmp_path):
     assert np.array_equal(images.to_display(images.read(tmp_path / "a.png")), values)
     with pytest.raises(ValueError, match="uint8"):
         images.write_png(tmp_path / "a.png", values / 255)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_preview_states_its_curve(tmp_path, channels):
+    """Pillow reads it back: neither the pixels nor the words are OpenImageIO's alone."""
+    path, image = tmp_path / "a.png", picture(channels=channels) * 4
+    metadata = {"what": "result", "scene": "Töpferei", "view": 3}
+    images.write_preview(path, image, 0.5, metadata)
+    with Image.open(path) as stored:
+        pixels, words = np.asarray(stored), stored.info
+    assert np.array_equal(pixels.reshape(image.shape), images.to_display(image, 0.5))
+    # What the words say, done by hand.
+    assert words["isas:curve"].startswith("clip(exposure * linear, 0, 1), then sRGB")
+    linear = np.clip(float(words["isas:exposure"]) * image.astype(np.float64), 0, 1)
+    curve = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    assert np.array_equal(pixels.reshape(image.shape), np.rint(255 * curve))
+    assert words["srgb"] in range(4) and words["gamma"] == pytest.approx(1 / 2.2, abs=1e-5)
+    assert words["Software"] == f"isas {__version__}" and words["Description"] == "result"
+    assert words["isas:view"] == "3" and words["isas:scene"] == "T\\xf6pferei"
+    assert -1 <= seconds_ago(words["isas:date"], "%Y-%m-%dT%H:%M:%S+00:00") < 600
+    spec = oiio.ImageInput.open(str(path)).spec()
+    assert spec.get_string_attribute("isas:curve") == words["isas:curve"]
+    assert spec.get_string_attribute("oiio:ColorSpace").startswith("srgb")
+
+
+def test_exposure_brings_the_99th_percentile_to_white():
+    ramp = np.linspace(0, 200, 201)  # its 99th percentile is 198
+    image = np.stack([ramp, ramp, ramp], axis=1)[None]
+    assert images.exposure_for([image]) == pytest.approx(1 / 198)
+    with_holes = np.concatenate([ramp, [np.nan, np.inf, -np.inf]])
+    assert images.exposure_for([with_holes]) == pytest.approx(1 / 198)
+    assert images.exposure_for([ramp[:101], ramp[101:]]) == pytest.approx(1 / 198)
+    for nothing in ([], [np.zeros((2, 2, 3))], [np.full((2, 2, 3), np.nan)], [-image]):
+        assert images.exposure_for(nothing) == 1.0
 
 
 def test_a_picture_that_cannot_be_written_leaves_the_earlier_one(tmp_path):

@@ -136,13 +136,22 @@ class RunWriter:
         write_json(self.folder / "summary.json", d)
 
     def frame(
-        self, name: str, image: np.ndarray, channels: list[str], metadata: dict[str, Any]
+        self,
+        name: str,
+        image: np.ndarray,
+        channels: list[str],
+        metadata: dict[str, Any],
+        exposure: float | None = None,
     ) -> None:
-        """frames/<name>.exr; the arguments are those of `images.write_exr`."""
+        """frames/<name>.exr, the arguments those of `images.write_exr`; with an ``exposure`` also
+        frames/<name>.png, as `images.write_preview` shows it."""
         # Imported here: images stands on this module, and readers need no OpenImageIO.
-        from ..images import write_exr
+        from ..images import write_exr, write_preview
 
-        write_exr(self.folder / "frames" / f"{name}.exr", image, channels, metadata)
+        path = self.folder / "frames" / f"{name}.exr"
+        write_exr(path, image, channels, metadata)
+        if exposure is not None:
+            write_preview(path.with_suffix(".png"), image, exposure, metadata)
 
     def checkpoint(self, arrays: dict[str, np.ndarray], state: dict[str, Any]) -> None:
         """Arrays (any names; ValueError for objects) and JSON state, swapped in as one file."""
