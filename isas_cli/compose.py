@@ -21,7 +21,7 @@ from .errors import InputError, nearest
 _UNKNOWNS = "scene.unknowns="
 _GROUPS = ("scene", "sampler", "loss")
 # Taken as they stand, whatever letters a path has.
-_PATHS = ("scene.path", "hydra.run.dir")
+_PATHS = ("scene.path", "hydra.run.dir", "hydra.sweep.dir")
 _LABELS = ("sampler.name", "sampler._target_", "loss.name", "loss._target_")
 
 

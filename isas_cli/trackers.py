@@ -45,7 +45,7 @@ def check(name: str) -> None:
     if name == "tensorboard" and importlib.util.find_spec("tensorboardX") is None:
         raise InputError(
             "tracker=tensorboard needs tensorboardX, which is not installed: "
-            "pip install 'isas[tensorboard]'"
+            "pip install '.[tensorboard]' in isas's source folder"
         )
 
 

@@ -18,13 +18,13 @@ TINY = ["scene=pottery", "size=tiny", "budget.iterations=2", "target.spp=4", "fr
 
 
 @pytest.fixture
-def isas(tmp_path, monkeypatch, capsys):
+def isas(tmp_path, monkeypatch, capfd):
     """Calls the command in an empty folder: arguments → (status, stdout, stderr)."""
     monkeypatch.chdir(tmp_path)
 
     def call(*arguments: str) -> tuple[int, str, str]:
         status = main(list(arguments))
-        captured = capsys.readouterr()
+        captured = capfd.readouterr()
         return status, captured.out, captured.err
 
     return call
@@ -123,7 +123,7 @@ def test_a_variant_that_cannot_run_here_is_refused(isas):
 @pytest.mark.parametrize(
     "arguments, expected",
     [
-        (["foo"], ["foo: no such command", "run, scenes, doctor, report"]),
+        (["foo"], ["foo: no such command", "run, race, compare, watch, scenes, doctor, report"]),
         (["repor", "x"], ["did you mean 'report'?"]),
         (["report"], ["folder"]),
         (["report", "nowhere"], ["nowhere"]),
@@ -172,15 +172,17 @@ def test_a_sweep_goes_on_after_a_failed_job(isas):
     assert out.count("report: ") == 2
     refusals = [line for line in err.splitlines() if line.startswith("isas: ")]
     assert len(refusals) == 1 and "seed=-1: at least 0" in refusals[0]
-    runs = sorted(path.parent for path in Path("runs/pottery/uniform").glob("*/summary.json"))
+    runs = sorted(path.parent for path in Path("runs/pottery/uniform").glob("*/manifest.json"))
     assert [records.load(run).summary["seed"] for run in runs] == [1, 2]
-    assert len(list(Path("runs/pottery/uniform").iterdir())) == 2
+    failed = set(Path("runs/pottery/uniform").iterdir()) - set(runs)
+    assert [json.loads((f / "summary.json").read_text())["status"] for f in failed] == ["failed"]
 
 
 def test_a_sweep_with_an_unknown_name_runs_nothing(isas):
     status, out, err = isas("run", *TINY, "-m", "sampler=uniform,our")
     assert (status, out) == (2, "")
     assert err.count("\n") == 1 and "did you mean 'ours'?" in err
+    assert list(Path.cwd().iterdir()) == []
 
 
 def test_cfg_prints_the_configuration_and_runs_nothing(isas):
@@ -288,7 +290,7 @@ def test_a_killed_run_leaves_readable_files(tmp_path):
     process.kill()
     process.communicate()
     assert list(csv.DictReader(history.open()))[0]["iteration"] == "0"
-    assert json.loads((tmp_path / "r" / "manifest.json").read_text())["schema"] == 1
+    assert json.loads((tmp_path / "r" / "manifest.json").read_text())["schema"] == 2
     assert records.load(tmp_path / "r").summary is None
     assert main(["report", str(tmp_path / "r")]) == 0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -50,3 +51,15 @@ def check_folder(folder: Path, overwrite: bool) -> None:
             f"{folder} already holds a run: choose another folder with hydra.run.dir=DIR, "
             "or replace it with overwrite=true"
         )
+
+
+def remove_empty(folder: Path) -> None:
+    """Remove a folder that is empty, and those above it that are, up to the present one."""
+    folder = Path(os.path.abspath(folder))
+    here = Path.cwd()
+    with contextlib.suppress(OSError):
+        folder.rmdir()
+        for parent in folder.parents:
+            if here not in parent.parents:
+                break
+            parent.rmdir()
