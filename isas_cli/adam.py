@@ -90,14 +90,15 @@ class Stepper:
         g^unsmoothed the estimate ``gradients``, g^smoothed Adam's first moment after the step,
         bias-corrected; N counts the entries k that the estimate touched (where ``mask_updates``
         leaves the others alone, their moments are of earlier iterations). In the gradient's own
-        unit, squared; NaN without a step or a finite touched entry. On the host.
+        unit, squared. NaN before the second step, as the first one's mean is the gradient itself,
+        and without a finite touched entry. On the host.
         """
         total, count = 0.0, 0
         for key in self.unknowns.keys:
             steps, first, _, _ = self.adam.state[key][3]
             entries = np.array(flat(gradients[key]), dtype=np.float64)
             touched = np.isfinite(entries) & (entries != 0)
-            if int(steps[0]) == 0 or not touched.any():
+            if int(steps[0]) < 2 or not touched.any():
                 continue
             correction = self.scale[key] * (1 - self.settings.beta_1 ** int(steps[0]))
             smoothed = np.array(first, dtype=np.float64) / correction

@@ -55,7 +55,10 @@ def continuation(iteration: int, seconds: float) -> dict:
 
 
 def describe(backend: Backend, problem: "Problem", seed: int, target_seed: int) -> dict:
-    """Versions, machine, seeds, content hashes and command line of the present process."""
+    """Versions, machine, seeds, content hashes, what is simulated, and the command line."""
+    from . import effects  # imports Mitsuba, which readers of manifests need not
+
+    integrator = problem.integrator
     return {
         "isas": __version__,
         "command": sys.argv,
@@ -75,6 +78,8 @@ def describe(backend: Backend, problem: "Problem", seed: int, target_seed: int) 
         "seeds": {"run": seed, "target": target_seed},
         "scene_hash": problem.content_hash,
         "target_hash": problem.target_hash,
+        "integrator": {"class": type(integrator).__name__, "max_depth": integrator.max_depth},
+        "effects": effects.plan(problem),
         "views": [list(size) for size in problem.film_sizes],
         "unknowns": {
             u.key: {

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from isas_cli import images, report
 from isas_cli.errors import InputError
 from isas_cli.records import RunWriter, load, safe_name
-from isas_cli.report import figures, frames, page, plots
+from isas_cli.report import cells, figures, page, plots
 
 KEYS = ("jar.bsdf.base_color.data", "jar.bsdf.roughness.data")
 VOID = {"meta", "link", "img", "br", "hr", "input"}
@@ -194,21 +194,21 @@ def test_missing_and_damaged_frames_leave_a_gap_and_no_error(tmp_path):
 def test_large_and_thin_frames_are_reduced_by_their_mean(tmp_path):
     image = np.random.default_rng(3).random((1025, 2048, 3)).astype(np.float32)
     images.write_exr(tmp_path / "a.exr", image, ["R", "G", "B"], {})
-    reduced = frames._read_reduced(tmp_path / "a.exr")
+    reduced = cells.read_reduced(tmp_path / "a.exr")
     assert reduced.shape == (256, 512, 3)
     assert reduced[1, 2] == pytest.approx(image[4:8, 8:12].mean(axis=(0, 1)), rel=1e-5)
     images.write_exr(tmp_path / "b.exr", image[:1], ["R", "G", "B"], {})
-    assert frames._read_reduced(tmp_path / "b.exr").shape == (1, 512, 3)
+    assert cells.read_reduced(tmp_path / "b.exr").shape == (1, 512, 3)
 
 
 def test_the_exposure_brings_the_targets_99th_percentile_to_white():
     target = np.linspace(0, 8, 12 * 16 * 3).reshape(12, 16, 3)
     rows = {"view 0": {"target": target, "result": 100 * target}}
-    exposure, words = frames._exposure(rows, ("target", "result"))
+    exposure, words = cells.exposure(rows, ("target", "result"))
     assert exposure == pytest.approx(1 / np.percentile(target, 99))
     assert "99th percentile of the target" in words and f"{exposure:.3g}" in words
-    assert frames._exposure({"view 0": {}}, ("target",))[0] == 1.0
-    assert frames._exposure({"view 0": {"target": target * 0}}, ("target",))[0] == 1.0
+    assert cells.exposure({"view 0": {}}, ("target",))[0] == 1.0
+    assert cells.exposure({"view 0": {"target": target * 0}}, ("target",))[0] == 1.0
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import (
@@ -24,6 +25,7 @@ from ..records import write_atomically
 # Okabe and Ito's colours, which differ for colour-blind readers too.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 GREY = "#666666"
+COST_LABELS = {"seconds": "billed seconds", "paths": "light paths"}
 STYLE = {
     "font.size": 10,
     "axes.titlesize": 10,
@@ -37,6 +39,7 @@ STYLE = {
     "lines.linewidth": 1.6,
     "lines.markersize": 4,
     "legend.frameon": False,
+    "svg.hashsalt": "isas",  # names inside an SVG are drawn by chance otherwise
 }
 _DPI = 110
 
@@ -59,8 +62,13 @@ def figure(width: float, height: float, layout: str | None = "constrained") -> F
 
 
 def save(made: Figure, path: Path) -> None:
-    """Writes the figure as a PNG, whole or not at all; IsasError when the disk refuses."""
-    write_atomically(path, lambda temporary: made.savefig(temporary, format="png"))
+    """Writes the figure as its suffix says (.png, .svg), whole or not at all, the same bytes for
+    the same figure; IsasError when the disk refuses."""
+    kind = path.suffix.removeprefix(".")
+    dateless = {"Date": None} if kind == "svg" else None
+    write_atomically(
+        path, lambda temporary: made.savefig(temporary, format=kind, metadata=dateless)
+    )
 
 
 def marker(points: np.ndarray) -> str:
@@ -81,16 +89,37 @@ def log_values(axes: Axes, values: np.ndarray) -> None:
     axes.set_yscale("log", nonpositive="mask")
     margin = max((high / low) ** 0.06, 1.02)
     axes.set_ylim(low / margin, high * margin)
+    _log_ticks(axes.yaxis, low, high)
+
+
+def log_costs(axes: Axes, name: str, cost: np.ndarray) -> None:
+    """A logarithmic x axis for costs, `name` being `seconds` or `paths`; what costs nothing has no
+    place on it. Without any positive cost the axis stays linear."""
+    known = cost[np.isfinite(cost) & (cost > 0)]
+    axes.set_xlabel(COST_LABELS[name])
+    if known.size == 0:
+        return
+    low, high = float(known.min()), float(known.max())
+    axes.set_xscale("log", nonpositive="mask")
+    margin = max((high / low) ** 0.03, 1.02)
+    axes.set_xlim(low / margin, high * margin)
+    _log_ticks(axes.xaxis, low, high)
+    if name == "paths":
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+
+
+def _log_ticks(axis: Axis, low: float, high: float) -> None:
+    """Places and labels the ticks of a logarithmic axis from `low` to `high`, whatever its span."""
     formatter = FuncFormatter(lambda value, _: f"{value:.4g}")
     if high / low < 3:
-        axes.yaxis.set_major_locator(MaxNLocator(5))
+        axis.set_major_locator(MaxNLocator(5))
     else:
         steps = (1, 2, 5) if high / low < 1e3 else (1,)
-        axes.yaxis.set_major_locator(LogLocator(subs=steps, numticks=12))
+        axis.set_major_locator(LogLocator(subs=steps, numticks=12))
         if low < 1e-3 or high >= 1e5:
             formatter = LogFormatterSciNotation(minor_thresholds=(np.inf, np.inf))
-    axes.yaxis.set_major_formatter(formatter)
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    axis.set_major_formatter(formatter)
+    axis.set_minor_formatter(NullFormatter())
 
 
 def cost_axis(axes: Axes, name: str, cost: np.ndarray) -> None:
@@ -101,7 +130,7 @@ def cost_axis(axes: Axes, name: str, cost: np.ndarray) -> None:
     positive = cost[cost > 0]
     if positive.size > 1 and positive.max() > 100 * positive.min():
         axes.set_xscale("log")
-    axes.set_xlabel("billed seconds" if name == "seconds" else "light paths")
+    axes.set_xlabel(COST_LABELS[name])
     if name == "paths":
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     elif axes.get_xscale() == "log":

@@ -1,0 +1,121 @@
+"""What a method is called: its sampler, and the settings in which it differs from others."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+# What changes neither the problem nor what is computed to solve it.
+_IGNORED = (
+    "seed",
+    "name",
+    "overwrite",
+    "threads",
+    "variant",
+    "hydra",
+    "frames",
+    "evaluation",
+    "tracker",
+)
+# Of the scene: texts, menus, and what its content hash stands for already.
+_SILENT = ("scene.name", "scene.description", "scene.sizes")
+_UNSET = "unset"
+
+Settings = dict[str, str]
+
+
+def flatten(config: dict[str, Any], prefix: str = "") -> Settings:
+    """``{"optimizer": {"lr": 0.01}}`` → ``{"optimizer.lr": "0.01"}``.
+
+    Equal values have equal texts (20 and 20.0 too), so that settings can be compared and shown.
+    """
+    flat: Settings = {}
+    for key, value in config.items():
+        if isinstance(value, dict):
+            flat |= flatten(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = _text(value)
+    return flat
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
+
+
+def split(flat: Settings) -> tuple[Settings, Settings]:
+    """Settings of the problem (which scene, size, targets, starts) and of the method."""
+    problem, method = {}, {}
+    for key, value in flat.items():
+        group = key.partition(".")[0]
+        if group in _IGNORED or key.startswith(_SILENT):
+            continue
+        (problem if _of_problem(group, key) else method)[key] = value
+    return problem, method
+
+
+def _of_problem(group: str, key: str) -> bool:
+    # How fast, and within which bounds, an unknown may move is the method's affair.
+    if key.startswith("scene.unknowns.") and key.endswith((".lr", ".range")):
+        return False
+    return group in ("scene", "size", "target")
+
+
+def methods(settings: Sequence[Settings]) -> list[str]:
+    """A label for each of different settings, such as ``ours optimizer.lr=0.01``.
+
+    The sampler's name, then each setting that differs, whether it alone tells methods apart or
+    not: whoever compares must see all that differs. What belongs to a choice with a name (a
+    sampler, a loss) is compared only among those that made the same choice, as others have
+    settings of their own.
+    """
+    every = sorted({key for each in settings for key in each})
+    groups = {key.partition(".")[0] for key in every if key.count(".") == 1 and _is_name(key)}
+    labels = []
+    for own in settings:
+        parts = [_choice(own, "sampler") or "unnamed"]
+        for key in every:
+            group = key.partition(".")[0]
+            if key in ("sampler", "sampler.name"):
+                continue
+            peers = settings
+            if group in groups and not _is_name(key):
+                peers = [each for each in settings if _choice(each, group) == _choice(own, group)]
+            if len({each.get(key, _UNSET) for each in peers}) > 1:
+                shown = group if group in groups and _is_name(key) else key
+                parts.append(f"{shown}={own.get(key, _UNSET)}")
+        labels.append(" ".join(parts))
+    return labels
+
+
+def _is_name(key: str) -> bool:
+    return key.endswith(".name")
+
+
+def _choice(settings: Settings, group: str) -> str | None:
+    return settings.get(f"{group}.name", settings.get(group))
+
+
+def scenes(name: str, problems: Sequence[Settings]) -> list[str]:
+    """A name for each of different problems of one scene, such as ``pottery size=tiny``.
+
+    As few settings as tell them apart, because one (the size) entails others: the first that
+    divides them further is added until all differ. ``problems`` hold, last, what always differs.
+    """
+    keys = dict.fromkeys(
+        ["size", *sorted(key for each in problems for key in each if "hash" not in key)]
+    )
+    keys |= dict.fromkeys(key for each in problems for key in each)
+    chosen: list[str] = []
+    for key in keys:
+        if len(_told_apart(problems, [*chosen, key])) > len(_told_apart(problems, chosen)):
+            chosen.append(key)
+    return [
+        " ".join([name, *(f"{key}={each.get(key, _UNSET)}" for key in chosen)]) for each in problems
+    ]
+
+
+def _told_apart(problems: Sequence[Settings], keys: list[str]) -> set[tuple[str, ...]]:
+    return {tuple(each.get(key, _UNSET) for key in keys) for each in problems}
