@@ -38,8 +38,11 @@ class Stepper:
         )
         for key, value in values.items():
             self.adam[key] = value
-        self.nonfinite = dr.zeros(mi.UInt64, 1)
-        self.touched = dr.zeros(mi.UInt64, 1)
+        self.nonfinite, self.touched = mi.UInt64(0), mi.UInt64(0)
+        # 1 - β₁ⁿ for each entry, n the steps that its moment has taken part in.
+        self.weight = {key: dr.zeros(mi.Float, dr.width(flat(values[key]))) for key in values}
+        # Opaque: as literals they would be compiled into the first step.
+        dr.make_opaque(self.nonfinite, self.touched, self.weight)
 
     @property
     def values(self) -> dict:
@@ -63,6 +66,9 @@ class Stepper:
             # Opaque, because the factor differs from run to run and would compile anew.
             scale = dr.opaque(mi.Float, self.scale[key])
             clean = dr.select(finite, entries * scale, 0)
+            took_part = (clean != 0) | (not self.settings.mask_updates)
+            old = self.weight[key]
+            self.weight[key] = dr.select(took_part, dr.lerp(1, old, self.settings.beta_1), old)
             dr.set_grad(self.adam[key], unflat(gradients[key], clean))
         self.nonfinite += bad
         self.touched += touched
@@ -72,7 +78,7 @@ class Stepper:
             if np.isfinite(unknown.low) or np.isfinite(unknown.high):
                 value = self.adam[unknown.key]
                 self.adam[unknown.key] = dr.clip(dr.detach(value), unknown.low, unknown.high)
-        dr.eval(self.adam.state, self.nonfinite, self.touched)
+        dr.eval(self.adam.state, self.nonfinite, self.touched, self.weight)
 
     def calibrate(self, gradients: list[dict]) -> None:
         """Fix ``scale`` as 1 / (root mean square of the non-zero finite entries), per unknown."""
@@ -88,21 +94,22 @@ class Stepper:
             1/N Σ_k (g_t,k^smoothed - g_t,k^unsmoothed)²,
 
         g^unsmoothed the estimate ``gradients``, g^smoothed Adam's first moment after the step,
-        bias-corrected; N counts the entries k that the estimate touched (where ``mask_updates``
-        leaves the others alone, their moments are of earlier iterations). In the gradient's own
-        unit, squared. NaN before the second step, as the first one's mean is the gradient itself,
-        and without a finite touched entry. On the host.
+        bias-corrected for the steps that each entry took part in (``mask_updates`` leaves entries
+        out, for which Adam's own correction, by the number of all steps, would be wrong). The
+        paper does not say what N is: here the entries k that the estimate touched at least the
+        second time, as the first time the mean is the gradient itself. In the gradient's own
+        unit, squared; NaN without such an entry. On the host.
         """
         total, count = 0.0, 0
         for key in self.unknowns.keys:
-            steps, first, _, _ = self.adam.state[key][3]
+            _, first, _, _ = self.adam.state[key][3]
             entries = np.array(flat(gradients[key]), dtype=np.float64)
-            touched = np.isfinite(entries) & (entries != 0)
-            if int(steps[0]) < 2 or not touched.any():
-                continue
-            correction = self.scale[key] * (1 - self.settings.beta_1 ** int(steps[0]))
-            smoothed = np.array(first, dtype=np.float64) / correction
-            total += float(np.sum((smoothed - entries)[touched] ** 2))
+            weight = np.array(self.weight[key], dtype=np.float64)
+            β = self.settings.beta_1
+            once = (1 - β) * (1 + β / 2)  # between the weights of one step and of two
+            touched = np.isfinite(entries) & (entries != 0) & (weight > once)
+            smoothed = np.array(first, dtype=np.float64)[touched] / weight[touched]
+            total += float(np.sum((smoothed / self.scale[key] - entries[touched]) ** 2))
             count += int(touched.sum())
         return total / count if count else float("nan")
 
@@ -114,6 +121,7 @@ class Stepper:
             arrays[f"value/{key}"] = as_numpy(self.adam[key])
             arrays[f"first/{key}"] = np.array(first)
             arrays[f"second/{key}"] = np.array(second)
+            arrays[f"weight/{key}"] = np.array(self.weight[key])
             steps[key] = int(count[0])
         counters = {"nonfinite": int(self.nonfinite[0]), "touched": int(self.touched[0])}
         return arrays, {"steps": steps, "scale": self.scale, **counters}
@@ -127,7 +135,9 @@ class Stepper:
             moments = [type(first)(arrays[f"{name}/{key}"]) for name in ("first", "second")]
             steps = type(count)(state["steps"][key])
             self.adam.state[key] = value, promoted, rate, (steps, *moments, most)
+            self.weight[key] = mi.Float(arrays[f"weight/{key}"])
         self.scale = dict(state["scale"])
-        self.nonfinite += state["nonfinite"]
-        self.touched += state["touched"]
-        dr.eval(self.adam.state, self.nonfinite, self.touched)
+        self.nonfinite = mi.UInt64(state["nonfinite"])
+        self.touched = mi.UInt64(state["touched"])
+        dr.make_opaque(self.nonfinite, self.touched)
+        dr.eval(self.adam.state)

@@ -29,7 +29,7 @@ def run(cfg: DictConfig, folder: Path) -> int:
     record, and NumericalError after the record has been finished with the last good state.
     """
     typed, budget = checked(cfg)
-    machine = backend.start(typed.variant, typed.threads)
+    machine = started([cfg], typed)
     with _recorder(cfg, typed, budget, Path(folder)) as recorder:
         return _go(recorder, lambda: recorder.open(machine))
 
@@ -42,24 +42,33 @@ def resume(folder: Path, changes: dict | None = None) -> int:
     streams continue as if there had been no stop. Raises InputError when there is nothing to
     continue, when the scene or its targets have changed since, or when the run is still going on.
     """
-    from .resumption import check_same_problem, prepare
+    from .resumption import check_same, prepare
 
-    folder = Path(folder)
-    cfg, manifest = prepare(folder, changes or {})
-    typed, budget = checked(cfg)
-    backend.start(typed.variant, typed.threads)
-    with _recorder(cfg, typed, budget, folder) as recorder:
-        check_same_problem(recorder.loop.problem, manifest, folder)
-        return _go(recorder, lambda: recorder.reopen(manifest))
+    earlier = prepare(Path(folder), changes or {})
+    typed, budget = checked(earlier.cfg)
+    machine = started([earlier.cfg], typed)
+    with _recorder(earlier.cfg, typed, budget, earlier.folder) as recorder:
+        check_same(recorder.loop.problem, machine, earlier.manifest, earlier.folder)
+        return _go(recorder, lambda: recorder.reopen(machine, earlier))
 
 
 def checked(cfg: DictConfig) -> tuple[Config, Budget]:
-    """The typed configuration and its budget. Raises InputError for what can be told without a
-    scene; loss and sampler are made once for their own checks."""
+    """The typed configuration and its budget. Raises InputError for what can be told without
+    Mitsuba."""
     typed = OmegaConf.to_object(cfg)
     budget = Budget(typed.budget.seconds, typed.budget.iterations, typed.budget.paths)
     trackers.check(typed.tracker)
     return typed, budget
+
+
+def started(cfgs: list[DictConfig], typed: Config) -> backend.Backend:
+    """The backend, started; then loss and sampler of each configuration are made once, so that
+    they can refuse their settings before a scene is loaded."""
+    machine = backend.start(typed.variant, typed.threads)
+    for cfg in cfgs:
+        instantiate(cfg.loss, "loss")
+        instantiate(cfg.sampler, "sampler")
+    return machine
 
 
 class Phases:
@@ -98,8 +107,6 @@ def built(typed: Config, phases: Phases) -> "Problem":
 @contextmanager
 def _recorder(cfg: DictConfig, typed: Config, budget: Budget, folder: Path) -> Iterator["Recorder"]:
     """Everything up to the loop, compiled; no folder is written yet."""
-    loss, sampler = instantiate(cfg.loss, "loss"), instantiate(cfg.sampler, "sampler")
-    del loss, sampler  # only to refuse them before the scene is loaded
     with Display(budget) as display:
         phases = Phases(display)
         problem = built(typed, phases)
@@ -115,7 +122,8 @@ def _recorder(cfg: DictConfig, typed: Config, budget: Budget, folder: Path) -> I
 
 
 def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
-    """Rehearse, run, record. The record is finished whatever ends the loop.
+    """Rehearse, run, record. The record is finished when the budget, Ctrl-C or a numerical failure
+    ends the loop; after any other end its checkpoint can be continued.
 
     There is no folder before everything is known to work, and from then on Ctrl-C waits.
     """
@@ -130,9 +138,15 @@ def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
         try:
             status = loop.run(recorder.hooks(stop))
         except NumericalError:
-            _announce(recorder, "numerical failure", recorder.finish("numerical failure"))
+            recorder.close("numerical failure")
+            _announce(recorder, "numerical failure", recorder.illustrate())
             raise
-        _announce(recorder, status, recorder.finish(status))
+        recorder.close(status)
+        # Stopped once, a run has its pictures made; stopped while they are made, it does not.
+        given_up = stop if status == "done" else lambda: False
+        _announce(recorder, status, recorder.illustrate(given_up))
+        if given_up():
+            status = "interrupted"
     return interrupt.STATUS if status == "interrupted" else 0
 
 

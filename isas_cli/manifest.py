@@ -42,9 +42,17 @@ def alive(manifest: dict) -> bool:
     return latest.get("pid") != os.getpid() and progress.alive(manifest) is True
 
 
-def continuation(iteration: int, seconds: float) -> dict:
-    """The manifest's entry for a continuation that starts at ``iteration``, ``seconds`` billed."""
+def continuation(
+    backend: Backend, iteration: int, seconds: float, earlier_budget: str | None
+) -> dict:
+    """The manifest's entry for a continuation that starts at ``iteration``, ``seconds`` billed.
+
+    ``earlier_budget``: the budget before, None where it is the same."""
     return {
+        **({"earlier_budget": earlier_budget} if earlier_budget else {}),
+        "threads": backend.threads,
+        "device": backend.device,
+        "packages": {p: _version(p) for p in _PACKAGES},
         "isas": __version__,
         "command": sys.argv,
         "folder": os.getcwd(),

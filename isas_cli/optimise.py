@@ -107,6 +107,7 @@ class Loop:
         """Evaluate the start, which a continued run has behind it."""
         if self.last is None:
             self._evaluate(hooks)
+        self._count_evaluations()
         if self.progress >= 1 and self.last["iteration"] != self.position.iteration:
             self._evaluate(hooks)
 
@@ -131,10 +132,7 @@ class Loop:
     def halt(self, hooks: Hooks) -> str:
         """Stop before the budget is spent, with a row that says where. Returns 'interrupted'."""
         if self.last["iteration"] != self.position.iteration:
-            # Out of turn: a continuation shall evaluate when it would have without the stop.
-            evaluations = self.position.evaluations
             self._evaluate(hooks)
-            self.position.evaluations = evaluations
         return "interrupted"
 
     def _iterate(self) -> None:
@@ -165,6 +163,14 @@ class Loop:
         self.estimator.accumulate(self._distribution, self.seed, iteration)
         return unknowns.gradients()
 
+    def _count_evaluations(self) -> None:
+        """How many evaluations are behind this progress, whether one stood for several that a
+        long iteration jumped over, or the budget has grown since."""
+        p = self.position
+        p.evaluations = 1
+        while self._next_evaluation() <= self.progress < 1:
+            p.evaluations += 1
+
     def _next_evaluation(self) -> float:
         return (self.position.evaluations / self.evaluations) ** _EVALUATION_POWER
 
@@ -177,10 +183,7 @@ class Loop:
             nonfinite = int(self.stepper.nonfinite[0])
             norm = self._gradient_norm()
             noise = self._gradients and self.stepper.noise(self._gradients)
-        # One evaluation may stand for several that a long iteration has jumped over.
-        p.evaluations += 1
-        while self._next_evaluation() <= self.progress < 1:
-            p.evaluations += 1
+        self._count_evaluations()
         row |= {
             "iteration": p.iteration,
             "seconds": self.clock.seconds,
@@ -225,7 +228,6 @@ class Loop:
             "seed": self.seed,
             "iteration": p.iteration,
             "paths": p.paths,
-            "evaluations": p.evaluations,
             "counted": self._counted,
             "lost": self.lost,
             "billed": dict(self.clock.billed_seconds),
@@ -240,12 +242,12 @@ class Loop:
         if "cells" in arrays:
             self._weights = mi.Float(arrays["cells"])
             self._spread()
-        names = ("iteration", "paths", "evaluations")
-        self.position = Position(*(int(state[name]) for name in names))
+        self.position = Position(int(state["iteration"]), int(state["paths"]))
         self._counted, self.lost = tuple(state["counted"]), state["lost"]
         self.clock.billed_seconds.update(state["billed"])
         for phase, seconds in state["unbilled"].items():
             self.clock.unbilled_seconds[phase] += seconds
+        self._count_evaluations()
 
     def density(self) -> np.ndarray | None:
         """p_j n of every pixel at present (1: as often as uniformly), or None before a look."""

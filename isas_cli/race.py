@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
-from . import backend, interrupt, manifest, records, resumption
+from . import backend, interrupt, records, resumption
 from .budget import Budget
 from .config import Config
 from .display import RaceDisplay
-from .errors import InputError, NumericalError
-from .experiment import Phases, built, checked
+from .errors import NumericalError
+from .experiment import Phases, built, checked, started
 
 
 @dataclass
@@ -23,11 +23,11 @@ class Entry:
     label: str
     cfg: DictConfig
     folder: Path
-    earlier: dict | None = None  # the manifest of a run that goes on
+    earlier: resumption.Continuation | None = None  # of a run that goes on
+    typed: Config = field(init=False)
+    budget: Budget = field(init=False)
 
     def __post_init__(self) -> None:
-        self.typed: Config
-        self.budget: Budget
         self.typed, self.budget = checked(self.cfg)
 
     @property
@@ -41,16 +41,16 @@ class Entry:
 
 
 def continued(label: str, folder: Path, changes: dict) -> Entry | None:
-    """The entry that goes on in ``folder``; None where its budget is spent or it failed."""
+    """The entry that goes on in ``folder``; None where it is complete and its budget spent, or
+    where it failed."""
     run = records.load(folder)
-    if (run.summary or {}).get("status") == "numerical failure":
+    if run.complete and run.summary["status"] == "numerical failure":
         return None
-    if manifest.alive(run.manifest):
-        raise InputError(f"{folder} is still being written: its process has not ended")
-    if resumption.is_spent(folder, changes):
+    try:
+        earlier = resumption.prepare(folder, changes)
+    except resumption.Spent:
         return None
-    cfg, earlier = resumption.prepare(folder, changes)
-    return Entry(label, cfg, folder, earlier)
+    return Entry(label, earlier.cfg, folder, earlier)
 
 
 def run(entries: list[Entry], slice_seconds: float, begin: Callable[[], None]) -> int:
@@ -63,25 +63,23 @@ def run(entries: list[Entry], slice_seconds: float, begin: Callable[[], None]) -
     the machine falls on all alike. One that fails numerically is recorded as such and the others
     go on. Returns 0, the first failure's status, or 130 after Ctrl-C.
     """
-    first = entries[0].typed
-    machine = backend.start(first.variant, first.threads)
+    machine = started([entry.cfg for entry in entries], entries[0].typed)
     with RaceDisplay(len(entries)) as display:
-        lanes = _Lanes(entries, display)
+        lanes = _Lanes(entries, display, machine)
         with interrupt.graceful(display.interrupted) as stop:
             begin()
-            lanes.open(machine)
-            status = lanes.run(slice_seconds, stop)
-    return status
+            lanes.open()
+            return lanes.run(slice_seconds, stop)
 
 
 class _Lanes:
     """The loops of a race and their records, side by side."""
 
-    def __init__(self, entries: list[Entry], display: RaceDisplay):
+    def __init__(self, entries: list[Entry], display: RaceDisplay, machine: backend.Backend):
         from .recorder import Recorder
         from .workshop import Workshop
 
-        self.entries, self.display = entries, display
+        self.entries, self.display, self.machine = entries, display, machine
         phases = Phases(display)
         problems = {}
         # All scenes before the first kernel: a material that comes later compiles all anew.
@@ -95,7 +93,8 @@ class _Lanes:
             interrupt.check()
             workshop = workshops[entry.problem_key]
             if entry.earlier is not None:
-                resumption.check_same_problem(workshop.problem, entry.earlier, entry.folder)
+                earlier = entry.earlier.manifest
+                resumption.check_same(workshop.problem, machine, earlier, entry.folder)
             loop = workshop.loop(entry.cfg, entry.typed, entry.budget)
             lane = display.lane(entry.name)
             renderer = workshop.renderer
@@ -111,42 +110,57 @@ class _Lanes:
             recorder.loop.rehearse()
             self._detach(recorder)
 
-    def open(self, machine) -> None:
+    def open(self) -> None:
         """Begin all records before any loop, so that a kill leaves each of them."""
         self.display.phase("pictures")
         for entry, recorder in zip(self.entries, self.recorders):
             if entry.earlier is None:
-                recorder.open(machine)
+                recorder.open(self.machine)
             else:
-                recorder.reopen(entry.earlier)
+                recorder.reopen(self.machine, entry.earlier)
 
     def run(self, slice_seconds: float, stop) -> int:
         """Slices in turn until all have ended; then their records."""
         hooks = [recorder.hooks(stop) for recorder in self.recorders]
+        everyone = range(len(hooks))
         ends: dict[int, str] = {}
-        failures = []
-        for number in range(len(hooks)):
-            self._guarded(number, ends, failures, lambda n: self._loop(n).begin(hooks[n]))
+        failures: list[NumericalError] = []
+
+        def begin(n: int) -> None:
+            self._loop(n).begin(hooks[n])
+
+        def advance(n: int) -> None:
+            if self._loop(n).advance(hooks[n], slice_seconds):
+                ends[n] = "done"
+
+        def halt(n: int) -> None:
+            ends[n] = self._loop(n).halt(hooks[n])
+
+        for number in everyone:
+            self._guarded(number, ends, failures, begin)
         turn = 0
         while len(ends) < len(hooks) and not stop():
-            order = [(turn + i) % len(hooks) for i in range(len(hooks))]
-            for number in order:
-                if number in ends or stop():
-                    continue
-
-                def advance(n: int) -> None:
-                    if self._loop(n).advance(hooks[n], slice_seconds):
-                        ends[n] = "done"
-
-                self._guarded(number, ends, failures, advance)
+            for number in ((turn + i) % len(hooks) for i in everyone):
+                if number not in ends and not stop():
+                    self._guarded(number, ends, failures, advance)
             turn += 1
-        for number, recorder in enumerate(self.recorders):
+        for number in everyone:
             if number not in ends:
-                ends[number] = recorder.loop.halt(hooks[number])
+                self._guarded(number, ends, failures, halt)
+        return self._finish(ends, failures, stop)
+
+    def _finish(self, ends: dict[int, str], failures: list, stop) -> int:
+        """What was dear to compute first, of all; then the pictures. Returns the exit status."""
         for number, recorder in enumerate(self.recorders):
-            recorder.finish(ends[number])
+            recorder.close(ends[number])
+        interrupted = "interrupted" in ends.values()
+        # Stopped once, a race has its pictures made; stopped while they are made, it does not.
+        given_up = (lambda: False) if interrupted else stop
+        for number, recorder in enumerate(self.recorders):
+            if not given_up():
+                recorder.illustrate(given_up)
             self.display.ended(self.entries[number].name, ends[number], *recorder.ends)
-        if "interrupted" in ends.values():
+        if interrupted or given_up():
             return interrupt.STATUS
         return failures[0].status if failures else 0
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
-from . import manifest, records, trackers
+from . import manifest, trackers
 from .config import Config
 from .errors import InputError
 from .optimise import Hooks, Loop
 from .pictures import Pictures
 from .records import RunWriter
 from .render import Renderer
+from .resumption import Continuation
 
 # Written besides the billed time; a kill loses about this much work, or, where writing is slow
 # (large textures), as much as keeps writing below this share of the time.
@@ -23,7 +24,7 @@ _CHECKPOINT_SHARE = 0.01
 
 class Recorder:
     """Writes what a loop does: begin with ``open`` or ``reopen``, hand ``hooks`` to the loop, end
-    with ``finish``, whatever ended the loop. ``display`` has ``evaluated(row)``,
+    with ``close`` and ``illustrate``, whatever ended the loop. ``display`` has ``evaluated(row)``,
     ``stepped(loop, progress)`` and ``phase(name)``.
     """
 
@@ -39,6 +40,7 @@ class Recorder:
         self.cfg, self.typed, self.loop, self.display = cfg, typed, loop, display
         self.folder, self._renderer = Path(folder), renderer
         self._first: dict = {}
+        self._resumed: list[dict] = []
         self._saved = 0.0
         self._pause = _CHECKPOINT_SECONDS
         self._snapshots = 0
@@ -57,15 +59,12 @@ class Recorder:
         with loop.clock.unbilled("writing"):
             self.pictures.targets()
 
-    def reopen(self, earlier: dict) -> None:
-        """Go on with a record whose manifest is ``earlier``, from its checkpoint.
-
-        Raises InputError where the checkpoint is missing, damaged or of another scene.
-        """
-        loop = self.loop
-        arrays, state = records.load_checkpoint(self.folder)
+    def reopen(self, machine, earlier: Continuation) -> None:
+        """Go on with a record from its checkpoint. Raises InputError where that does not fit or
+        another process writes the record."""
+        loop, state = self.loop, earlier.state
         try:
-            loop.restore(arrays, state)
+            loop.restore(earlier.arrays, state)
         except (KeyError, ValueError, TypeError) as error:
             what = "/checkpoint/state.npz does not fit this run"
             raise InputError(f"{self.folder}{what}: {error!r}") from error
@@ -77,11 +76,13 @@ class Recorder:
             if rows:
                 self._first, loop.last = rows[0], rows[-1]
             self._config()
-            entry = manifest.continuation(state["iteration"], loop.clock.seconds)
-            earlier["resumed"] = [*earlier.get("resumed", []), entry]
-            self.writer.manifest(earlier)
+            entry = manifest.continuation(
+                machine, state["iteration"], loop.clock.seconds, earlier.earlier_budget
+            )
+            self._resumed = [*earlier.manifest.get("resumed", []), entry]
+            self.writer.manifest({**earlier.manifest, "resumed": self._resumed})
         self._snapshots = self._snapshots_due(loop.position.evaluations)
-        self._saved = time.monotonic()
+        self._saved = self._own_seconds()
 
     def _take(self, writer: RunWriter, purge_step: int | None = None) -> None:
         typed = self.typed
@@ -134,39 +135,58 @@ class Recorder:
 
     def _stepped(self, loop: Loop, progress: float) -> None:
         self.display.stepped(loop, progress)
-        if time.monotonic() - self._saved > self._pause:
+        if self._own_seconds() - self._saved > self._pause:
             self._checkpoint()
 
+    def _own_seconds(self) -> float:
+        """Time that this loop has had: in a race, the others' turns do not count."""
+        clock = self.loop.clock
+        return clock.seconds + sum(clock.unbilled_seconds.values())
+
     def _checkpoint(self) -> None:
-        begun = time.monotonic()
+        begun = self._own_seconds()
         with self.loop.clock.unbilled("writing"):
             arrays, state = self.loop.export()
             self.writer.checkpoint(arrays, state)
-        self._saved = time.monotonic()
+        self._saved = self._own_seconds()
         self._pause = max(_CHECKPOINT_SECONDS, (self._saved - begun) / _CHECKPOINT_SHARE)
 
-    def finish(self, status: str) -> Path:
-        """Checkpoint, summary, pictures, report, in this order: the dearest first.
+    def close(self, status: str) -> None:
+        """Checkpoint and summary: what was dear to compute. ``illustrate`` completes the record."""
+        self._status = status
+        self._checkpoint()
+        self._summary(status, complete=False)
 
-        Returns the path of the report's page.
+    def illustrate(self, given_up: Callable[[], bool] = lambda: False) -> Path:
+        """Pictures and report, after ``close``. Returns the path of the report's page.
+
+        ``given_up``: asked now and then; what is not made yet is left to a continuation.
         """
         loop = self.loop
-        self._checkpoint()
-        self._summary(status)
         self.display.phase("pictures")
-        with loop.clock.unbilled("pictures"):
-            # The start as well: rendered before the loop it would only delay it.
-            self.pictures.values("start", loop.problem.unknowns.starts(), 0)
-            self.pictures.values("result", loop.stepper.values, loop.position.iteration)
-            density = loop.density()
-            if density is not None:
-                self.pictures.density(density, loop.position.iteration)
-        self._summary(status)
+        # The start as well: rendered before the loop it would only delay it.
+        for make in (self._result, self._start, self._density):
+            if not given_up():
+                with loop.clock.unbilled("pictures"):
+                    make()
+        self._summary(self._status, complete=not given_up())
         self.tracker.close()
         from .report import write
 
         self.display.phase("report")
         return write(self.folder)
+
+    def _start(self) -> None:
+        self.pictures.values("start", self.loop.problem.unknowns.starts(), 0)
+
+    def _result(self) -> None:
+        loop = self.loop
+        self.pictures.values("result", loop.stepper.values, loop.position.iteration)
+
+    def _density(self) -> None:
+        density = self.loop.density()
+        if density is not None:
+            self.pictures.density(density, self.loop.position.iteration)
 
     @property
     def warnings(self) -> list[str]:
@@ -177,6 +197,12 @@ class Recorder:
             warnings.append(f"{lost} paths of evaluations and pictures were not finite: left out")
         if not self.loop.estimator.loss.linear:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
+        for entry in self._resumed:
+            if entry.get("earlier_budget"):
+                warnings.append(
+                    f"the budget was {entry['earlier_budget']} up to iteration "
+                    f"{entry['iteration']}: the learning rate followed another schedule"
+                )
         return warnings
 
     @property
@@ -184,7 +210,8 @@ class Recorder:
         """First and last row of the history."""
         return self._first, self.loop.last or {}
 
-    def _summary(self, status: str) -> None:
+    def _summary(self, status: str, complete: bool) -> None:
+        """``complete``: pictures and report are there as well."""
         errors = ("loss", "image_rmse", "parameter_rmse")
 
         def of(row: dict) -> dict:
@@ -194,6 +221,7 @@ class Recorder:
         self.writer.summary(
             {
                 "status": status,
+                "complete": complete,
                 "scene": self.typed.scene.name,
                 "sampler": self.cfg.sampler.name,
                 "loss": self.cfg.loss.name,

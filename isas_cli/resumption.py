@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
@@ -16,6 +19,7 @@ from .config import Config
 from .errors import InputError
 
 if TYPE_CHECKING:
+    from .backend import Backend
     from .problem import Problem
 
 # Everything else decides what is computed next; a run continued otherwise would be two runs.
@@ -32,6 +36,8 @@ def parse(overrides: list[str]) -> dict:
             value = override.value()
         except HydraException as error:
             raise InputError(f"{text}: cannot be read: give KEY=VALUE") from error
+        if override.is_delete() or override.is_sweep_override():
+            raise InputError(f"{text}: a continued run takes one value: KEY=VALUE")
         if override.key_or_group not in _FREE:
             raise InputError(
                 f"{text}: a continued run keeps its settings; only these may change: "
@@ -41,52 +47,85 @@ def parse(overrides: list[str]) -> dict:
     return changes
 
 
-def prepare(folder: Path, changes: dict) -> tuple[DictConfig, dict]:
-    """The configuration to go on with, and the run's manifest. Reads records only.
+class Spent(InputError):
+    """There is nothing left to do for a run."""
 
-    Raises InputError, one line, when ``folder`` holds nothing that can be continued.
+
+@dataclass(frozen=True)
+class Continuation:
+    """A run to go on with: its configuration as changed, its manifest, the budget it had so far
+    where that has changed, and its checkpoint."""
+
+    folder: Path
+    cfg: DictConfig
+    manifest: dict
+    earlier_budget: str | None
+    arrays: dict[str, np.ndarray]
+    state: dict
+
+
+def prepare(folder: Path, changes: dict) -> Continuation:
+    """What to go on with. Reads records only.
+
+    Raises InputError, one line, when ``folder`` holds nothing that can be continued: also when
+    all is done and the budget spent. A run that was killed after its last iteration and before
+    the end of its record is finished by a continuation.
     """
     run = records.load(folder)
     if manifest.alive(run.manifest):
         raise InputError(f"{folder} is still being written: its process has not ended")
-    cfg = _configuration(folder, changes)
-    budget, spent = _budget(folder, cfg)
-    if budget.progress(*spent) >= 1:
-        seconds, iterations, paths = spent
-        raise InputError(
-            f"{folder}: its budget ({budget}) is spent ({seconds:.1f} s, {iterations} iterations, "
-            f"{paths} paths); give a larger one, such as budget.seconds={2 * seconds:.0f}"
-        )
-    return cfg, run.manifest
+    cfg, before = _configuration(folder, changes)
+    arrays, state = records.load_checkpoint(folder)
+    budget = _budget(cfg)
+    spent = (sum(state["billed"].values()), state["iteration"], state["paths"])
+    if run.complete and budget.progress(*spent) >= 1:
+        raise Spent(f"{folder}: its budget is spent: {_larger(budget, *spent)}")
+    earlier = None if before == budget else str(before)
+    return Continuation(folder, cfg, run.manifest, earlier, arrays, state)
 
 
-def is_spent(folder: Path, changes: dict) -> bool:
-    """Whether nothing of the run's budget is left. Raises InputError like ``prepare``."""
-    budget, spent = _budget(folder, _configuration(folder, changes))
-    return budget.progress(*spent) >= 1
+def _larger(budget: Budget, seconds: float, iterations: int, paths: int) -> str:
+    """The limits that have been reached, and what would lift them."""
+    spent = {"seconds": seconds, "iterations": iterations, "paths": paths}
+    reached = [name for name, used in spent.items() if used >= (getattr(budget, name) or math.inf)]
+    limits = ", ".join(f"{name}={getattr(budget, name):g}" for name in reached)
+    more = " ".join(f"budget.{name}={2 * getattr(budget, name):g}" for name in reached)
+    return f"{limits}; give a larger one, such as {more}"
 
 
-def _budget(folder: Path, cfg: DictConfig) -> tuple[Budget, tuple[float, int, int]]:
-    """The budget, and what the checkpoint says was spent of it."""
-    _, state = records.load_checkpoint(folder)
-    budget = Budget(cfg.budget.seconds, cfg.budget.iterations, cfg.budget.paths)
-    return budget, (sum(state["billed"].values()), state["iteration"], state["paths"])
+def _budget(cfg: DictConfig) -> Budget:
+    return Budget(cfg.budget.seconds, cfg.budget.iterations, cfg.budget.paths)
 
 
-def _configuration(folder: Path, changes: dict) -> DictConfig:
+def _configuration(folder: Path, changes: dict) -> tuple[DictConfig, Budget]:
+    """The configuration as changed, and the budget before that."""
     try:
         cfg = OmegaConf.merge(OmegaConf.structured(Config), OmegaConf.load(folder / "config.yaml"))
-        for key, value in changes.items():
-            OmegaConf.update(cfg, key, value)
+        before = _budget(cfg)
         OmegaConf.to_object(cfg)
     except (OSError, OmegaConfBaseException) as error:
-        reason = " ".join(str(error).split())
+        reason = str(error).split("\n")[0]
         raise InputError(f"{folder}/config.yaml does not give a run: {reason}") from error
+    return changed(cfg, changes), before
+
+
+def changed(cfg: DictConfig, changes: dict) -> DictConfig:
+    """``cfg`` with new values by key. Raises InputError for one that does not fit."""
+    for key, value in changes.items():
+        try:
+            OmegaConf.update(cfg, key, value)
+        except OmegaConfBaseException as error:
+            raise InputError(f"{key}={value}: {str(error).splitlines()[0]}") from error
     return cfg
 
 
-def check_same_problem(problem: "Problem", earlier: dict, folder: Path) -> None:
-    """Raises InputError unless scene and targets are those that the run began with."""
+def check_same(problem: "Problem", machine: "Backend", earlier: dict, folder: Path) -> None:
+    """Raises InputError unless scene, targets and variant are those that the run began with."""
+    if earlier.get("variant") != machine.variant:
+        raise InputError(
+            f"{folder} began with variant={earlier.get('variant')}, and this machine takes "
+            f"{machine.variant}: billed seconds of both would not be comparable"
+        )
     now = {"scene_hash": problem.content_hash, "target_hash": problem.target_hash}
     for name, value in now.items():
         if earlier.get(name) != value:

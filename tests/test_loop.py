@@ -237,6 +237,24 @@ def test_gradient_noise_is_the_distance_from_adams_mean():
             assert np.isnan(stepper.noise(gradients)), "the mean is the gradient itself"
             continue
         assert stepper.noise(gradients) == pytest.approx(expected, rel=1e-4, abs=1e-9)
+    stepper = Stepper(p.unknowns, OptimizerConfig(mask_updates=True))
+    for step in range(30):  # entries touched all the time, late, and now and then
+        often = (np.arange(size) % 3 == 0) | ((np.arange(size) % 3 == 1) & (step > 20))
+        often |= (np.arange(size) % 3 == 2) & (step % 10 == 9)
+        entries = mi.Float(np.where(often, 2e-3, 0).astype(np.float32))
+        gradients = {TEXTURE: unflat(stepper.values[TEXTURE], entries)}
+        stepper.step(gradients, 0.0)
+    assert stepper.noise(gradients) < 1e-6 * 2e-3**2, "a gradient that never changes"
+
+
+def test_gradient_noise_counts_what_the_batch_touched():
+    p, rng = problem({TEXTURE: 0.5}, constant_target=None), np.random.default_rng(5)
+    stepper = Stepper(p.unknowns, OptimizerConfig(mask_updates=False))
+    size, mean = as_numpy(stepper.values[TEXTURE]).size, 0.0
+    for _ in range(4):
+        g = rng.normal(size=size).astype(np.float32)
+        stepper.step({TEXTURE: unflat(stepper.values[TEXTURE], mi.Float(g))}, 0.0)
+        mean = 0.9 * mean + 0.1 * g.astype(np.float64)
     half = np.where(np.arange(size) % 2, g, 0).astype(np.float32)
     touched = np.mean(((mean / (1 - 0.9**4) - half) ** 2)[half != 0])
     gradients = {TEXTURE: unflat(stepper.values[TEXTURE], mi.Float(half))}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from isas_cli import app, manifest, records
+from isas_cli.errors import InputError
 
 SMALL = [
     *("scene=pottery", "size=tiny", "threads=1", "estimator.batch=2048", "frames.views=1"),
@@ -70,7 +72,7 @@ def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(tmp_path, sampler,
     assert a.keys() == b.keys() and any(name.startswith("second/") for name in a)
     for name in a:
         assert np.array_equal(a[name], b[name]), name
-    for name in ("iteration", "paths", "evaluations", "touched", "nonfinite", "steps", "scale"):
+    for name in ("iteration", "paths", "touched", "nonfinite", "steps", "scale"):
         assert of_whole[name] == of_cut[name], name
     histories = [records.load(folder).history for folder in (whole, cut)]
     shared = [set(history["iteration"]) for history in histories]
@@ -106,7 +108,11 @@ def test_what_cannot_be_continued_is_one_line(finished, capsys, tmp_path):
     assert "holds no run" in refused(capsys, f"resume={tmp_path}")
     assert "resume is empty" in refused(capsys, "resume=")
     spent = refused(capsys, f"resume={finished}")
-    assert "iterations=4" in spent and "spent" in spent and "larger" in spent
+    assert "iterations=4" in spent and "spent" in spent and "budget.iterations=8" in spent
+    assert "one value" in refused(capsys, f"resume={finished}", "~budget.iterations")
+    assert "one value" in refused(capsys, f"resume={finished}", "budget.iterations=8,9")
+    wrong = refused(capsys, f"resume={finished}", "budget.seconds=abc")
+    assert wrong.startswith("isas: budget.seconds=abc: ") and "config.yaml" not in wrong
     changed = refused(capsys, f"resume={finished}", "optimizer.lr=0.1")
     assert "optimizer.lr=0.1" in changed and "budget.seconds" in changed
     assert "one folder" in refused(capsys, f"resume={finished}", f"resume={finished}")
@@ -124,6 +130,53 @@ def test_a_larger_budget_goes_on_where_the_run_ended(finished, capsys):
         before.history["iteration"].tolist()
     )
     assert after.summary["start"] == before.summary["start"]
+    between = after.history["iteration"].between(5, 8)
+    assert between.any(), "evaluated on the way, not only at the end"
+    assert any("iterations=4" in warning for warning in after.summary["warnings"])
+    assert after.manifest["resumed"][0]["earlier_budget"] == "iterations=4"
+
+
+def test_a_run_killed_while_its_pictures_were_made_is_completed(finished, tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(finished, folder)
+    summary = json.loads((folder / "summary.json").read_text())
+    (folder / "summary.json").write_text(json.dumps({**summary, "complete": False}))
+    (folder / "report.html").unlink()
+    assert app.main(["run", f"resume={folder}"]) == 0
+    after = records.load(folder)
+    assert after.complete and (folder / "report.html").is_file()
+    assert after.summary["iterations"] == summary["iterations"]
+    (folder / "summary.json").unlink()
+    assert app.main(["run", f"resume={folder}"]) == 0
+    assert records.load(folder).complete
+
+
+def test_two_processes_cannot_write_one_record(finished):
+    hold = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from isas_cli.records import RunWriter\n"
+        "writer = RunWriter.reopen(Path(sys.argv[1]), 10**6)\n"
+        "print('held', flush=True)\n"
+        "input()\n"
+    )
+    command = [sys.executable, "-c", hold, str(finished)]
+    text = (finished / "summary.json").read_text()
+    other = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert other.stdout.readline() == "held\n"
+        for begin in (
+            lambda: records.RunWriter(finished, overwrite=True),
+            lambda: records.RunWriter.reopen(finished, 0),
+        ):
+            with pytest.raises(InputError, match="still being written"):
+                begin()
+        assert (finished / "history.csv").exists(), "nothing was removed"
+    finally:
+        other.communicate("\n")
+        (finished / "summary.json").write_text(text)
+    records.RunWriter.reopen(finished, 10**6)
+    (finished / "summary.json").write_text(text)
 
 
 def test_a_changed_scene_and_a_living_process_are_refused(finished, capsys):

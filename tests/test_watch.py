@@ -94,7 +94,7 @@ def test_a_run_that_is_resumed_from_an_earlier_checkpoint_is_followed_on(tmp_pat
         lambda: made[0].summary({"status": "done"}),
     ]
     assert watch.main(tmp_path) == 0
-    assert said_iterations(capsys) == ["it 30", "it 20", "it 30"]
+    assert said_iterations(capsys) == ["it 30", "it 10", "it 20", "it 30"]
 
 
 def test_a_killed_run_is_said_to_be_and_how_it_goes_on(tmp_path, script, capsys):

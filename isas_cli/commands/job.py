@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from .. import interrupt
 from ..errors import InputError, IsasError
-from ..records import files
+from ..records import files, load_checkpoint
 from . import fingerprint, one
 from .outcome import Outcome, outcome, read_summary
 
@@ -39,9 +39,10 @@ class Job:
             return OTHER if (self.folder / "manifest.json").exists() else NOTHING
         summary = read_summary(self.folder) or {}
         status = summary.get("status")
-        if status == "done":
+        if status == "done" and summary.get("complete", True):
             return DONE
-        stopped = status in (None, "interrupted") or summary.get("killed")
+        # "done" without the rest of its record: killed while its pictures were made.
+        stopped = status in (None, "interrupted", "done") or summary.get("killed")
         checkpoint = (self.folder / "checkpoint" / "state.npz").exists()
         return UNFINISHED if stopped and checkpoint else FAILED
 
@@ -95,10 +96,21 @@ def _go(cfg: DictConfig, job: Job) -> Report:
             changes = {"threads": cfg.threads} if cfg.threads else {}
             return Report(experiment.resume(job.folder, changes), resumed=True)
         except InputError as error:
+            if _has_checkpoint(job.folder):  # nothing that was computed is thrown away
+                raise
             print(f"not resumed, begun anew: {error}", file=sys.stderr)
     if found in (UNFINISHED, FAILED):
         cfg.overwrite = True
     return Report(one.run(cfg, str(job.folder)))
+
+
+def _has_checkpoint(folder: Path) -> bool:
+    """Whether there is one that this isas reads."""
+    try:
+        load_checkpoint(folder)
+    except InputError:
+        return False
+    return True
 
 
 def _refuse_if_alive(folder: Path) -> None:

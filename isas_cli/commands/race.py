@@ -88,14 +88,20 @@ def _fresh(own: dict[str, str], overrides: list[str]):
     for difference in differences:
         more = translate([f"{key}={override(value)}" for key, value in difference.items()])
         for seed in seeds:
-            cfg = compose([*common, *more, f"seed={seed}"])
+            settings = [*common, *more, f"seed={seed}", f"name=seed{seed}"]
+            cfg = compose(settings)
             folder = folder or _folder(own, cfg.scene.name)
             label = _label(cfg, difference)
             place = folder / _slug(label) / f"seed{seed}"
-            cfg.name = f"seed{seed}"
             one.check_folder(place, cfg.overwrite)
             entries.append(Entry(label, cfg, place))
-            planned.append({"label": label, "folder": str(place.relative_to(folder))})
+            relative = str(place.relative_to(folder))
+            planned.append({"label": label, "folder": relative, "settings": settings})
+    if (folder / _FILE).exists() and not cfg.overwrite:
+        raise InputError(
+            f"{folder} already holds a race: choose another folder with hydra.run.dir=DIR, go on "
+            f"with it by resume={folder}, or replace it with overwrite=true"
+        )
     _distinct("contestants: folder", [plan["folder"] for plan in planned])
     written = yaml.safe_dump({"schema": 1, "entries": planned}, sort_keys=False)
 
@@ -107,7 +113,7 @@ def _fresh(own: dict[str, str], overrides: list[str]):
 
 def _continued(own: dict[str, str], overrides: list[str]):
     """Folder and unfinished entries of an earlier race; there is nothing to write down."""
-    from ..race import continued
+    from ..race import Entry, continued
 
     strange = sorted(set(own) - {"resume", "slice"})
     if strange:
@@ -115,12 +121,18 @@ def _continued(own: dict[str, str], overrides: list[str]):
     folder = Path(own["resume"].strip("\"'"))
     try:
         planned = yaml.safe_load((folder / _FILE).read_text(encoding="utf-8"))["entries"]
-        places = [(plan["label"], folder / plan["folder"]) for plan in planned]
+        places = [(plan["label"], folder / plan["folder"], plan["settings"]) for plan in planned]
     except (OSError, yaml.YAMLError, KeyError, TypeError) as error:
         raise InputError(f"{folder} holds no race: {_FILE} is missing or damaged") from error
     changes = resumption.parse(overrides)
-    found = [continued(label, place, changes) for label, place in places]
-    entries = [entry for entry in found if entry is not None]
+    entries = []
+    for label, place, settings in places:
+        if (place / "manifest.json").exists():
+            entry = continued(label, place, changes)
+        else:  # killed before its record was begun
+            entry = Entry(label, resumption.changed(compose(settings), changes), place)
+        if entry is not None:
+            entries.append(entry)
     if not entries:
         raise InputError(f"{folder}: every contestant has spent its budget: give a larger one")
     return folder, entries, lambda: None
@@ -154,7 +166,7 @@ def _contestants(text: str) -> list[dict[str, Any]]:
         )
     for contestant in found:
         for key in contestant:
-            if key.split(".")[0] in _SHARED:
+            if key.lstrip("+~").split(".")[0] in _SHARED:
                 raise InputError(f"contestants: {key}: all contestants of a race share it")
     _distinct("contestants", [json.dumps(contestant, sort_keys=True) for contestant in found])
     return found
@@ -214,8 +226,10 @@ def _compared(folder: Path, status: int) -> int:
     """The comparison's page, which a race is run for. Returns the race's status."""
     from .compare import main as compare
 
+    # Its own runs, not whatever else lies below its folder.
+    planned = yaml.safe_load((folder / _FILE).read_text(encoding="utf-8"))["entries"]
     try:
-        compare([folder], folder / "comparison", None)
+        compare([folder / plan["folder"] for plan in planned], folder / "comparison", None)
     except InputError:  # nothing was reached that could be compared
         if not status:
             raise

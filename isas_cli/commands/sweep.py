@@ -18,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from .. import config
 from ..compose import explain
-from ..errors import InputError, IsasError, nearest
+from ..errors import InputError, nearest
 from . import fingerprint, launchers, one, outcome
 from .launch import Sweep, Task
 
@@ -61,19 +61,19 @@ def _sweep(flags: list[str], overrides: list[str]) -> int:
 
 def _other(flags: list[str], overrides: list[str]) -> int:
     """Flags that print something; or --run."""
-    ends: list[int | IsasError] = []
+    ends: list[int | Exception] = []
 
     def run(cfg: DictConfig) -> None:
         folder = HydraConfig.get().runtime.output_dir
         try:
             ends.append(one.run(cfg, folder))
-        except IsasError as error:  # Hydra would add lines of its own
+        except Exception as error:  # Hydra would add lines of its own, or take it for its own
             ends.append(error)
             one.remove_empty(Path(folder))
 
     status = _enter(run, flags, overrides)
     for end in ends:
-        if isinstance(end, IsasError):
+        if isinstance(end, Exception):
             raise end
         status = end
     return status

@@ -44,6 +44,11 @@ class Run:
     summary: dict[str, Any] | None
 
     @property
+    def complete(self) -> bool:
+        """Whether the run has ended and its record, pictures included, with it."""
+        return self.summary is not None and bool(self.summary.get("complete", True))
+
+    @property
     def keys(self) -> list[str]:
         """The unknowns that have a parameter error of their own, in the order of the columns."""
         return [c[len(KEY_PREFIX) :] for c in self.history.columns if c.startswith(KEY_PREFIX)]
@@ -118,5 +123,5 @@ def read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
     if not path.is_file():
         return [], []
     text = parsed(path, lambda: path.read_text(encoding="utf-8"))
-    columns, *rows = csv.reader(io.StringIO(text)) or [[]]
+    columns, *rows = list(csv.reader(io.StringIO(text))) or [[]]
     return columns, rows

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import csv
+import fcntl
 import io
 import json
 import math
 import operator
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,8 @@ class RunWriter:
     """Writes the files of one run into `folder`.
 
     Raises InputError when the folder cannot be written, or already holds a run and `overwrite` is
-    false. With `overwrite` the earlier run's files go, and nothing else that lies in the folder.
+    false, or another process writes it. With `overwrite` the earlier run's files go, and nothing
+    else that lies in the folder.
     Every method raises IsasError, one line naming the file, when the disk refuses.
     """
 
@@ -54,7 +55,7 @@ class RunWriter:
         self._rows: list[list[str]] = []
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            tempfile.TemporaryFile(dir=self.folder).close()
+            self._claim()
             if any((self.folder / name).exists() for name in _RECORD_FILES):
                 if not overwrite:
                     message = "already holds a run; choose another folder with hydra.run.dir=DIR"
@@ -70,9 +71,10 @@ class RunWriter:
 
     @classmethod
     def reopen(cls, folder: Path, iteration: int) -> "RunWriter":
-        """The writer of a run that goes on after ``iteration``: rows beyond it, which were
-        measured after the checkpoint that is continued, will be measured again, and the summary
-        of the earlier end goes. Raises InputError when the folder cannot be written."""
+        """The writer of a run that goes on after ``iteration``: rows and snapshots beyond
+        it, made after the checkpoint that is continued, go and will be made again, and so does
+        the summary of the earlier end. Raises InputError when the folder cannot be written or
+        another process writes it."""
         writer = cls.__new__(cls)
         writer.folder = Path(folder)
         columns, rows = read_rows(writer.folder / "history.csv")
@@ -81,14 +83,29 @@ class RunWriter:
         place = columns.index("iteration") if columns else 0
         writer._rows = [row + [""] * len(added) for row in rows if int(row[place]) <= iteration]
         try:
-            tempfile.TemporaryFile(dir=writer.folder).close()
+            writer._claim()
+            if columns:
+                writer._history()
             (writer.folder / "summary.json").unlink(missing_ok=True)
+            for old in writer.folder.glob("frames/progress_*_i*"):
+                if int(old.stem.rpartition("_i")[2]) > iteration:
+                    old.unlink()
             for pattern in _LEFT_OVER:
                 for old in writer.folder.glob(pattern):
                     old.unlink()
         except OSError as error:
             raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from error
         return writer
+
+    def _claim(self) -> None:
+        """Keep other processes out for as long as this one lives; the system ends it with it."""
+        self._lock = open(self.folder / ".lock", "w")
+        try:
+            fcntl.lockf(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except (BlockingIOError, PermissionError) as error:
+            raise InputError(
+                f"{self.folder} is still being written: its process has not ended"
+            ) from error
 
     @property
     def rows(self) -> list[dict[str, float]]:
@@ -125,6 +142,9 @@ class RunWriter:
         if strange:
             raise ValueError(f"history.csv has no column {', '.join(strange)}")
         self._rows.append([_cell(name, row.get(name)) for name in self._columns])
+        self._history()
+
+    def _history(self) -> None:
         text = io.StringIO()
         table = csv.writer(text, lineterminator="\n")
         table.writerow(self._columns)
