@@ -1,8 +1,8 @@
 """Pottery, 16 views of 512²: every sampler at every learning rate of a small grid, raced.
 
 One `isas race`, so that all contestants share a process and its drift; a sampler is judged by its
-best rate. Writes results/pottery_race_*: accuracy_time.csv, methods.csv and errors.png of the
-comparison (whose page stays in the race's folder), and best.csv, one row per sampler.
+best rate. Writes results/pottery_race_*: accuracy_time.csv and errors.png of the comparison (whose
+page stays in the race's folder), and best.csv, one row per sampler.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ def main() -> None:
     subprocess.run([*command, f"budget.seconds={chosen.seconds}"], check=True)
     results = HERE / "results"
     results.mkdir(exist_ok=True)
-    for name in ("accuracy_time.csv", "methods.csv"):
-        shutil.copy(folder / "comparison" / name, results / f"pottery_race_{name}")
+    accuracy = folder / "comparison" / "accuracy_time.csv"
+    shutil.copy(accuracy, results / "pottery_race_accuracy_time.csv")
     errors = folder / "comparison" / "plots" / "pottery_errors.png"
     shutil.copy(errors, results / "pottery_race_errors.png")
     table = best(folder / "comparison")
