@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-import resource
 import subprocess
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pandas
 import pytest
+from disk import full_disk
 
 from isas_cli import records
 from isas_cli.errors import InputError, IsasError
@@ -32,17 +31,6 @@ ROW = {
     "stage1_seconds": 0,
     "learning_rate": 0.02,
 }
-
-
-@contextmanager
-def full_disk(after_bytes: int):
-    """Files cannot grow beyond `after_bytes`; writing more fails as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (after_bytes, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def files_in(folder: Path) -> list[str]:

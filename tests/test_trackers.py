@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import io
 import math
-import resource
 import struct
 import threading
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from disk import full_disk
 from PIL import Image
 from tensorboardX.proto import event_pb2, plugin_hparams_pb2
 
@@ -57,17 +56,6 @@ def values(of_file, tag):
         for value in event.summary.value
         if value.tag == tag
     ]
-
-
-@contextmanager
-def full_disk(after_bytes: int):
-    """Files cannot grow beyond `after_bytes`; writing more fails as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (after_bytes, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_tracker_that_is_not_there_is_refused_in_one_line(tmp_path, monkeypatch):

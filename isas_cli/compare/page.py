@@ -14,11 +14,11 @@ from pathlib import Path
 
 import plotly.offline
 import yaml
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from ..records import Run, write_atomically
 from ..report.figures import Picture
+from ..report.page import template
 from . import (
     animation,
     facts,
@@ -104,7 +104,8 @@ def write(comparison: Comparison, output: Path) -> Path:
             warnings.append(f"{name}: no animation, as its runs saved no pictures on the way")
         pictures += [film] if film else []
         scenes.append(_scene(comparison, name, f"scene{number}", methods, look, pictures, output))
-    text = _template().render(
+    shown = {"embedded": slides.file_address, "least_width": slides.least_width}
+    text = template("isas_cli.compare", **shown).render(
         scenes=scenes,
         look=look,
         warnings=warnings,
@@ -182,18 +183,6 @@ def _record(method: Method, run: Run, output: Path) -> _Record:
         config=yaml.safe_dump(run.config, sort_keys=False, allow_unicode=True),
         manifest=json.dumps(run.manifest, indent=2, ensure_ascii=False),
     )
-
-
-def _template():
-    environment = Environment(
-        loader=PackageLoader("isas_cli.compare"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(embedded=slides.file_address, least_width=slides.least_width)
-    return environment.get_template("report.html")
 
 
 def _scripts() -> list[str]:

@@ -16,7 +16,7 @@ import yaml
 
 from ..errors import InputError, IsasError
 
-# 2: history.csv has gradient_noise; checkpoints hold counters, times and the last gradient's place.
+# 2: history.csv has gradient_noise; checkpoints hold counters, times and the weights of moments.
 SCHEMA_VERSION = 2
 READABLE = (1, 2)
 

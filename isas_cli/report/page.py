@@ -8,11 +8,11 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from ..records import KEY_PREFIX, Run, write_atomically
 from .figures import Picture
@@ -27,16 +27,8 @@ def write_page(run: Run, pictures: list[Picture], plots: list[Picture]) -> Path:
     pictures, plots: PNGs that lie on the disk, shown in this order.
     """
     summary = run.summary or _from_history(run)
-    environment = Environment(
-        loader=PackageLoader("isas_cli.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(number=number, embedded=_embedded)
     config = run.folder / "config.yaml"
-    text = environment.get_template("report.html").render(
+    text = template("isas_cli.report", number=number, embedded=_embedded).render(
         summary=summary,
         results=_results(summary),
         truth_known=_value(summary, "start", "parameter_rmse") is not None,
@@ -54,6 +46,19 @@ def write_page(run: Run, pictures: list[Picture], plots: list[Picture]) -> Path:
 
     write_atomically(path, write)
     return path
+
+
+def template(package: str, **filters: Callable) -> Template:
+    """report.html among a package's templates: text is escaped, a missing value is an error."""
+    environment = Environment(
+        loader=PackageLoader(package),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(filters)
+    return environment.get_template("report.html")
 
 
 def number(value: float | None) -> str:
