@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from .config import OptimizerConfig
+from .samplers.base import Moments
 from .schedule import factor
 from .unknowns import Unknowns, as_numpy, flat, unflat
 
@@ -39,14 +40,19 @@ class Stepper:
         for key, value in values.items():
             self.adam[key] = value
         self.nonfinite, self.touched = mi.UInt64(0), mi.UInt64(0)
-        # 1 - β₁ⁿ for each entry, n the steps that its moment has taken part in.
-        self.weight = {key: dr.zeros(mi.Float, dr.width(flat(values[key]))) for key in values}
+        # The steps that each entry has taken part in, for the moments' bias corrections.
+        self.visits = {key: dr.zeros(mi.Float, dr.width(flat(values[key]))) for key in values}
         # Opaque: as literals they would be compiled into the first step.
-        dr.make_opaque(self.nonfinite, self.touched, self.weight)
+        dr.make_opaque(self.nonfinite, self.touched, self.visits)
 
     @property
     def values(self) -> dict:
         return {key: dr.detach(self.adam[key]) for key in self.unknowns.keys}
+
+    @property
+    def taken(self) -> int:
+        """Steps since the start."""
+        return int(self.adam.state[self.unknowns.keys[0]][3][0][0])
 
     def rate(self, progress: float) -> float:
         """The learning rate of unknowns without their own, at this progress of the budget."""
@@ -67,8 +73,7 @@ class Stepper:
             scale = dr.opaque(mi.Float, self.scale[key])
             clean = dr.select(finite, entries * scale, 0)
             took_part = (clean != 0) | (not self.settings.mask_updates)
-            old = self.weight[key]
-            self.weight[key] = dr.select(took_part, dr.lerp(1, old, self.settings.beta_1), old)
+            self.visits[key] += dr.select(took_part, mi.Float(1), 0)
             dr.set_grad(self.adam[key], unflat(gradients[key], clean))
         self.nonfinite += bad
         self.touched += touched
@@ -78,7 +83,7 @@ class Stepper:
             if np.isfinite(unknown.low) or np.isfinite(unknown.high):
                 value = self.adam[unknown.key]
                 self.adam[unknown.key] = dr.clip(dr.detach(value), unknown.low, unknown.high)
-        dr.eval(self.adam.state, self.nonfinite, self.touched, self.weight)
+        dr.eval(self.adam.state, self.nonfinite, self.touched, self.visits)
 
     def calibrate(self, gradients: list[dict]) -> None:
         """Fix ``scale`` as 1 / (root mean square of the non-zero finite entries), per unknown."""
@@ -104,14 +109,34 @@ class Stepper:
         for key in self.unknowns.keys:
             _, first, _, _ = self.adam.state[key][3]
             entries = np.array(flat(gradients[key]), dtype=np.float64)
-            weight = np.array(self.weight[key], dtype=np.float64)
-            β = self.settings.beta_1
-            once = (1 - β) * (1 + β / 2)  # between the weights of one step and of two
-            touched = np.isfinite(entries) & (entries != 0) & (weight > once)
-            smoothed = np.array(first, dtype=np.float64)[touched] / weight[touched]
+            steps = np.array(self.visits[key], dtype=np.float64)
+            touched = np.isfinite(entries) & (entries != 0) & (steps > 1)
+            weight = 1 - self.settings.beta_1 ** steps[touched]
+            smoothed = np.array(first, dtype=np.float64)[touched] / weight
             total += float(np.sum((smoothed / self.scale[key] - entries[touched]) ** 2))
             count += int(touched.sum())
         return total / count if count else float("nan")
+
+    def moments(self, progress: float) -> Moments:
+        """Adam's moments after at least one step, as samplers read them. Evaluates."""
+        first, second, noise = {}, {}, {}
+        β = self.settings.beta_1
+        for key in self.unknowns.keys:
+            t, m, v, _ = self.adam.state[key][3]
+            steps = int(t[0])
+            unit = dr.opaque(mi.Float, 1 / self.scale[key])
+            took_part = self.visits[key] * dr.opaque(mi.Float, 1 / steps)
+            forgotten = dr.power(mi.Float(β), self.visits[key])
+            part = 1 - forgotten
+            first[key] = dr.select(part > 0, took_part * m / part, 0) * unit
+            second[key] = v * dr.opaque(mi.Float, 1 / (1 - self.settings.beta_2**steps))
+            second[key] *= dr.square(unit)
+            # Σ of squared weights of a mean over n steps that forgets by β.
+            share = (1 - β) / (1 + β) * (1 + forgotten) / part
+            noise[key] = dr.select(part > 0, took_part * share * second[key], 0)
+        dr.eval(first, second, noise)
+        rates = {u.key: (u.lr or self.settings.lr) * self.factor(progress) for u in self.unknowns}
+        return Moments(first, second, noise, rates)
 
     def export(self) -> tuple[dict[str, np.ndarray], dict]:
         """Values and moments as arrays; step counts, scales and counters as JSON."""
@@ -121,7 +146,7 @@ class Stepper:
             arrays[f"value/{key}"] = as_numpy(self.adam[key])
             arrays[f"first/{key}"] = np.array(first)
             arrays[f"second/{key}"] = np.array(second)
-            arrays[f"weight/{key}"] = np.array(self.weight[key])
+            arrays[f"visits/{key}"] = np.array(self.visits[key])
             steps[key] = int(count[0])
         counters = {"nonfinite": int(self.nonfinite[0]), "touched": int(self.touched[0])}
         return arrays, {"steps": steps, "scale": self.scale, **counters}
@@ -135,7 +160,7 @@ class Stepper:
             moments = [type(first)(arrays[f"{name}/{key}"]) for name in ("first", "second")]
             steps = type(count)(state["steps"][key])
             self.adam.state[key] = value, promoted, rate, (steps, *moments, most)
-            self.weight[key] = mi.Float(arrays[f"weight/{key}"])
+            self.visits[key] = mi.Float(arrays[f"visits/{key}"])
         self.scale = dict(state["scale"])
         self.nonfinite = mi.UInt64(state["nonfinite"])
         self.touched = mi.UInt64(state["touched"])

@@ -9,6 +9,7 @@ estimator multiplies by w_j / (3 Σ w). The image-space estimators feed a *singl
 into it: that is unbiased for ∂ℒ/∂I exactly when ∂ℓ/∂I is linear in I (ISAS §4.1), which
 ``linear`` says.
 
+``curvature`` is ∂²ℓ/∂I², for samplers that ask how much an unknown matters; no gradient uses it.
 ``measured`` is ℓ from two independent renderings of a pixel, for evaluation: without the noise of
 the renderings where the loss is quadratic in I.
 """
@@ -41,6 +42,9 @@ class L2:
     def derivative(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
         return 2 * (image - target)
 
+    def curvature(self, target: mi.Color3f) -> mi.Color3f:
+        return mi.Color3f(2)
+
 
 @dataclass
 class RelativeL2:
@@ -68,6 +72,9 @@ class RelativeL2:
     def derivative(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
         return 2 * (image - target) / (dr.square(target) + self.epsilon)
 
+    def curvature(self, target: mi.Color3f) -> mi.Color3f:
+        return 2 / (dr.square(target) + self.epsilon)
+
 
 @dataclass
 class L1:
@@ -91,3 +98,8 @@ class L1:
     def derivative(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
         difference = image - target
         return dr.select(difference == 0, 0, dr.sign(difference))
+
+    def curvature(self, target: mi.Color3f) -> mi.Color3f:
+        """1 everywhere. The curvature of E|⟨I⟩ - T| is twice the density of ⟨I⟩ at T, which one
+        sample does not show."""
+        return mi.Color3f(1)

@@ -141,6 +141,8 @@ class Loop:
             with self.clock.billed("stage1"):
                 self._look(p.iteration)
             p.paths += self.sampler.paths_per_look
+            if p.iteration == 0:
+                p.paths += self.sampler.paths_before
         with self.clock.billed("step"):
             progress = self.progress
             self._gradients = self._estimate(p.iteration)
@@ -149,7 +151,11 @@ class Loop:
         p.iteration += 1
 
     def _look(self, iteration: int) -> None:
-        self._weights = self.sampler.look(self.stepper.values, self.seed, iteration)
+        moments = None
+        if self.sampler.needs_moments and self.stepper.taken:
+            moments = self.stepper.moments(self.progress)
+        found = self.sampler.look(self.stepper.values, self.seed, iteration, moments)
+        self._weights = self.sampler.blended(self._weights, found)
         self._spread()
 
     def _spread(self) -> None:
@@ -254,8 +260,5 @@ class Loop:
         if self._distribution is None:
             return None
         views = self.problem.views
-        slot = dr.arange(mi.UInt32, views.total)
-        density = dr.zeros(mi.Float, views.total)
-        share = self._distribution.probability(slot) * views.total
-        dr.scatter(density, share, views.index(*views.locate_slot(slot)))
-        return np.array(density)
+        pixel = views.locate(dr.arange(mi.UInt32, views.total))
+        return np.array(self._distribution.probability(*pixel) * views.total)

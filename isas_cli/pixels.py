@@ -1,23 +1,26 @@
 """All pixels of all views as one index range, and a distribution over it.
 
-There are two orders. *Pixels* count row after row, as images are stored. *Slots* count tile after
-tile, nested, and are what a distribution ranges over: its draws come out sorted, so neighbouring
+There are two orders. *Pixels* count row after row, as images are stored. *Slots* count patch after
+patch, nested, and are what a distribution ranges over: its draws come out sorted, so neighbouring
 lanes of a wavefront get neighbouring slots, and these should be neighbours in both directions.
 Measured on pottery, 65,536 of 4 M pixels: the same step took 1.5 times as long row after row.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 
-# Sides of the nested tiles, pixels. A packet of 16 lanes whose draws lie s pixels apart covers a
+# Sides of the nested patches, pixels. A packet of 16 lanes whose draws lie s pixels apart covers a
 # compact patch for s around 64² / 4², 16² / 4² and 4: sparse, usual and concentrated sampling.
-_TILES = (128, 32, 8)
+_PATCHES = (128, 32, 8)
 # Entries of a distribution's guide table at most: 256 KiB, which stays in the cache.
 _GUIDE = 1 << 16
+# Tiles of a distribution at most, about: 8 MiB.
+_TILES_AT_MOST = 1 << 20
 
 
 @dataclass
@@ -35,6 +38,7 @@ class Views:
     end: mi.UInt32
     count: int
     total: int
+    sizes: tuple  # ((width, height), …) on the host
 
     @staticmethod
     def of(sizes: list[tuple[int, int]]) -> "Views":
@@ -52,6 +56,7 @@ class Views:
             mi.UInt32([*offsets[1:], total]),
             len(sizes),
             total,
+            tuple((int(w), int(h)) for w, h in sizes),
         )
 
     def _view(self, index: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
@@ -78,14 +83,14 @@ class Views:
     def locate_slot(self, slot: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32]:
         """View, column and row of each slot. Traced.
 
-        Bands of tiles from top to bottom, tiles from left to right, each tile again so with the
-        next smaller side; tiles at the border are cut off. One to one for films of any size.
+        Bands of patches from top to bottom, patches from left to right, each patch again so with
+        the next smaller side; patches at the border are cut off. One to one for films of any size.
         """
         view, rest = self._view(slot)
         width = dr.gather(mi.UInt32, self.width, view)
         height = dr.gather(mi.UInt32, self.height, view)
         column, row = mi.UInt32(0), mi.UInt32(0)
-        for side in _TILES:
+        for side in _PATCHES:
             band = _divide(rest, width * side) * side
             rest -= band * width
             height = dr.minimum(height - band, side)
@@ -95,6 +100,21 @@ class Views:
             column, row = column + left, row + band
         down = _divide(rest, width)
         return view, column + rest - down * width, row + down
+
+    def slot(self, view: mi.UInt32, column: mi.UInt32, row: mi.UInt32) -> mi.UInt32:
+        """The inverse of ``locate_slot``. Traced."""
+        width = dr.gather(mi.UInt32, self.width, view)
+        height = dr.gather(mi.UInt32, self.height, view)
+        slot = dr.gather(mi.UInt32, self.offset, view)
+        for side in _PATCHES:
+            band = _divide(row, side) * side
+            slot += band * width
+            height = dr.minimum(height - band, side)
+            left = _divide(column, side) * side
+            slot += left * height
+            width = dr.minimum(width - left, side)
+            column, row = column - left, row - band
+        return slot + row * width + column
 
 
 def _divide(a: mi.UInt32, b: mi.UInt32) -> mi.UInt32:
@@ -107,65 +127,109 @@ def _divide(a: mi.UInt32, b: mi.UInt32) -> mi.UInt32:
 
 
 @dataclass
-class PixelDistribution:
-    """A pmf over the slots (pixels, tile after tile) of all views, kept as its running sum.
+class Tiles:
+    """All films cut into square tiles of ``side`` pixels, over which a distribution ranges.
 
-    ``cdf``: ``(n,) float64``, not normalised; ``cdf[-1]`` is the total mass. In double precision:
-    the probability of a pixel is the step that the running sum takes there, divided by the
-    total, exactly what is drawn, so importance weights match even where single precision could
-    not tell neighbours apart. 8 bytes a pixel. At 70 M equal pixels a step is exact to 1e-8.
-    ``guide``: ``(G + 1,) uint32``, the slot at each G-th of the mass: a draw searches between two
+    ``grid``: the tiles of all views as if they were pixels of small films; ``side`` (pixels) is 1
+    for up to ``most`` pixels in all, so that a tile is a pixel; larger films get larger tiles and
+    the cost of a distribution does not grow with them. Tiles at the right and lower border are
+    cut off.
+    """
+
+    views: Views
+    grid: Views
+    side: int
+
+    @staticmethod
+    def over(views: Views, most: int = _TILES_AT_MOST, finest: float = math.inf) -> "Tiles":
+        """``finest``, pixels: the size of the smallest detail, which no tile may exceed."""
+        side = math.ceil(math.sqrt(views.total / most))
+        side = max(1, min(side, math.floor(min(finest, 2**16))))
+        sizes = [(math.ceil(w / side), math.ceil(h / side)) for w, h in views.sizes]
+        return Tiles(views, Views.of(sizes), side)
+
+    @property
+    def count(self) -> int:
+        return self.grid.total
+
+    def corner(self, slot: mi.UInt32) -> tuple[mi.UInt32, ...]:
+        """View, first column and row, and width and height in pixels of each tile. Traced."""
+        view, column, row = self.grid.locate_slot(slot)
+        column, row = column * self.side, row * self.side
+        width = dr.minimum(dr.gather(mi.UInt32, self.views.width, view) - column, self.side)
+        height = dr.minimum(dr.gather(mi.UInt32, self.views.height, view) - row, self.side)
+        return view, column, row, width, height
+
+    def slot(self, view: mi.UInt32, column: mi.UInt32, row: mi.UInt32) -> mi.UInt32:
+        """The tile that a pixel lies in. Traced."""
+        return self.grid.slot(view, _divide(column, self.side), _divide(row, self.side))
+
+
+@dataclass
+class PixelDistribution:
+    """A pmf over the pixels of all views, constant within a tile, kept as its running sum.
+
+    ``cdf``: ``(T,) float64`` over tile slots, not normalised; ``cdf[-1]`` is the total mass. In
+    double precision: the probability of a tile is the step that the running sum takes there,
+    divided by the total, exactly what is drawn, so importance weights match even where single
+    precision could not tell neighbours apart. 8 bytes a tile, and a tile is at least a pixel.
+    ``guide``: ``(G + 1,) uint32``, the tile at each G-th of the mass: a draw searches between two
     of its entries, which touches a few cache lines of the CDF instead of twenty.
     """
 
     cdf: mi.Float64
     guide: mi.UInt32
-    size: int
+    tiles: Tiles
 
     @staticmethod
-    def from_weights(weights: mi.Float, floor: float = 0.0) -> "PixelDistribution":
-        """The mixture (1 - floor) w / Σw + floor / n.
+    def from_weights(weights: mi.Float, tiles: Tiles, floor: float = 0.0) -> "PixelDistribution":
+        """The mixture (1 - floor) w_j / Σw + floor / n over all n pixels j.
 
-        ``weights (n,) float32``, one per slot, need not be normalised. Non-finite and negative
-        entries count as zero, and weights that are all zero give the uniform pmf: stage 1 of a
-        solved problem says so, and every pixel must stay reachable. Evaluates.
+        ``weights (T,) float32``: w_j of every pixel of a tile, for each slot; they need not be
+        normalised. Non-finite and negative entries count as zero, and weights that are all zero
+        give the uniform pmf: stage 1 of a solved problem says so, and every pixel must stay
+        reachable. Evaluates.
         """
-        size = dr.width(weights)
         weights = dr.select(dr.isfinite(weights) & (weights > 0), weights, 0)
-        # Twice: float32 sums stop growing, so the total must come from float64 as well.
-        mass = mi.Float64(weights)
+        *_, width, height = tiles.corner(dr.arange(mi.UInt32, tiles.count))
+        pixels = mi.Float64(width * height)
+        # In float64 from here on: sums in float32 stop growing.
+        mass = mi.Float64(weights) * pixels
         total = dr.sum(mass)
         some = total > 0
-        scale = dr.select(some, (1.0 - floor) * size / dr.select(some, total, 1.0), 0.0)
+        scale = dr.select(some, (1.0 - floor) * tiles.views.total / dr.select(some, total, 1.0), 0)
         uniform = dr.select(some, mi.Float64(floor), mi.Float64(1.0))
-        cdf = dr.cumsum(dr.fma(mass, scale, uniform))
+        cdf = dr.cumsum(dr.fma(mass, scale, uniform * pixels))
         dr.eval(cdf)
-        entries = min(_GUIDE, 1 << (size - 1).bit_length())
+        last = tiles.count - 1
+        entries = min(_GUIDE, 1 << last.bit_length())
         goal = mi.Float64(dr.arange(mi.UInt32, entries + 1)) * (1.0 / entries)
-        goal *= dr.gather(mi.Float64, cdf, size - 1)
+        goal *= dr.gather(mi.Float64, cdf, last)
         guide = dr.binary_search(
-            0, size - 1, lambda j: dr.gather(mi.Float64, cdf, mi.UInt32(j)) <= goal
+            0, last, lambda j: dr.gather(mi.Float64, cdf, mi.UInt32(j)) <= goal
         )
         guide = mi.UInt32(guide)
         dr.eval(guide)
-        return PixelDistribution(cdf, guide, size)
+        return PixelDistribution(cdf, guide, tiles)
 
     @staticmethod
-    def uniform(size: int) -> "PixelDistribution":
+    def uniform(tiles: Tiles) -> "PixelDistribution":
         """Every pixel alike."""
-        return PixelDistribution.from_weights(dr.full(mi.Float, 1, size))
+        return PixelDistribution.from_weights(dr.full(mi.Float, 1, tiles.count), tiles)
 
-    def draw(self, count: int, seed: mi.UInt32) -> tuple[mi.UInt32, mi.Float]:
-        """``count`` stratified draws: slots in rising order and their probabilities.
+    def draw(self, count: int, seed: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32, mi.Float]:
+        """``count`` stratified draws: view, column and row of each, and its probability p_j.
 
         Sample ``i`` inverts the CDF at ``(i + ξ_i) / count`` with ``ξ`` of 53 bits: a float32
-        number has 2^24 values and would miss pixels of large films. The expected number of
-        draws of slot ``j`` is ``count p_j`` exactly, so 1 / (count p_j) weights stay unbiased;
-        rising order keeps neighbouring lanes on neighbouring rays. Traced.
+        number has 2^24 values and would miss pixels of large films. What is left of the number
+        within the step that it hit picks the pixel of the tile, so strata are kept there as well.
+        The expected number of draws of pixel ``j`` is ``count p_j`` exactly, so 1 / (count p_j)
+        weights stay unbiased; tiles come in rising order of their slots, which keeps neighbouring
+        lanes on neighbouring rays. Traced.
         """
         rng = mi.PCG32(size=count, initstate=mi.UInt64(seed))
         share = (mi.Float64(dr.arange(mi.UInt32, count)) + rng.next_float64()) * (1.0 / count)
-        goal = share * dr.gather(mi.Float64, self.cdf, self.size - 1)
+        goal = share * dr.gather(mi.Float64, self.cdf, self.tiles.count - 1)
         entries = dr.width(self.guide) - 1
         bucket = dr.minimum(mi.UInt32(share * entries), entries - 1)
         low = dr.gather(mi.UInt32, self.guide, bucket)
@@ -179,11 +243,27 @@ class PixelDistribution:
         slot, _ = dr.while_loop(
             (low, high), lambda low, high: low < high, halve, labels=("low", "high")
         )
-        return slot, self.probability(slot)
+        view, column, row, width, height = self.tiles.corner(slot)
+        below, mass = self._step(slot)
+        pixels = width * height
+        inside = mi.UInt32(dr.clip((goal - below) / mass, 0, 1) * mi.Float64(pixels))
+        inside = dr.minimum(inside, pixels - 1)
+        down = _divide(inside, width)
+        probability = self._probability(mass, pixels)
+        return view, column + inside - down * width, row + down, probability
 
-    def probability(self, slot: mi.UInt32) -> mi.Float:
-        """p_j of each slot. Traced."""
-        total = dr.gather(mi.Float64, self.cdf, self.size - 1)
+    def probability(self, view: mi.UInt32, column: mi.UInt32, row: mi.UInt32) -> mi.Float:
+        """p_j of each pixel. Traced."""
+        slot = self.tiles.slot(view, column, row)
+        *_, width, height = self.tiles.corner(slot)
+        return self._probability(self._step(slot)[1], width * height)
+
+    def _step(self, slot: mi.UInt32) -> tuple[mi.Float64, mi.Float64]:
+        """The running sum before a tile, and the tile's own mass."""
         upper = dr.gather(mi.Float64, self.cdf, slot)
         lower = dr.gather(mi.Float64, self.cdf, slot - 1, slot > 0)
-        return mi.Float((upper - lower) / total)
+        return lower, upper - lower
+
+    def _probability(self, mass: mi.Float64, pixels: mi.UInt32) -> mi.Float:
+        total = dr.gather(mi.Float64, self.cdf, self.tiles.count - 1)
+        return mi.Float(mass / (total * mi.Float64(pixels)))

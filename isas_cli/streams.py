@@ -20,8 +20,11 @@ PURPOSES = (
     "balance_adjoint",
     "evaluation_place",
     "snapshot",
+    "product_adjoint",
+    "variance",
+    "cost",
 )
-_SLOTS = 16  # purposes per iteration, a power of two above len(PURPOSES)
+_SLOTS = 32  # purposes per iteration, a power of two above len(PURPOSES)
 
 
 def _bijection(x: int) -> int:
@@ -37,7 +40,7 @@ def seed(base: int, iteration: int, purpose: str) -> int:
     """The 32-bit seed of ``purpose`` in ``iteration`` of a run with base seed ``base``.
 
     For one base the map is a bijection on iteration and purpose, so two streams of a run never
-    share a seed (up to 2^28 iterations). Different bases shuffle the seeds differently.
+    share a seed (up to 2^27 iterations). Different bases shuffle the seeds differently.
     """
     key = int.from_bytes(hashlib.blake2b(str(base).encode(), digest_size=4).digest(), "little")
     slot = iteration * _SLOTS + PURPOSES.index(purpose)

@@ -139,6 +139,6 @@ def test_quoted_paths_are_hydras():
 
 def test_instantiating_names_the_field_of_a_wrong_type():
     cfg = compose(["scene=pottery", "sampler=ours"])
-    cfg.sampler.stage1.samples = "many"
-    with pytest.raises(InputError, match="sampler.stage1.samples: .*many"):
+    cfg.sampler.stage1.spp = "many"
+    with pytest.raises(InputError, match="sampler.stage1.spp: .*many"):
         instantiate(cfg.sampler, "sampler")

@@ -22,14 +22,14 @@ from isas_cli.unknowns import flat
 UNKNOWNS = {TEXTURE: 0.5, ROUGHNESS: 0.5}
 REPEATS = 128
 BATCH = 512
-STAGE1 = Stage1Settings(resolution=4, samples=4, denoise="none")
+STAGE1 = Stage1Settings(resolution=4, spp=4, denoise="none")
 SAMPLERS = {
     "uniform": Uniform(),
     "relevant": Relevant(stage1=STAGE1),
     # Per pixel: the targets differ from pixel to pixel, and coarser cells would even that out.
-    "gradient": Gradient(stage1=Stage1Settings(resolution=12, samples=8, denoise="none")),
+    "gradient": Gradient(stage1=Stage1Settings(resolution=12, spp=8, denoise="none")),
     "ours": Ours(stage1=STAGE1),
-    "ours denoised": Ours(stage1=Stage1Settings(resolution=4, samples=4)),
+    "ours denoised": Ours(stage1=Stage1Settings(resolution=4, spp=4)),
     "balanced": Balanced(stage1=STAGE1),
 }
 
@@ -113,7 +113,7 @@ def test_gradient_matches_central_differences(step):
 def reference():
     p = problem(UNKNOWNS)
     return {
-        name: estimates(p, loss, Uniform(floor=1.0), base=99)
+        name: estimates(p, loss, Uniform(), base=99)
         for name, loss in (("l2", losses.L2()), ("relative_l2", losses.RelativeL2()))
     }
 
@@ -134,14 +134,14 @@ class WithoutWeights(TwoPath):
 
     def accumulate(self, distribution, base, iteration):
         uniform = self.problem.views.total
-        honest = PixelDistribution.probability
-        PixelDistribution.probability = lambda d, pixel: dr.full(
-            mi.Float, 1 / uniform, dr.width(pixel)
+        honest = PixelDistribution._probability
+        PixelDistribution._probability = lambda d, mass, pixels: dr.full(
+            mi.Float, 1 / uniform, dr.width(mass)
         )
         try:
             super().accumulate(distribution, base, iteration)
         finally:
-            PixelDistribution.probability = honest
+            PixelDistribution._probability = honest
 
 
 # Not `relevant`: nearly every pixel of this scene sees an unknown, so its pmf is uniform here.

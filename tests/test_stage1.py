@@ -4,11 +4,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from brute_force import per_path_derivatives
 from montecarlo import z_against
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
-from isas_cli import losses, rays
-from isas_cli.estimators import replay
+from isas_cli import losses
 from isas_cli.samplers.balanced import Balanced
 from isas_cli.samplers.base import Stage1Settings
 from isas_cli.samplers.cells import Cells
@@ -16,32 +16,6 @@ from isas_cli.samplers.denoise import Denoiser
 from isas_cli.samplers.ours import Ours
 from isas_cli.samplers.relevant import Relevant
 from isas_cli.samplers.stage1 import Stage1, random_signs
-from isas_cli.unknowns import flat, unflat
-
-
-def per_path_derivatives(p, cells, samples: int, base: int, iteration: int) -> np.ndarray:
-    """∂I/∂θ_k of every path that stage 1 traces, by one forward pass per unknown entry with that
-    entry's unit tangent: ``(m, 3, C · samples)``."""
-    stage1 = Stage1(p, losses.L2(), cells, samples, freeze=False)
-    starts = p.unknowns.starts()
-    seeds = stage1._seeds(base, iteration, "stage1_place", "stage1_adjoint")
-    rows = []
-    for key in p.unknowns.keys:
-        for k in range(dr.width(flat(starts[key]))):
-            tangents = {
-                j: unflat(v, dr.zeros(mi.Float, dr.width(flat(v)))) for j, v in starts.items()
-            }
-            unit = np.zeros(dr.width(flat(starts[key])), np.float32)
-            unit[k] = 1
-            tangents[key] = unflat(starts[key], mi.Float(unit))
-            p.unknowns.push_tangent(starts, tangents)
-            with dr.suspend_grad():
-                view, column, row = cells.place(p.views, samples, seeds[0])
-                stream = rays.stream(seeds[1], cells.count * samples)
-                ray, weight = rays.spawn(p.sensors, p.views, view, column, row, stream)
-                derivative = replay.forward(p.integrator, p.scene, stream, ray) * weight
-            rows.append(np.array(derivative, np.float64))
-    return np.array(rows)
 
 
 def test_random_sign_moment_matches_brute_force():
@@ -89,7 +63,7 @@ def test_residual_moment_counts_the_noise_of_the_paths():
 
 def test_ours_is_the_root_of_the_product():
     p = problem({ROUGHNESS: 0.5})
-    sampler = Ours(stage1=Stage1Settings(resolution=4, samples=4, denoise="none"))
+    sampler = Ours(stage1=Stage1Settings(resolution=4, spp=4, denoise="none"))
     sampler.prepare(p, losses.L2(), 512)
     starts = p.unknowns.starts()
     weights = np.array(sampler.look(starts, 3, 7))
@@ -103,7 +77,7 @@ def test_ours_is_the_root_of_the_product():
 
 def test_relevant_leaves_out_the_sky_only():
     p = problem({ROUGHNESS: 0.5}, resolution=(32, 32), depth=2)
-    sampler = Relevant(stage1=Stage1Settings(resolution=32, samples=4, denoise="none"))
+    sampler = Relevant(stage1=Stage1Settings(resolution=32, spp=4, denoise="none"))
     sampler.prepare(p, losses.L2(), 512)
     weights = np.array(sampler.look(p.unknowns.starts(), 1, 0)).reshape(2, 32, 32)
     p.unknowns.write(p.unknowns.starts())
@@ -116,7 +90,7 @@ def test_balanced_matches_brute_force():
     """p_j ∝ Σ_k J_jk / c_k with power 1, against derivatives taken one unknown at a time on other
     paths; and the texels, which differ in how many pixels see them, get mass alike."""
     p = problem({TEXTURE: 0.5}, size=4, resolution=(48, 32), depth=2)
-    settings = Stage1Settings(resolution=48, samples=32, denoise="none")
+    settings = Stage1Settings(resolution=48, spp=32, denoise="none")
     sampler = Balanced(floor=0.0, power=1.0, passes=4, least=1e-3, stage1=settings)
     sampler.prepare(p, losses.L2(), 512)
     starts = p.unknowns.starts()

@@ -43,8 +43,7 @@ class TwoPath:
 
         def kernel(scene, sensors, views, leaves, distribution, targets, mask, seeds, share):
             with dr.suspend_grad():
-                slot, probability = distribution.draw(batch, seeds[0])
-                view, column, row = views.locate_slot(slot)
+                view, column, row, probability = distribution.draw(batch, seeds[0])
                 pixel = views.index(view, column, row)
                 # Once for all kernels that follow: each would search the CDF again.
                 dr.eval(view, column, row, pixel, probability)

@@ -26,20 +26,19 @@ class Balanced(Sampler):
     unknown, whatever the residual and the brightness, which Adam has divided out already. The
     expression above is that, with soft membership J.
 
-    c_k comes from backward passes with unit adjoint (``passes`` of them), Σ_k J_jk/c_k from a
-    forward pass along the tangent 1/c_k. Both depend little on θ, so they are taken once. c_k is
-    held above ``least`` times its mean over the unknowns that are seen: an unknown that one grazing
-    path meets must not draw all samples. Derivatives of one sign are assumed within a pixel
-    (true for reflectances); with others the absolute value of their sum is used.
+    c_k comes from backward passes with unit adjoint (``passes`` of them), Σ_k J_jk/c_k from
+    forward passes (``stage1.probes`` of them) along the tangent 1/c_k. Both depend little on θ, so
+    they are taken once. c_k is held above ``least`` times its mean over the unknowns that are
+    seen: an unknown that one grazing path meets must not draw all samples. Derivatives of one sign
+    are assumed within a pixel (true for reflectances); with others the absolute value of their sum
+    is used.
     """
 
     refresh: int = 0
     power: float = 0.5
     passes: int = 4
     least: float = 0.1
-    stage1: Stage1Settings = field(
-        default_factory=lambda: Stage1Settings(resolution=128, samples=2)
-    )
+    stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(resolution=128, spp=2))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -52,11 +51,11 @@ class Balanced(Sampler):
 
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
         super().prepare(problem, loss, batch, freeze)
-        self._stage1 = Stage1(problem, loss, self.cells, self.stage1.samples, freeze)
+        self._stage1 = Stage1(problem, loss, self.cells, self.stage1.spp, freeze)
         denoise = self.stage1.denoise
         self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
 
-    def look(self, values: dict, base: int, iteration: int) -> mi.Float:
+    def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
         sensitivity = self._stage1.sensitivity(values, self.passes, base, iteration)
         tangents = {}
         for key, c in sensitivity.items():
@@ -65,11 +64,14 @@ class Balanced(Sampler):
             inverse = dr.select(seen, dr.rcp(dr.maximum(c, self.least * mean)), 0)
             tangents[key] = unflat(values[key], inverse)
             dr.eval(tangents[key])
-        first, _ = self._stage1.derivative(values, tangents, base, iteration)
+        first = dr.zeros(mi.Color3f, self.cells.count)
+        for probe in range(self.stage1.probes):
+            number = iteration * self.stage1.probes + probe
+            first += self._stage1.derivative(values, tangents, base, number)[0]
         weights = dr.power(dr.sum(self._denoise(first)), self.power)
         dr.eval(weights)
         return weights
 
     @property
     def paths_per_look(self) -> int:
-        return self.cells.count * self.stage1.samples * (self.passes + 1)
+        return self.cells.count * self.stage1.spp * (self.passes + self.stage1.probes)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from ..pixels import Views
+from ..pixels import Tiles, Views
 
 
 @dataclass
@@ -22,6 +22,7 @@ class Cells:
     views: Views
     scale_x: mi.Float
     scale_y: mi.Float
+    film_sizes: list  # [(width, height), …] in pixels, on the host
     sizes: list  # [(columns, rows), …] on the host
 
     @staticmethod
@@ -35,12 +36,19 @@ class Cells:
             Views.of(sizes),
             mi.Float([w / c for (w, _), (c, _) in zip(film_sizes, sizes)]),
             mi.Float([h / r for (_, h), (_, r) in zip(film_sizes, sizes)]),
+            film_sizes,
             sizes,
         )
 
     @property
     def count(self) -> int:
         return self.views.total
+
+    @property
+    def finest(self) -> float:
+        """The shortest side of any cell, in pixels."""
+        sides = zip(self.film_sizes, self.sizes)
+        return min(min(w / c, h / r) for (w, h), (c, r) in sides)
 
     def place(self, pixels: Views, samples: int, seed: mi.UInt32) -> tuple:
         """``samples`` random pixels of each cell: (view, column, row), cell after cell. Traced."""
@@ -54,14 +62,18 @@ class Cells:
         height = dr.gather(mi.UInt32, pixels.height, view)
         return view, dr.minimum(mi.UInt32(x), width - 1), dr.minimum(mi.UInt32(y), height - 1)
 
-    def upsample(self, values: mi.Float, pixels: Views) -> mi.Float:
-        """Bilinear interpolation of ``values`` (one per cell) to every slot. Traced."""
-        view, column, row = pixels.locate_slot(dr.arange(mi.UInt32, pixels.total))
+    def upsample(self, values: mi.Float, tiles: Tiles) -> mi.Float:
+        """Bilinear interpolation of ``values`` (one per cell) at the middle of every tile, in the
+        order of their slots. Traced."""
+        slot = dr.arange(mi.UInt32, tiles.count)
+        view, column, row, width, height = tiles.corner(slot)
         offset = dr.gather(mi.UInt32, self.views.offset, view)
         columns = dr.gather(mi.UInt32, self.views.width, view)
         rows = dr.gather(mi.UInt32, self.views.height, view)
-        x = (mi.Float(column) + 0.5) / dr.gather(mi.Float, self.scale_x, view) - 0.5
-        y = (mi.Float(row) + 0.5) / dr.gather(mi.Float, self.scale_y, view) - 0.5
+        x = mi.Float(column) + 0.5 * mi.Float(width)
+        y = mi.Float(row) + 0.5 * mi.Float(height)
+        x = x / dr.gather(mi.Float, self.scale_x, view) - 0.5
+        y = y / dr.gather(mi.Float, self.scale_y, view) - 0.5
         x = dr.clip(x, 0, mi.Float(columns) - 1)
         y = dr.clip(y, 0, mi.Float(rows) - 1)
         x0, y0 = mi.UInt32(x), mi.UInt32(y)

@@ -20,13 +20,15 @@ class Gradient(Sampler):
     wrong pixels, as they do in any low-sample rendering of the images.
     """
 
+    uses = Sampler.uses - {"probes"}
+
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
         super().prepare(problem, loss, batch, freeze)
-        self._stage1 = Stage1(problem, loss, self.cells, self.stage1.samples, freeze)
+        self._stage1 = Stage1(problem, loss, self.cells, self.stage1.spp, freeze)
         denoise = self.stage1.denoise
         self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
 
-    def look(self, values: dict, base: int, iteration: int) -> mi.Float:
+    def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
         size, _ = self._stage1.residual(values, base, iteration)
         weights = dr.sum(self._denoise(size))
         dr.eval(weights)
@@ -34,4 +36,4 @@ class Gradient(Sampler):
 
     @property
     def paths_per_look(self) -> int:
-        return self.cells.count * self.stage1.samples
+        return self.cells.count * self.stage1.spp

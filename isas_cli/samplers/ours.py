@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+from .base import Sampler
 from .gradient import Gradient
 
 
@@ -21,7 +22,9 @@ class Ours(Gradient):
     differ only within the width of a cell. ``floor`` bounds the weights 1/p.
     """
 
-    def look(self, values: dict, base: int, iteration: int) -> mi.Float:
+    uses = Sampler.uses
+
+    def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
         _, first = self._stage1.residual(values, base, iteration)
         second = self._stage1.second_moment(values, self.stage1.probes, base, iteration)
         # Denoising one evaluated image after the other: both moments are heavy-tailed on their
@@ -32,4 +35,4 @@ class Ours(Gradient):
 
     @property
     def paths_per_look(self) -> int:
-        return self.cells.count * self.stage1.samples * (1 + self.stage1.probes)
+        return self.cells.count * self.stage1.spp * (1 + self.stage1.probes)

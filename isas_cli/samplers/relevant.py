@@ -21,16 +21,18 @@ class Relevant(Sampler):
     sampler is praised for not looking at the background.
     """
 
+    uses = Sampler.uses - {"denoise"}
+
     refresh: int = 0
     stage1: Stage1Settings = field(
-        default_factory=lambda: Stage1Settings(resolution=128, samples=2)
+        default_factory=lambda: Stage1Settings(resolution=128, spp=2, denoise="none")
     )
 
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
         super().prepare(problem, loss, batch, freeze)
-        self._stage1 = Stage1(problem, loss, self.cells, self.stage1.samples, freeze)
+        self._stage1 = Stage1(problem, loss, self.cells, self.stage1.spp, freeze)
 
-    def look(self, values: dict, base: int, iteration: int) -> mi.Float:
+    def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
         moment = self._stage1.second_moment(values, self.stage1.probes, base, iteration)
         seen = dr.select(dr.sum(moment) > 0, mi.Float(1), 0)
         dr.eval(seen)
@@ -40,4 +42,4 @@ class Relevant(Sampler):
 
     @property
     def paths_per_look(self) -> int:
-        return self.cells.count * self.stage1.samples * self.stage1.probes
+        return self.cells.count * self.stage1.spp * self.stage1.probes

@@ -64,18 +64,33 @@ class Stage1:
                 _, _, stream, ray, weight = trace(sensors, views, cells, seeds)
                 return moments(replay.forward(integrator, scene, stream, ray) * weight)
 
-        def sensitivity_kernel(scene, sensors, views, leaves, cells, seeds):
+        def sensitivity_kernel(scene, sensors, views, leaves, cells, image, seeds):
             with dr.suspend_grad():
                 view, _, stream, ray, weight = trace(sensors, views, cells, seeds)
                 # A sample stands for all pixels of its cell, of which large films have more.
                 pixels = dr.gather(mi.Float, cells.scale_x, view)
-                pixels *= dr.gather(mi.Float, cells.scale_y, view)
-                replay.backward(integrator, scene, stream, ray, mi.Color3f(pixels) * weight)
+                pixels *= dr.gather(mi.Float, cells.scale_y, view) * (1.0 / samples)
+                adjoint = mi.Color3f(pixels)
+                if image is not None:
+                    cell = dr.arange(mi.UInt32, count) // samples
+                    adjoint *= dr.gather(mi.Color3f, image, cell)
+                replay.backward(integrator, scene, stream, ray, adjoint * weight)
+
+        def curvature_kernel(views, cells, targets, mask, seeds):
+            view, column, row = cells.place(views, samples, seeds[0])
+            pixel = views.index(view, column, row)
+            weight = loss.curvature(dr.gather(mi.Color3f, targets, pixel))
+            if mask is not None:
+                weight *= dr.gather(mi.Float, mask, pixel)
+            weight = mi.Color3f(*[mean(weight[c] + dr.zeros(mi.Float, count)) for c in range(3)])
+            dr.eval(weight)
+            return weight
 
         wrap = dr.freeze if freeze else (lambda f: f)
         self._residual = wrap(residual_kernel)
         self._derivative = wrap(derivative_kernel)
         self._sensitivity = wrap(sensitivity_kernel)
+        self._curvature = wrap(curvature_kernel)
 
     def _arguments(self):
         p = self.problem
@@ -99,34 +114,52 @@ class Stage1:
         seeds = self._seeds(base, iteration, "stage1_place", "stage1_adjoint")
         return self._derivative(*self._arguments(), seeds)
 
-    def second_moment(self, values: dict, probes: int, base: int, iteration: int) -> mi.Color3f:
-        """p_j2 per cell: the mean over ``probes`` random-sign tangents (Eq. 15, 16)."""
+    def second_moment(
+        self, values: dict, probes: int, base: int, iteration: int, scale: dict | None = None
+    ) -> mi.Color3f:
+        """p_j2 per cell: the mean over ``probes`` random-sign tangents (Eq. 15, 16).
+
+        ``scale``: √w_k by key, flat, which makes it Σ_k w_k E[⟨∂I/∂θ_k⟩²].
+        """
         total = dr.zeros(mi.Color3f, self.cells.count)
         for probe in range(probes):
             seed = streams.seed(base, iteration * probes + probe, "stage1_sign")
-            tangents = random_signs(values, seed)
+            tangents = random_signs(values, seed, scale)
             _, second = self.derivative(values, tangents, base, iteration * probes + probe)
             total += second
         return total / probes
 
-    def sensitivity(self, values: dict, passes: int, base: int, iteration: int) -> dict:
-        """c_k = |Σ_j ⟨∂I_j/∂θ_k⟩| over all cells, by key: a backward pass with unit adjoint."""
+    def curvature(self, base: int, iteration: int) -> mi.Color3f:
+        """Mean ∂²ℓ/∂I² of a cell's pixels, times their mask."""
+        p = self.problem
+        seeds = self._seeds(base, iteration, "stage1_place")
+        return self._curvature(p.views, self.cells, p.targets, p.mask, seeds)
+
+    def sensitivity(
+        self, values: dict, passes: int, base: int, iteration: int, image: mi.Color3f | None = None
+    ) -> dict:
+        """|Σ_j a_j ⟨∂I_j/∂θ_k⟩| over all pixels, by key, flat: ``passes`` backward passes.
+
+        ``image``: a per cell and channel, ``(3, C)``; None for 1.
+        """
         unknowns = self.problem.unknowns
         unknowns.attach(values)
         for i in range(passes):
             # Streams of their own: a derivative must not be divided by a sum of itself.
             seeds = self._seeds(base, iteration + i, "balance_place", "balance_adjoint")
-            self._sensitivity(*self._arguments(), seeds)
-        return {k: dr.abs(flat(g)) for k, g in unknowns.gradients().items()}
+            self._sensitivity(*self._arguments(), image, seeds)
+        return {k: dr.abs(flat(g)) / passes for k, g in unknowns.gradients().items()}
 
 
-def random_signs(values: dict, seed: int) -> dict:
-    """Tangents of independent ±1 entries, one per entry of every value. Traced."""
+def random_signs(values: dict, seed: int, scale: dict | None = None) -> dict:
+    """Tangents of independent ±1 entries, one per entry of every value, times ``scale`` (by key,
+    flat) where it is given. Traced."""
     tangents = {}
     for key, value in values.items():
         count = dr.width(flat(value))
         state = dr.opaque(mi.UInt64, seed)
         rng = mi.PCG32(size=count, initstate=state)
         seed = (seed * 0x9E3779B1 + 1) & 0xFFFFFFFF  # another stream for the next unknown
-        tangents[key] = unflat(value, dr.select(rng.next_float32() < 0.5, mi.Float(-1), 1))
+        signs = dr.select(rng.next_float32() < 0.5, mi.Float(-1), 1)
+        tangents[key] = unflat(value, signs if scale is None else signs * scale[key])
     return tangents

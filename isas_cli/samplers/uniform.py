@@ -15,13 +15,15 @@ from .base import Sampler
 class Uniform(Sampler):
     """p_j = 1/n. Needs no look at the images; stratified draws all the same."""
 
+    uses = frozenset()
+
     refresh: int = 0
 
     def resolution(self, problem, batch: int) -> int:
         return 1
 
-    def look(self, values: dict, base: int, iteration: int) -> mi.Float:
+    def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
         return dr.opaque(mi.Float, 1, self.cells.count)
 
     def distribution(self, weights: mi.Float) -> PixelDistribution:
-        return PixelDistribution.uniform(self.problem.views.total)
+        return PixelDistribution.uniform(self.tiles)

@@ -1,0 +1,86 @@
+"""How much probability mass each unknown should get."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from .base import Moments
+
+
+def masses(sensitivity: dict, curvature: dict, moments: Moments | None, least: float) -> dict:
+    """P_k ∝ (C_k / h_k)^⅔ (1 + x_k)^(-4/3) by key, flat; 0 for unknowns that nothing depends on.
+
+    The minimiser of Σ_k F_k over ΣP = 1 (``Progress`` derives F and defines all symbols):
+
+        F_k = δ_k² x_k / (1 + x_k),   x_k = η s_k / (2 h_k δ_k²),   s_k = C_k / √P_k.
+
+    ∂F_k/∂P_k must be alike for all: P_k^(3/2) ∝ (C_k/h_k) / (1 + x_k)². x_k depends on P_k: where
+    there are ``moments`` s_k is the root of Adam's v̂_k, which the pmf so far has brought about,
+    and each look is one step of a fixed-point iteration; before, x_k ≪ 1 is taken.
+
+    ``sensitivity``: C_k; ``curvature``: h_k; both are held above ``least`` times their mean over
+    the key's entries that anything depends on: one grazing path must not draw all samples.
+    """
+    found = {}
+    for key, c in sensitivity.items():
+        h = curvature[key]
+        known = (c > 0) & (h > 0) & dr.isfinite(c) & dr.isfinite(h)
+        c, h = _held(c, known, least), _held(h, known, least)
+        mass = dr.power(c / h, 2 / 3)
+        if moments is not None:
+            mass *= dr.power(1 + _excess(key, h, moments), -4 / 3)
+        found[key] = dr.select(known, mass, 0)
+    return found
+
+
+def tangents(sensitivity: dict, curvature: dict, moments: Moments | None, least: float) -> dict:
+    """P_k / C_k by key, flat, the largest 1. Where no unknown is to have any mass, by ``moments``,
+    as if there were none. Evaluates."""
+    found = _over_sensitivity(masses(sensitivity, curvature, moments, least), sensitivity, least)
+    if moments is not None:
+        most = _most(found)
+        plain = _over_sensitivity(masses(sensitivity, curvature, None, least), sensitivity, least)
+        found = {key: dr.select(most > 0, x, plain[key]) for key, x in found.items()}
+    most = _most(found)
+    scale = dr.select(most > 0, dr.rcp(most), 0)
+    found = {key: x * scale for key, x in found.items()}
+    dr.eval(found)
+    return found
+
+
+def _over_sensitivity(mass: dict, sensitivity: dict, least: float) -> dict:
+    found = {}
+    for key, c in sensitivity.items():
+        known = mass[key] > 0
+        found[key] = dr.select(known, mass[key] / _held(c, known, least), 0)
+    dr.eval(found)
+    return found
+
+
+def _most(found: dict) -> mi.Float:
+    most = mi.Float(0)
+    for x in found.values():
+        most = dr.maximum(most, dr.max(x))
+    return most
+
+
+def _held(x: mi.Float, known: mi.Bool, least: float) -> mi.Float:
+    number = dr.maximum(mi.Float(dr.count(known)), 1)
+    return dr.maximum(x, least * dr.sum(dr.select(known, x, 0)) / number)
+
+
+def _excess(key: str, h: mi.Float, moments: Moments) -> mi.Float:
+    """x_k = η s_k / (2 h_k δ²), with one δ² for the whole key.
+
+    δ² = Σ_k (m_k² - noise_k) / Σ_k h_k², m the running mean of the gradient: entry by entry m is
+    mostly noise. It is held above the standard deviation of that sum's noise, so that a scalar,
+    whose error cannot be told from noise, is never taken for done.
+    """
+    first, noise = moments.first[key], moments.noise[key]
+    signal = dr.sum(dr.square(first)) - dr.sum(noise)
+    unsure = dr.sqrt(2 * dr.sum(dr.square(noise)))
+    # From the held h: entries of next to no curvature say nothing about the error.
+    error = dr.maximum(signal, unsure) / dr.sum(dr.square(h))
+    rate = dr.opaque(mi.Float, 0.5 * moments.rate[key])
+    return rate * dr.sqrt(moments.second[key]) / dr.maximum(h * error, 1e-30)

@@ -1,0 +1,173 @@
+"""The pmf of most progress of an Adam run per unit of time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import drjit as dr
+import mitsuba as mi
+
+from ..errors import InputError
+from ..unknowns import flat, unflat
+from .allocation import tangents
+from .base import Moments, Sampler, Stage1Settings
+from .denoise import Denoiser
+from .path_cost import PathCost
+from .stage1 import Stage1
+
+# Number of the survey's streams, far from those of any iteration's look.
+_SURVEY = (1 << 27) - (1 << 16)
+
+
+@dataclass
+class Progress(Sampler):
+    """p_j = Σ_k P_k p_j|k: every unknown has a mass P_k, spread by least variance per time.
+
+    **What Adam leaves.** Let δ_k be the error of unknown k and h_k the loss's curvature along it:
+    the mean gradient is μ_k = h_k δ_k. Its variance is s_k² = Σ_j A_jk/p_j, A_jk = r_j² J_jk²/N,
+    r_j² = E[⟨∂ℒ/∂I⟩_j²], J_jk² = E[⟨∂I_j/∂θ_k⟩²]. Batches of a few per mille of the pixels have
+    s ≫ μ, so Adam divides by √v̂_k ≈ s_k: at rate η a step takes η (h_k/s_k) δ_k off the error
+    and adds noise of size η. They balance at E δ_k² = η s_k/(2 h_k). An unknown whose error is
+    smaller than that, or which Adam cannot move that far, keeps δ_k²; with a smooth transition
+
+        F_k = δ_k² x_k/(1 + x_k),   x_k = η s_k/(2 h_k δ_k²).
+
+    **The best pmf** has the least Σ_k F_k in a given time. A pmf whose paths cost less, on average
+    Σ_j p_j c_j, affords more of them, so what counts is s_k² Σ_j p_j c_j. For one unknown the
+    least of (Σ_j A_jk/p_j)(Σ_j p_j c_j) is at p_j|k ∝ r_j J_jk/√c_j, with s_k = C_k/√P_k for
+
+        C_k = Σ_j r_j J_jk √c_j,
+
+    P_k the share of time that it gets. Where each unknown has pixels of its own, as the texels of
+    a texture have, the choice of P_k is left (``allocation.py``):
+
+        p_j = (r_j/√c_j) Σ_k P_k J_jk/C_k,   P_k ∝ (C_k/h_k)^⅔ (1 + x_k)^(-4/3).
+
+    **What is in it.** One unknown: the sum has one term and p_j ∝ r_j J_j/√c_j, Eq. (12) at equal
+    cost. A texture of like texels, n_k pixels to each: C_k = n_k r J, h_k ∝ n_k J², p_j ∝ 1/n_k:
+    equal mass per texel, as in ``balanced``. Texels of unlike noise: mass ∝ (r/J)^⅔. An unknown
+    that is done (δ → 0) or out of reach (s/h ≫ δ) has x → ∞ and gets nothing; ``floor`` keeps
+    p > 0. Where unknowns share pixels this is no optimum but its mixture. J is measured as the
+    mean of single paths' |∂I_j/∂θ|, smaller than the root of their mean square where paths differ:
+    the latter would be exact and is so much noisier that runs on textures ended worse with it.
+
+    **Estimation.** Noise in a pmf costs more than its age, and coarse cells cost more than noisy
+    ones: fine cells, denoised, and means of values instead of products of single paths. Per cell:
+    r as the root of p_j1 (as in ``ours``), J from a forward pass along ones, and Σ_k P_k J_jk/C_k
+    from one along P_k/C_k. Per unknown, by backward passes with these images as adjoints: C_k, and
+    h_k = Σ_j ℓ''_j J_j J_jk with J_j = Σ_k J_jk, the curvature along an error that all entries of a
+    key share. Curvature and costs (``PathCost``; a path that meets nothing costs ``overhead``
+    vertices) are taken once, at the start values. A run's first look takes everything ``passes``
+    times and x_k ≪ 1. Later looks, after ``refresh``, 2 ``refresh``, 4 ``refresh`` … iterations as
+    the unknowns slow down, take it once, with x_k from Adam's moments, and are averaged with the
+    earlier ones. Derivatives of one sign are assumed within a pixel and key (reflectances,
+    roughness, radiances have them); of others the absolute value of their sum is used.
+    """
+
+    refresh: int = 60
+    passes: int = 2
+    least: float = 0.001
+    overhead: float = 0.5
+    stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(average=0.5))
+
+    uses = Sampler.uses - {"probes"}
+
+    needs_moments = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.passes < 1:
+            raise InputError(f"sampler.passes={self.passes}: at least 1")
+        for name in ("least", "overhead"):
+            value = getattr(self, name)
+            if not (value > 0 and math.isfinite(value)):
+                raise InputError(f"sampler.{name}={value}: must be a finite number above 0")
+
+    def resolution(self, problem, batch: int) -> int:
+        # Four times the paths of a gradient step in each pass: it is fine cells that pay.
+        return super().resolution(problem, 8 * batch)
+
+    def due(self, iteration: int) -> bool:
+        times = iteration // self.refresh if self.refresh else 0
+        doubled = times * self.refresh == iteration and times & (times - 1) == 0
+        return iteration == 0 or (times > 0 and doubled)
+
+    def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
+        super().prepare(problem, loss, batch, freeze)
+        spp = self.stage1.spp
+        self._stage1 = Stage1(problem, loss, self.cells, spp, freeze)
+        self._cost = PathCost(problem, self.cells, spp, freeze)
+        denoise = self.stage1.denoise
+        self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
+        self._surveys: dict = {}  # by base seed
+
+    def look(
+        self, values: dict, base: int, iteration: int, moments: Moments | None = None
+    ) -> mi.Float:
+        # Anew at a run's first look, where it is billed. A continued run has none and finds the
+        # same numbers again.
+        if iteration == 0 or base not in self._surveys:
+            self._surveys[base] = self._survey(base)
+        curvature, cost = self._surveys[base]
+        passes = self.passes if iteration == 0 else 1
+        first = iteration * self.passes
+        noise = sum(
+            (self._stage1.residual(values, base, first + i)[1] for i in range(passes)),
+            mi.Color3f(0),
+        )
+        noise = dr.sqrt(self._denoise(noise))
+        dr.eval(noise)
+        weighted = noise * dr.sqrt(cost)
+        dr.eval(weighted)
+        sensitivity = self._stage1.sensitivity(values, passes, base, first, weighted)
+        along = tangents(sensitivity, curvature, moments, self.least)
+        weights = mi.Float(0)
+        for key, tangent in along.items():
+            weights += dr.sum(noise * self._along(values, key, tangent, passes, base, first))
+        weights *= dr.rsqrt(cost)
+        dr.eval(weights)
+        return weights
+
+    def _survey(self, base: int) -> tuple[dict, mi.Float]:
+        """h by key, flat, and c per cell, at the start values."""
+        unknowns = self.problem.unknowns
+        starts = unknowns.starts()
+        unknowns.write(starts)
+        cost = sum(self._cost(base, i) for i in range(self.passes)) / self.passes + self.overhead
+        weight = self._stage1.curvature(base, _SURVEY) * self.problem.share
+        curvature = {}
+        first = _SURVEY
+        for key in unknowns.keys:
+            ones = dr.opaque(mi.Float, 1, dr.width(flat(starts[key])))
+            image = self._along(starts, key, ones, self.passes, base, first) * weight
+            dr.eval(image)
+            curvature[key] = self._stage1.sensitivity(starts, self.passes, base, first, image)[key]
+        dr.eval(curvature, cost)
+        return curvature, cost
+
+    def _along(
+        self, values: dict, key: str, tangent: mi.Float, passes: int, base: int, first: int
+    ) -> mi.Color3f:
+        """Mean |∂I_j/∂θ · tangent| per cell, ``(3, C)``, the tangent on one key; denoised."""
+        tangents = {}
+        for other, value in values.items():
+            entries = dr.opaque(mi.Float, 0, dr.width(flat(value)))
+            tangents[other] = unflat(value, tangent if other == key else entries)
+        dr.eval(tangents)
+        size = mi.Color3f(0)
+        for i in range(passes):
+            size += self._stage1.derivative(values, tangents, base, first + i)[0] / passes
+        result = self._denoise(size)
+        dr.eval(result)
+        return result
+
+    @property
+    def paths_per_look(self) -> int:
+        lanes = self.cells.count * self.stage1.spp
+        return lanes * (2 + len(self.problem.unknowns.keys))
+
+    @property
+    def paths_before(self) -> int:
+        survey = self.cells.count * self.stage1.spp * (1 + 2 * len(self.problem.unknowns.keys))
+        return self.passes * survey + (self.passes - 1) * self.paths_per_look
