@@ -107,7 +107,7 @@ class Stepper:
         """
         total, count = 0.0, 0
         for key in self.unknowns.keys:
-            _, first, _, _ = self.adam.state[key][3]
+            first = flat(self.adam.state[key][3][1])
             entries = np.array(flat(gradients[key]), dtype=np.float64)
             steps = np.array(self.visits[key], dtype=np.float64)
             touched = np.isfinite(entries) & (entries != 0) & (steps > 1)
@@ -123,7 +123,7 @@ class Stepper:
         β = self.settings.beta_1
         for key in self.unknowns.keys:
             t, m, v, _ = self.adam.state[key][3]
-            steps = int(t[0])
+            m, v, steps = flat(m), flat(v), int(t[0])
             unit = dr.opaque(mi.Float, 1 / self.scale[key])
             took_part = self.visits[key] * dr.opaque(mi.Float, 1 / steps)
             forgotten = dr.power(mi.Float(β), self.visits[key])

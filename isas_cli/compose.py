@@ -22,7 +22,10 @@ _UNKNOWNS = "scene.unknowns="
 _GROUPS = ("scene", "sampler", "loss")
 # Taken as they stand, whatever letters a path has.
 _PATHS = ("scene.path", "hydra.run.dir", "hydra.sweep.dir")
-_LABELS = ("sampler.name", "sampler._target_", "loss.name", "loss._target_")
+# The sampler that another goes around: a choice within a choice, as typed and as Hydra takes it.
+_BASE, _BASE_OF_HYDRA = "sampler.base", "sampler@sampler.base"
+_CHOICES = ("sampler", _BASE, "loss")
+_LABELS = tuple(f"{choice}.{label}" for choice in _CHOICES for label in ("name", "_target_"))
 
 
 def translate(overrides: Iterable[str]) -> list[str]:
@@ -50,10 +53,13 @@ def _translate(override: str) -> str:
     if not equals or not key:
         raise InputError(f"'{override}' is no setting: give KEY=VALUE, such as scene=pottery")
     if key in _LABELS:
-        raise InputError(f"{bare}: names a choice and makes none: say {key.split('.')[0]}=NAME")
-    if key in _GROUPS and (not value or value.startswith("[")):
-        raise InputError(f"{bare}: give one name; valid: {', '.join(options(key))}")
-    return bare
+        raise InputError(
+            f"{bare}: names a choice and makes none: say {key.rpartition('.')[0]}=NAME"
+        )
+    if key in (*_GROUPS, _BASE) and (not value or value[0] in "[{"):
+        names = options(key.partition(".")[0])
+        raise InputError(f"{bare}: give one name; valid: {', '.join(names)}")
+    return f"{_BASE_OF_HYDRA}={value}" if key == _BASE else bare
 
 
 def _translate_unknowns(override: str) -> str:
@@ -112,7 +118,8 @@ def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
             cfg = hydra_compose("config", overrides, return_hydra_config=hydra)
             OmegaConf.resolve(cfg.scene)
     except (HydraException, OmegaConfBaseException) as error:
-        raise InputError(explain(error, overrides)) from error
+        text = explain(error, overrides).replace(_BASE_OF_HYDRA, _BASE)
+        raise InputError(text) from error
     return cfg
 
 
@@ -127,14 +134,15 @@ def explain(error: Exception, overrides: list[str]) -> str:
     missing = re.search(r"Could not find '([^'/]+)/([^']+)'", text)
     if missing:
         group, name = missing.groups()
-        return f"{group}={name}: no such {group}; {nearest(name, options(group))}"
+        typed = _BASE if f"{_BASE_OF_HYDRA}={name}" in overrides else group
+        return f"{typed}={name}: no such {group}; {nearest(name, options(group))}"
     unspecified = re.search(r"You must specify '(\w+)'", text)
     if unspecified:
         group = unspecified.group(1)
         return f"{group} is not given: say {group}=NAME; valid: {', '.join(options(group))}"
     unknown = re.search(r"Could not override '([^']+)'", text)
     if unknown:
-        return _explain_key(unknown.group(1), overrides)
+        return _explain_key(unknown.group(1).split("@")[-1], overrides)
     size = re.search(r"Interpolation key 'scene\.sizes\.([^.]+)\.", text)
     if size:
         return f"size={size.group(1)}: {nearest(size.group(1), _sizes(overrides))}"
@@ -167,7 +175,7 @@ def _sizes(overrides: list[str]) -> list[str]:
 
 
 def _explain_key(key: str, overrides: list[str]) -> str:
-    cfg = _raw([o for o in overrides if o.split("=")[0].lstrip("+~").split("@")[0] != key])
+    cfg = _raw([o for o in overrides if o.split("=")[0].lstrip("+~").split("@")[-1] != key])
     *parents, last = key.split(".")
     node, found = cfg, []
     for parent in parents:
@@ -193,8 +201,9 @@ def _raw(overrides: list[str]) -> DictConfig | None:
 def instantiate(node: DictConfig, where: str):
     """The object that a node's ``_target_`` names: a dataclass, its fields type-checked.
 
-    ``name`` is the group option's own label and is not passed on. Raises InputError naming the
-    field for a value of the wrong type; the dataclass itself checks ranges.
+    ``name`` is the group option's own label and is not passed on. A field may be such a node
+    again. Raises InputError naming the field for a value of the wrong type; the dataclass itself
+    checks ranges.
     """
     import importlib
 
@@ -202,8 +211,16 @@ def instantiate(node: DictConfig, where: str):
     module, _, name = plain.pop("_target_").rpartition(".")
     plain.pop("name", None)
     target = getattr(importlib.import_module(module), name)
+    inner = [key for key, value in plain.items() if isinstance(value, dict) and "_target_" in value]
+    parts = {key: instantiate(OmegaConf.create(plain.pop(key)), f"{where}.{key}") for key in inner}
     try:
-        return OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(target), plain))
+        fields = OmegaConf.merge(OmegaConf.structured(target), plain)
+        for key, part in parts.items():
+            fields[key] = part
+        return OmegaConf.to_object(fields)
+    except InputError as error:
+        # A class names its fields as if it were the choice at the top.
+        raise InputError(str(error).replace(where.split(".")[0], where, 1)) from error
     except OmegaConfBaseException as error:
         message = str(error).split("\n")[0]
         field = f"{where}.{error.full_key}" if error.full_key else where

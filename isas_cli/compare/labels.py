@@ -72,26 +72,27 @@ def methods(settings: Sequence[Settings]) -> list[str]:
     settings of their own.
     """
     every = sorted({key for each in settings for key in each})
-    groups = {key.partition(".")[0] for key in every if key.count(".") == 1 and _is_name(key)}
     labels = []
     for own in settings:
         parts = [_choice(own, "sampler") or "unnamed"]
         for key in every:
-            group = key.partition(".")[0]
-            if key in ("sampler", "sampler.name"):
+            if key in ("sampler", "sampler.name") or key.endswith("._target_"):
                 continue
             peers = settings
-            if group in groups and not _is_name(key):
-                peers = [each for each in settings if _choice(each, group) == _choice(own, group)]
+            for group in _groups(key, every):
+                peers = [each for each in peers if _choice(each, group) == _choice(own, group)]
             if len({each.get(key, _UNSET) for each in peers}) > 1:
-                shown = group if group in groups and _is_name(key) else key
-                parts.append(f"{shown}={own.get(key, _UNSET)}")
+                parts.append(f"{key.removesuffix('.name')}={own.get(key, _UNSET)}")
         labels.append(" ".join(parts))
     return labels
 
 
-def _is_name(key: str) -> bool:
-    return key.endswith(".name")
+def _groups(key: str, every: Sequence[str]) -> list[str]:
+    """The named choices that a setting belongs to: of ``sampler.base.floor`` the sampler and its
+    base."""
+    parts = key.removesuffix(".name").split(".")
+    groups = (".".join(parts[:end]) for end in range(1, len(parts)))
+    return [group for group in groups if f"{group}.name" in every]
 
 
 def _choice(settings: Settings, group: str) -> str | None:
