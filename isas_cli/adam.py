@@ -133,7 +133,9 @@ class Stepper:
             second[key] *= dr.square(unit)
             # Σ of squared weights of a mean over n steps that forgets by β.
             share = (1 - β) / (1 + β) * (1 + forgotten) / part
-            noise[key] = dr.select(part > 0, took_part * share * second[key], 0)
+            seen = 1 - dr.power(mi.Float(self.settings.beta_2), self.visits[key])
+            touched = dr.select(seen > 0, v / seen, 0) * dr.square(unit)  # E[g²] where touched
+            noise[key] = dr.select(part > 0, dr.square(took_part) * share * touched, 0)
         dr.eval(first, second, noise)
         rates = {u.key: (u.lr or self.settings.lr) * self.factor(progress) for u in self.unknowns}
         return Moments(first, second, noise, rates)

@@ -47,10 +47,31 @@ all alike. Each contestant and seed leaves an ordinary run folder below the race
 slice is a turn's length in billed seconds (default 1). Everything else is as in isas run --help.
 Status: 0 done, 2 bad configuration or input, 3 numerical failure of one, 130 interrupted."""
 
+_VARIANCE_HELP = """\
+usage: isas variance scene=NAME [samplers=[A,B,…]] [repeats=1024] [at=0] [best=256] [KEY=VALUE ...]
+       isas variance scene=NAME contestants=[{sampler:NAME,sampler.KEY:VALUE,…},{…}] [...]
+
+Estimate the loss gradient at a fixed point again and again with each sampler, equally many pixels
+each (estimator.batch), and compare variance, time and efficiency. Nothing is optimised.
+
+  isas variance scene=dodoco                            all samplers, and the best pmf
+  isas variance scene=dodoco 'samplers=[uniform,gradient,ours]' at=0.8 estimator.batch=4096
+  isas variance scene=dodoco 'contestants=[{sampler:ours,sampler.stage1.average:0.8}]'
+
+repeats  estimates with each sampler; every 16 of them, or a 64th where that is less, get a new look
+at       where: 0 the start values, 1 the truth. At the start the images are wrong, and residuals
+         say where; at the truth they are noise, and a sampler has nothing to go by but noise.
+         An order found at one end need not hold at the other.
+best     paths per pixel that measure each pixel's share of the variance, for the best pmf that
+         there can be; 0 leaves it out
+uniform and gradient are always measured: ratios refer to them. Everything else is as in
+isas run --help. Status: 0 done, 2 bad configuration or input, 130 interrupted."""
+
 
 _SUMMARIES = {
     "run": "recover a scene's unknowns (isas run --help)",
     "race": "let configurations take turns at equal time (isas race --help)",
+    "variance": "how noisy the gradient is with each sampler (isas variance --help)",
     "compare": "tables, plots and a page over finished runs",
     "watch": "show how a run is going on",
     "scenes": "list the scenes, samplers and losses",
@@ -74,9 +95,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"isas {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
-    # `run` and `race` are here for the help only: their arguments are Hydra's, passed on unparsed.
+    # Three are here for the help only: their arguments are Hydra's, passed on unparsed.
     commands.add_parser("run", help=_SUMMARIES["run"], add_help=False)
     commands.add_parser("race", help=_SUMMARIES["race"], add_help=False)
+    commands.add_parser("variance", help=_SUMMARIES["variance"], add_help=False)
     compare = commands.add_parser("compare", help=_SUMMARIES["compare"])
     compare.add_argument("folders", nargs="+", metavar="DIR", help="runs, or folders of runs")
     compare.add_argument("--output", metavar="DIR", help="where to (default: DIR/comparison)")
@@ -110,6 +132,13 @@ def _dispatch(arguments: list[str]) -> int:
         from .commands.race import main as race
 
         return race(arguments[1:])
+    if command == "variance":
+        if {"-h", "--help"} & set(arguments[1:]):
+            print(_VARIANCE_HELP)
+            return 0
+        from .commands.variance import main as variance
+
+        return variance(arguments[1:])
     if command and not command.startswith("-") and command not in _SUMMARIES:
         raise InputError(f"{command}: no such command; {nearest(command, _SUMMARIES)}")
     parsed = _parser().parse_args(arguments)

@@ -148,6 +148,7 @@ class Config:
     threads: int = 0
     overwrite: bool = False
     tracker: str = "none"
+    profile: bool = False
     budget: BudgetConfig = field(default_factory=BudgetConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)

@@ -157,6 +157,10 @@ def _announce(recorder: "Recorder", status: str, page: Path) -> None:
     for name in ("image_rmse", "parameter_rmse"):
         if name in first and name in last:
             say(f"{name}: {first[name]:.4g} → {last[name]:.4g}")
+    if recorder.profile is not None:
+        from .profiling import table
+
+        recorder.display.console.print(table(recorder.profile), highlight=False)
     for warning in recorder.warnings:
         say(f"warning: {warning}")
     if status == "interrupted":

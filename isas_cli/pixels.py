@@ -208,7 +208,8 @@ class PixelDistribution:
         guide = dr.binary_search(
             0, last, lambda j: dr.gather(mi.Float64, cdf, mi.UInt32(j)) <= goal
         )
-        guide = mi.UInt32(guide)
+        # In a single tile the search gives a bare 0.
+        guide = mi.UInt32(guide) + dr.zeros(mi.UInt32, entries + 1)
         dr.eval(guide)
         return PixelDistribution(cdf, guide, tiles)
 
@@ -229,6 +230,8 @@ class PixelDistribution:
         """
         rng = mi.PCG32(size=count, initstate=mi.UInt64(seed))
         share = (mi.Float64(dr.arange(mi.UInt32, count)) + rng.next_float64()) * (1.0 / count)
+        # Below 1, which the last share may round to: beyond the last tile that has mass.
+        share = dr.minimum(share, 1 - 2.0**-53)
         goal = share * dr.gather(mi.Float64, self.cdf, self.tiles.count - 1)
         entries = dr.width(self.guide) - 1
         bucket = dr.minimum(mi.UInt32(share * entries), entries - 1)
@@ -262,7 +265,8 @@ class PixelDistribution:
         """The running sum before a tile, and the tile's own mass."""
         upper = dr.gather(mi.Float64, self.cdf, slot)
         lower = dr.gather(mi.Float64, self.cdf, slot - 1, slot > 0)
-        return lower, upper - lower
+        # A running sum in blocks may step back by its rounding.
+        return lower, dr.maximum(upper - lower, 0)
 
     def _probability(self, mass: mi.Float64, pixels: mi.UInt32) -> mi.Float:
         total = dr.gather(mi.Float64, self.cdf, self.tiles.count - 1)

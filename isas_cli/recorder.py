@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -15,6 +16,9 @@ from .pictures import Pictures
 from .records import RunWriter
 from .render import Renderer
 from .resumption import Continuation
+
+if TYPE_CHECKING:
+    from .profiling import Profile
 
 # Written besides the billed time; a kill loses about this much work, or, where writing is slow
 # (large textures), as much as keeps writing below this share of the time.
@@ -44,6 +48,7 @@ class Recorder:
         self._saved = 0.0
         self._pause = _CHECKPOINT_SECONDS
         self._snapshots = 0
+        self.profile: Profile | None = None  # once made, where the configuration asks for it
 
     def open(self, machine) -> None:
         """Begin the record: configuration, manifest, a checkpoint of the start, and the pictures
@@ -158,11 +163,13 @@ class Recorder:
         self._summary(status, complete=False)
 
     def illustrate(self, given_up: Callable[[], bool] = lambda: False) -> Path:
-        """Pictures and report, after ``close``. Returns the path of the report's page.
+        """Profile, pictures and report, after ``close``. Returns the path of the report's page.
 
         ``given_up``: asked now and then; what is not made yet is left to a continuation.
         """
         loop = self.loop
+        if self.typed.profile and loop.position.iteration and not given_up():
+            self._measure()
         self.display.phase("pictures")
         # The start as well: rendered before the loop it would only delay it.
         for make in (self._result, self._start, self._density):
@@ -175,6 +182,14 @@ class Recorder:
 
         self.display.phase("report")
         return write(self.folder)
+
+    def _measure(self) -> None:
+        from . import profiling
+
+        self.display.phase("profile")
+        with self.loop.clock.unbilled("profile"):
+            self.profile = profiling.measure(self.loop, self.typed.estimator.freeze)
+            profiling.write(self.profile, self.folder)
 
     def _start(self) -> None:
         self.pictures.values("start", self.loop.problem.unknowns.starts(), 0)

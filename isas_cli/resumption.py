@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from .problem import Problem
 
 # Everything else decides what is computed next; a run continued otherwise would be two runs.
-_FREE = ("budget.seconds", "budget.iterations", "budget.paths", "threads", "tracker")
+_FREE = ("budget.seconds", "budget.iterations", "budget.paths", "threads", "tracker", "profile")
 
 
 def parse(overrides: list[str]) -> dict:

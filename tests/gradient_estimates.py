@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from omegaconf import DictConfig, OmegaConf
 
 from isas_cli import streams
 from isas_cli.adam import Stepper
@@ -18,11 +21,25 @@ from isas_cli.samplers.base import Moments, Sampler
 from isas_cli.unknowns import flat, unflat
 
 
+@lru_cache(maxsize=None)
+def _composed(group: str, name: str) -> DictConfig:
+    return compose(["scene=pottery", f"{group}={name}"])[group]
+
+
 def configured(group: str, name: str, settings: dict | None = None):
     """The sampler or loss that ``configs/`` offers by this name. ``settings``: key within the
-    group → value."""
-    overrides = [f"{group}.{key}={value}" for key, value in (settings or {}).items()]
-    return instantiate(compose(["scene=pottery", f"{group}={name}", *overrides])[group], group)
+    group → value. Raises InputError where the class does not take one."""
+    node = _composed(group, name).copy()
+    for key, value in (settings or {}).items():
+        OmegaConf.update(node, key, value, force_add=True)
+    return instantiate(node, group)
+
+
+def shared_settings(name: str) -> tuple[str, frozenset[str]]:
+    """Where the settings that samplers share are within this one's, as a prefix of their keys, and
+    which of them it uses. A sampler around another leaves them to that."""
+    made = configured("sampler", name)
+    return ("base.", made.base.uses) if hasattr(made, "base") else ("", made.uses)
 
 
 def unbiased_losses() -> list[str]:
@@ -53,12 +70,15 @@ class Gradients:
 
     def sampled(self, sampler: Sampler, repeats: int, base: int, every: int = 4) -> np.ndarray:
         """``repeats`` estimates, ``(repeats, m)``, with a new look by ``sampler`` (prepared) at
-        every ``every``-th. Estimates of one look have the same mean whatever the look found, so
-        they are as uncorrelated as others."""
+        every ``every``-th, averaged with earlier looks as in a run. Estimates of one look have the
+        same mean whatever it found, so they are as uncorrelated as others."""
         moments = self.moments() if sampler.needs_moments else None
+        weights = None
 
         def distribution(i: int) -> PixelDistribution:
-            return sampler.distribution(sampler.look(self.values, base, i, moments))
+            nonlocal weights
+            weights = sampler.blended(weights, sampler.look(self.values, base, i, moments))
+            return sampler.distribution(weights)
 
         return self._repeated(distribution, repeats, base, every)
 

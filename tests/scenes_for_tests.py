@@ -8,9 +8,12 @@ import numpy as np
 from isas_cli.config import UnknownConfig
 from isas_cli.pixels import Views
 from isas_cli.problem import Problem
+from isas_cli.samplers.base import Stage1Settings
 from isas_cli.unknowns import Unknowns, parse
 
 TEXTURE, ROUGHNESS = "floor.bsdf.base_color.data", "wall.bsdf.roughness.value"
+UNKNOWNS = {TEXTURE: 0.5, ROUGHNESS: 0.5}
+STAGE1 = Stage1Settings(resolution=4, spp=4, denoise="none")
 
 
 def texture(size: int) -> np.ndarray:

@@ -6,16 +6,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from montecarlo import welch
-from scenes_for_tests import problem
-from test_estimator import STAGE1, UNKNOWNS, WithoutWeights, estimates
+from scenes_for_tests import STAGE1, UNKNOWNS, problem
 
 from isas_cli import losses
 from isas_cli.app import main
 from isas_cli.compare import labels
 from isas_cli.compose import compose, instantiate, translate
 from isas_cli.errors import InputError
-from isas_cli.estimators.two_path import TwoPath
 from isas_cli.samplers.base import Moments, Stage1Settings
 from isas_cli.samplers.cells import Cells
 from isas_cli.samplers.gradient import Gradient
@@ -173,18 +170,6 @@ def test_floor_is_mixed_in_once():
 def test_bad_settings_are_refused(settings, words):
     with pytest.raises(InputError, match=words):
         Multiresolution(**settings)
-
-
-@pytest.mark.parametrize("broken", [False, True])
-def test_unbiased(broken):
-    p, loss = problem(UNKNOWNS), losses.L2()
-    reference = estimates(p, loss, Uniform(), base=99)
-    estimator = (WithoutWeights if broken else TwoPath)(p, loss, 512)
-    rows = estimates(p, loss, COARSE, estimator, repeats=512 if broken else 128)
-    outcome = welch(rows, reference)
-    print(outcome)
-    assert np.all(np.isfinite(rows))
-    assert (outcome.p_value < 0.001) == broken, str(outcome)
 
 
 def made(*overrides: str):

@@ -7,14 +7,12 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from brute_force import cell_means, per_path_derivatives, per_path_residuals
-from montecarlo import welch, z_against
-from scenes_for_tests import ROUGHNESS, TEXTURE, problem
-from test_estimator import STAGE1, UNKNOWNS, WithoutWeights, estimates
+from montecarlo import z_against
+from scenes_for_tests import ROUGHNESS, STAGE1, TEXTURE, UNKNOWNS, problem
 
 from isas_cli import losses
 from isas_cli.app import main
 from isas_cli.errors import InputError
-from isas_cli.estimators.two_path import TwoPath
 from isas_cli.samplers.base import Moments, Stage1Settings
 from isas_cli.samplers.cells import Cells
 from isas_cli.samplers.ours import Ours
@@ -212,27 +210,6 @@ def test_fixed_point_of_a_rendered_texture():
     assert apart[0] > 0.3, "the case is not hard enough to show anything"
     assert max(apart[-2:]) < 0.15
     assert max(spread[-2:]) < 0.2 and spread[0] > 0.8
-
-
-class Given(Preconditioned):
-    """With moments as a run would bring them: of its own, since `estimates` has no optimiser."""
-
-    def look(self, values, base, iteration, moments=None):
-        return super().look(values, base, iteration, moments_of(self.second))
-
-
-@pytest.mark.parametrize("broken", [False, True])
-def test_unbiased_with_moments(broken, rng):
-    p, loss = problem(UNKNOWNS), losses.L2()
-    reference = estimates(p, loss, Ours(floor=1.0, stage1=STAGE1), base=99)
-    sampler = Given(stage1=STAGE1)
-    sampler.second = second(p, rng)
-    estimator = (WithoutWeights if broken else TwoPath)(p, loss, 512)
-    rows = estimates(p, loss, sampler, estimator, repeats=512 if broken else 128)
-    outcome = welch(rows, reference)
-    print(outcome)
-    assert np.all(np.isfinite(rows))
-    assert (outcome.p_value < 0.001) == broken, str(outcome)
 
 
 def test_it_runs(tmp_path, monkeypatch, capfd):

@@ -37,7 +37,9 @@ class TwoPath:
 
     paths_per_pixel = 2
 
-    def __init__(self, problem: "Problem", loss, batch: int, freeze: bool = True):
+    def __init__(self, problem: "Problem", loss, batch: int, freeze: bool = True, second_pass=None):
+        """``second_pass(integrator, scene, stream, ray, adjoint)``: what is done along the second
+        path, for measurements; None for ``replay.backward``."""
         self.problem, self.loss, self.batch = problem, loss, batch
         integrator = problem.integrator
 
@@ -59,7 +61,7 @@ class TwoPath:
                 second = rays.stream(seeds[2], batch)
                 ray, weight = rays.spawn(sensors, views, view, column, row, second)
                 adjoint = residual * weight * (share / (probability * batch))
-                replay.backward(integrator, scene, second, ray, adjoint)
+                (second_pass or replay.backward)(integrator, scene, second, ray, adjoint)
 
         self._kernel = dr.freeze(kernel) if freeze else kernel
 

@@ -26,6 +26,8 @@ def masses(sensitivity: dict, curvature: dict, moments: Moments | None, least: f
     for key, c in sensitivity.items():
         h = curvature[key]
         known = (c > 0) & (h > 0) & dr.isfinite(c) & dr.isfinite(h)
+        # Out of the sums that follow as well: one entry must not spoil its whole key.
+        c, h = dr.select(known, c, 0), dr.select(known, h, 0)
         c, h = _held(c, known, least), _held(h, known, least)
         mass = dr.power(c / h, 2 / 3)
         if moments is not None:
@@ -79,8 +81,10 @@ def _excess(key: str, h: mi.Float, moments: Moments) -> mi.Float:
     """
     first, noise = moments.first[key], moments.noise[key]
     signal = dr.sum(dr.square(first)) - dr.sum(noise)
-    unsure = dr.sqrt(2 * dr.sum(dr.square(noise)))
+    # Brought to order one: squares of squared gradients leave float32's range.
+    top = dr.maximum(dr.max(noise), 1e-37)
+    unsure = top * dr.sqrt(2 * dr.sum(dr.square(noise / top)))
     # From the held h: entries of next to no curvature say nothing about the error.
     error = dr.maximum(signal, unsure) / dr.sum(dr.square(h))
     rate = dr.opaque(mi.Float, 0.5 * moments.rate[key])
-    return rate * dr.sqrt(moments.second[key]) / dr.maximum(h * error, 1e-30)
+    return rate * dr.sqrt(moments.second[key]) / dr.maximum(h * error, 1e-37)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import drjit as dr
@@ -42,11 +43,11 @@ class Balanced(Sampler):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.power > 0:
+        if not 0 < self.power < math.inf:
             raise InputError(f"sampler.power={self.power}: must be above 0")
         if self.passes < 1:
             raise InputError(f"sampler.passes={self.passes}: at least 1")
-        if not self.least > 0:
+        if not 0 < self.least < math.inf:
             raise InputError(f"sampler.least={self.least}: must be above 0")
 
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
@@ -59,7 +60,8 @@ class Balanced(Sampler):
         sensitivity = self._stage1.sensitivity(values, self.passes, base, iteration)
         tangents = {}
         for key, c in sensitivity.items():
-            seen = c > 0
+            seen = (c > 0) & dr.isfinite(c)  # one entry that is not must not spoil the mean
+            c = dr.select(seen, c, 0)
             mean = dr.sum(c) / dr.maximum(dr.sum(dr.select(seen, mi.Float(1), 0)), 1)
             inverse = dr.select(seen, dr.rcp(dr.maximum(c, self.least * mean)), 0)
             tangents[key] = unflat(values[key], inverse)

@@ -59,8 +59,8 @@ class Multiresolution(Sampler):
             )
         if not 0 <= self.levels <= 16:
             raise InputError(f"sampler.levels={self.levels}: must lie in [0, 16]")
-        if not self.factor > 0:
-            raise InputError(f"sampler.factor={self.factor}: must be above 0")
+        if not 0 < self.factor <= 1024:
+            raise InputError(f"sampler.factor={self.factor}: must lie in (0, 1024]")
         self.floor, self.refresh, self.stage1 = self.base.floor, self.base.refresh, self.base.stage1
 
     @property

@@ -16,6 +16,8 @@ from .denoise import Denoiser
 from .path_cost import PathCost
 from .stage1 import Stage1
 
+# Paths of one pass over the cells, about.
+_LANES = 1 << 18
 # Number of the survey's streams, far from those of any iteration's look.
 _SURVEY = (1 << 27) - (1 << 16)
 
@@ -44,13 +46,14 @@ class Progress(Sampler):
 
         p_j = (r_j/√c_j) Σ_k P_k J_jk/C_k,   P_k ∝ (C_k/h_k)^⅔ (1 + x_k)^(-4/3).
 
-    **What is in it.** One unknown: the sum has one term and p_j ∝ r_j J_j/√c_j, Eq. (12) at equal
-    cost. A texture of like texels, n_k pixels to each: C_k = n_k r J, h_k ∝ n_k J², p_j ∝ 1/n_k:
-    equal mass per texel, as in ``balanced``. Texels of unlike noise: mass ∝ (r/J)^⅔. An unknown
-    that is done (δ → 0) or out of reach (s/h ≫ δ) has x → ∞ and gets nothing; ``floor`` keeps
-    p > 0. Where unknowns share pixels this is no optimum but its mixture. J is measured as the
-    mean of single paths' |∂I_j/∂θ|, smaller than the root of their mean square where paths differ:
-    the latter would be exact and is so much noisier that runs on textures ended worse with it.
+    **What is in it.** One unknown: the sum has one term and p_j ∝ Σ_c r_jc J_jc/√c_j, Eq. (12) at
+    equal cost but for the channels c of a path, which are summed and not squared first. A texture
+    of like texels, n_k pixels to each: C_k = n_k r J, h_k ∝ n_k J², p_j ∝ 1/n_k: equal mass per
+    texel, as in ``balanced``. Texels of unlike noise: mass ∝ (r/J)^⅔. An unknown that is done
+    (δ → 0) or out of reach (s/h ≫ δ) has x → ∞ and gets nothing; ``floor`` keeps p > 0. Where
+    unknowns share pixels this is no optimum but its mixture. J is measured as the mean of single
+    paths' |∂I_j/∂θ|, smaller than the root of their mean square where paths differ: the latter
+    would be exact and is so much noisier that runs on textures ended worse with it.
 
     **Estimation.** Noise in a pmf costs more than its age, and coarse cells cost more than noisy
     ones: fine cells, denoised, and means of values instead of products of single paths. Per cell:
@@ -85,8 +88,8 @@ class Progress(Sampler):
                 raise InputError(f"sampler.{name}={value}: must be a finite number above 0")
 
     def resolution(self, problem, batch: int) -> int:
-        # Four times the paths of a gradient step in each pass: it is fine cells that pay.
-        return super().resolution(problem, 8 * batch)
+        # By the images and not by the batch: it is fine cells that pay.
+        return super().resolution(problem, min(_LANES, 64 * batch))
 
     def due(self, iteration: int) -> bool:
         times = iteration // self.refresh if self.refresh else 0
@@ -110,7 +113,8 @@ class Progress(Sampler):
         if iteration == 0 or base not in self._surveys:
             self._surveys[base] = self._survey(base)
         curvature, cost = self._surveys[base]
-        passes = self.passes if iteration == 0 else 1
+        # As many in a rehearsal, so that nothing is left to compile in a run's first look.
+        passes = self.passes if moments is None else 1
         first = iteration * self.passes
         noise = sum(
             (self._stage1.residual(values, base, first + i)[1] for i in range(passes)),

@@ -1,0 +1,183 @@
+"""One scene of `step_floor.py`, in a process of its own: prints a JSON object per round.
+
+usage: _floor.py ROUNDS STEPS BATCHES SAMPLERS OVERRIDES…   (BATCHES, SAMPLERS: with commas)
+
+Times are medians over STEPS, in seconds. A material of another scene would be compiled into every
+kernel of this one, hence a process per scene.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import statistics
+import sys
+import time
+
+from _child import problem_of
+
+from isas_cli import backend
+
+_WARM_UP = 5
+SIDES = ("step", "passes", "prb")
+
+
+class Sides:
+    """``step``: a gradient step, from its values to new ones. ``passes`` and ``prb``: two ways to
+    trace the rays of its two paths, drawn and spawned beforehand, with a fixed adjoint."""
+
+    def __init__(self, problem, cfg, batch: int, name: str, overrides: list[str]):
+        import drjit as dr
+
+        from isas_cli import losses
+        from isas_cli.adam import Stepper
+        from isas_cli.compose import compose, instantiate
+        from isas_cli.estimators.two_path import TwoPath
+
+        self.problem, self.batch, loss = problem, batch, losses.L2()
+        sampler = instantiate(compose([*overrides, f"sampler={name}"]).sampler, "sampler")
+        sampler.prepare(problem, loss, batch)
+        self.stepper = Stepper(problem.unknowns, cfg.optimizer)
+        self.estimator = TwoPath(problem, loss, batch)
+        self.distribution = sampler.distribution(sampler.look(self.stepper.values, 1, 0))
+        self._spawn = dr.freeze(self._spawned(batch))
+        self._passes = {
+            "passes": dr.freeze(own_passes(problem.integrator)),
+            "prb": dr.freeze(stock_passes(problem.integrator)),
+        }
+
+    @staticmethod
+    def _spawned(batch: int):
+        import drjit as dr
+
+        from isas_cli import rays
+
+        def spawned(sensors, views, distribution, seeds):
+            view, column, row, _ = distribution.draw(batch, seeds[0])
+            both = []
+            for seed in seeds[1:]:
+                stream = rays.stream(seed, batch)
+                ray, _ = rays.spawn(sensors, views, view, column, row, stream)
+                both.append((ray.o, ray.d))
+            dr.eval(both)
+            return both
+
+        return spawned
+
+    def _seeds(self, i: int) -> list:
+        import drjit as dr
+        import mitsuba as mi
+
+        from isas_cli import streams
+
+        purposes = ("draw", "primal", "adjoint")
+        return [dr.opaque(mi.UInt32, streams.seed(1, i, purpose)) for purpose in purposes]
+
+    def measure(self, side: str, i: int) -> float:
+        """Seconds of step ``i``, or of its passes."""
+        p, values = self.problem, self.stepper.values
+        if side == "step":
+            backend.sync()
+            start = time.perf_counter()
+            p.unknowns.attach(values)
+            self.estimator.accumulate(self.distribution, 1, i)
+            self.stepper.step(p.unknowns.gradients(), 0.0)
+        else:
+            seeds = self._seeds(i)
+            both = self._spawn(p.sensors, p.views, self.distribution, seeds)
+            p.unknowns.attach(values)
+            backend.sync()
+            start = time.perf_counter()
+            self._passes[side](p.scene, p.unknowns.leaves, both, seeds)
+        backend.sync()
+        return time.perf_counter() - start
+
+
+def _stream(seed, ray):
+    """The path's random stream where the camera left it: two pairs of numbers are used up."""
+    import drjit as dr
+
+    from isas_cli import rays
+
+    stream = rays.stream(seed, dr.width(ray.o))
+    stream.next_2d()
+    stream.next_2d()
+    return stream
+
+
+def own_passes(integrator):
+    """isas's own: a primal pass, and one that gives radiance and derivative together where paths
+    are short; where they are long, Mitsuba's."""
+    import drjit as dr
+    import mitsuba as mi
+
+    from isas_cli.estimators import replay
+
+    def kernel(scene, leaves, both, seeds):
+        with dr.suspend_grad():
+            first, second = (mi.Ray3f(o, d) for o, d in both)
+            streams = _stream(seeds[1], first), _stream(seeds[2], second)
+            radiance, _ = replay.primal(integrator, scene, streams[0], first)
+            dr.schedule(radiance)  # in one kernel with what follows, as in the step
+            adjoint = mi.Color3f(1.0 / dr.width(second.o))
+            replay.backward(integrator, scene, streams[1], second, adjoint)
+            dr.eval(radiance)
+
+    return kernel
+
+
+def stock_passes(integrator):
+    """Mitsuba's: two primal passes, and the second one's paths replayed for the derivative."""
+    import drjit as dr
+    import mitsuba as mi
+
+    from isas_cli.estimators import replay
+
+    def kernel(scene, leaves, both, seeds):
+        with dr.suspend_grad():
+            first, second = (mi.Ray3f(o, d) for o, d in both)
+            streams = _stream(seeds[1], first), _stream(seeds[2], second)
+            radiance, _ = replay.primal(integrator, scene, streams[0], first)
+            dr.schedule(radiance)
+            replayed = streams[1].clone()
+            _, state = replay.primal(integrator, scene, streams[1], second)
+            dr.eval(state)
+            adjoint = mi.Color3f(1.0 / dr.width(second.o))
+            integrator.sample(
+                mode=dr.ADMode.Backward,
+                scene=scene,
+                sampler=replayed,
+                ray=second,
+                depth=mi.UInt32(0),
+                δL=adjoint,
+                δaovs=None,
+                state_in=state,
+                active=mi.Bool(True),
+            )
+
+    return kernel
+
+
+def main(rounds: int, steps: int, batches: str, samplers: str, overrides: list[str]) -> None:
+    backend.start()
+    problem, cfg = problem_of(overrides)
+    for batch, name in itertools.product(map(int, batches.split(",")), samplers.split(",")):
+        sides = Sides(problem, cfg, batch, name, overrides)
+        count = itertools.count()
+        for side in SIDES:
+            for _ in range(_WARM_UP):
+                sides.measure(side, next(count))
+        for round_ in range(rounds):
+            times = {side: [] for side in SIDES}
+            for turn in range(steps):
+                i = next(count)  # the same draws for all sides
+                order = turn + round_
+                for side in (SIDES[(order + k) % len(SIDES)] for k in range(len(SIDES))):
+                    times[side].append(sides.measure(side, i))
+            row = {"batch": batch, "sampler": name, "round": round_}
+            row |= {side: statistics.median(times[side]) for side in SIDES}
+            print(json.dumps(row), flush=True)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:5], sys.argv[5:])

@@ -1,0 +1,140 @@
+"""One point of `cost_against_size.py`: the jar of pottery at one size, ready to be measured.
+
+usage: _sized.py VIEWS RESOLUTION TEXTURE DEPTH BATCH SAMPLERS   (SAMPLERS: with commas)
+
+Prints a line when all is compiled. Then, for each line on standard input, which is a number of
+seconds, measures every sampler for about so long and prints a JSON object a sampler. All views
+share one camera, and targets and texture are constant: what a point costs then depends on its size
+and not on what comes into view.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import sys
+import time
+
+import psutil
+
+from isas_cli import backend
+
+_WARM_UP = 5
+_LEAST, _MOST = 2, 12  # steps per turn
+_RUN = 1000  # iterations over which looks are counted
+KEY = "jar.bsdf.base_color.data"
+
+
+def problem_of(views: int, resolution: int, texture: int, depth: int):
+    import drjit as dr
+    import mitsuba as mi
+    import numpy as np
+    from isas_cli.scenes import pottery
+
+    from isas_cli.config import UnknownConfig
+    from isas_cli.pixels import Views
+    from isas_cli.problem import Problem
+    from isas_cli.unknowns import Unknowns, parse
+
+    dictionary = pottery.build(1, resolution, 64)
+    camera = next(name for name in dictionary if name.startswith("sensor"))
+    for number in range(1, views):
+        dictionary[f"{camera}_{number:03d}"] = dictionary[camera]
+    scene = mi.load_dict(dictionary, optimize=False)
+    params = mi.traverse(scene)
+    params[KEY] = mi.TensorXf(np.full((texture, texture, 3), 0.5, np.float32))
+    params.update()
+    found = parse(mi.traverse(scene), {KEY: UnknownConfig(start=0.5)}, truth_known=True)
+    sizes = [(resolution, resolution)] * views
+    made = Problem(
+        "sized",
+        scene,
+        mi.load_dict({"type": "prb", "max_depth": depth}),
+        scene.sensors_dr(),
+        sizes,
+        Views.of(sizes),
+        Unknowns(mi.traverse(scene), found),
+        "sized",
+    )
+    made.set_targets(dr.opaque(mi.Float, 0.2, 3 * made.views.total), None, "sized")
+    return made
+
+
+class Point:
+    """Steps and looks of one sampler."""
+
+    def __init__(self, problem, batch: int, name: str):
+        from isas_cli import losses
+        from isas_cli.adam import Stepper
+        from isas_cli.compose import compose, instantiate
+        from isas_cli.config import OptimizerConfig
+        from isas_cli.estimators.two_path import TwoPath
+
+        self.problem, self.name, self.number = problem, name, 0
+        node = compose(["scene=pottery", f"sampler={name}"]).sampler
+        self.sampler, loss = instantiate(node, "sampler"), losses.L2()
+        self.sampler.prepare(problem, loss, batch)
+        self.stepper = Stepper(problem.unknowns, OptimizerConfig())
+        self.estimator = TwoPath(problem, loss, batch)
+        for _ in range(_WARM_UP):
+            self.look()
+            self.step()
+
+    def look(self) -> float:
+        moments = None
+        if self.sampler.needs_moments and self.stepper.taken:
+            moments = self.stepper.moments()
+        return self._timed(lambda: self._look(moments))
+
+    def _look(self, moments) -> None:
+        import drjit as dr
+
+        weights = self.sampler.look(self.stepper.values, 1, self.number, moments)
+        self.distribution = self.sampler.distribution(weights)
+        dr.eval(self.distribution.cdf)
+
+    def step(self) -> float:
+        return self._timed(self._step)
+
+    def _step(self) -> None:
+        unknowns = self.problem.unknowns
+        unknowns.attach(self.stepper.values)
+        self.estimator.accumulate(self.distribution, 1, self.number)
+        self.stepper.step(unknowns.gradients(), 0.0)
+
+    def _timed(self, work) -> float:
+        self.number += 1
+        backend.sync()
+        start = time.perf_counter()
+        work()
+        backend.sync()
+        return time.perf_counter() - start
+
+    def measure(self, seconds: float) -> dict:
+        """Medians over as many steps as fit; one look for every four of them."""
+        steps, looks = [], []
+        while len(steps) < _LEAST or (len(steps) < _MOST and sum(steps) + sum(looks) < seconds):
+            if len(steps) % 4 == 0:
+                looks.append(self.look())
+            steps.append(self.step())
+        return {
+            "sampler": self.name,
+            "step": statistics.median(steps),
+            "look": statistics.median(looks),
+            "looks": sum(map(self.sampler.due, range(_RUN))) / _RUN,
+            "memory": psutil.Process().memory_info().rss,
+        }
+
+
+def main(views: int, resolution: int, texture: int, depth: int, batch: int, samplers: str) -> None:
+    backend.start()
+    problem = problem_of(views, resolution, texture, depth)
+    points = [Point(problem, batch, name) for name in samplers.split(",")]
+    print("ready", flush=True)
+    for line in sys.stdin:
+        for point in points:
+            print(json.dumps(point.measure(float(line))), flush=True)
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:6]), sys.argv[6])
