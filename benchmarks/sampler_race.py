@@ -25,10 +25,10 @@ from isas_cli import records
 
 HERE = Path(__file__).parent
 SAMPLERS = ["uniform", "relevant", "gradient", "ours", "balanced", "progress"]
-SECONDS = {"pottery": 8, "jumpydumpy": 8, "dodoco": 5}
+SECONDS = {"pottery": 12, "jumpydumpy": 12, "dodoco": 5}
 MEASURE = "parameter_rmse"
 COMMON = ["scene.arguments.texture=128", "estimator.batch=16384", "target.spp=64"]
-COMMON += ["frames.views=1", "frames.spp=8", "frames.snapshots=0", "evaluation.pixels=65536"]
+COMMON += ["frames.views=1", "frames.spp=2", "frames.snapshots=0", "evaluation.pixels=65536"]
 
 
 def race(folder: Path, scene: str, contestants: list[tuple[str, float]], seeds: list[int]) -> None:
@@ -109,15 +109,17 @@ def main() -> None:
     tables = []
     for scene in chosen.scenes:
         grid, rest = root / scene / "rates", root / scene / "seeds"
-        race(grid, scene, [(s, r) for r in chosen.rates for s in SAMPLERS], chosen.seeds[:1])
-        first = runs(grid)
-        best = first.loc[first.groupby("sampler")["final"].idxmin()]
-        pairs = list(zip(best["sampler"], best["rate"]))
+        pairs = [(sampler, chosen.rates[0]) for sampler in SAMPLERS]
+        if len(chosen.rates) > 1:
+            race(grid, scene, [(s, r) for r in chosen.rates for s in SAMPLERS], chosen.seeds[:1])
+            first = runs(grid)
+            best = first.loc[first.groupby("sampler")["final"].idxmin()]
+            pairs = list(zip(best["sampler"], best["rate"]))
+            first.drop(columns=["folder", "history"]).to_csv(
+                results / f"sampler_race_{scene}_rates.csv", index=False, float_format="%.4g"
+            )
         race(rest, scene, pairs, chosen.seeds[1:])
         found = runs(rest)
-        first.drop(columns=["folder", "history"]).to_csv(
-            results / f"sampler_race_{scene}_rates.csv", index=False, float_format="%.4g"
-        )
         comparison = root / scene / "comparison"
         folders = [str(path) for path in found["folder"]]
         command = [sys.executable, "-m", "isas_cli", "compare", *folders, "--output", comparison]

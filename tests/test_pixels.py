@@ -168,6 +168,13 @@ def test_drawn_pixels_follow_the_pmf_within_tiles():
     assert np.allclose(np.array(again[3]), np.array(d.probability(*again[:3])), rtol=1e-6)
 
 
+@pytest.mark.parametrize("floor", [0.0, 0.05, 1.0])
+def test_a_film_of_one_pixel(floor):
+    d = on_line(np.ones(1, np.float32), floor)
+    assert probabilities(d).tolist() == [1.0]
+    assert np.all(draw(d, 64, 1) == 0)
+
+
 @pytest.mark.parametrize("most", [1 << 20, 1 << 27], ids=["tiles", "pixels"])
 def test_mass_in_the_last_of_70_million_pixels(most):
     """More pixels than float32 has uniform numbers, all mass in the very last: it is found, its

@@ -8,7 +8,7 @@ from brute_force import cell_means, per_path_derivatives, per_path_residuals
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 from scipy.optimize import minimize
 
-from isas_cli import losses
+from isas_cli import losses, rays
 from isas_cli.adam import Stepper
 from isas_cli.config import OptimizerConfig
 from isas_cli.errors import InputError
@@ -222,3 +222,54 @@ def test_a_continued_run_finds_the_survey_again():
 def test_bad_settings_are_named(settings, message):
     with pytest.raises(InputError, match=message):
         Progress(**settings)
+
+
+@pytest.mark.parametrize("unit", [1e-10, 1e10])
+def test_the_unit_of_the_loss_does_not_matter(unit):
+    """Gradients of a mean over many pixels are tiny; squares of their squares leave float32."""
+    rng = np.random.default_rng(3)
+    c, h, m = rng.uniform(0.2, 2, (3, 8))
+    s2, noise = rng.uniform(0.5, 4, 8), rng.uniform(0.01, 0.1, 8)
+
+    def found(scale):
+        moments = Moments(
+            *({"t": mi.Float(x)} for x in (m * scale, s2 * scale**2, noise * scale**2)), {"t": 0.02}
+        )
+        given = {"t": mi.Float(c * scale)}, {"t": mi.Float(h * scale)}
+        mass = np.array(masses(*given, moments, 1e-3)["t"], np.float64)
+        return mass / mass.sum()
+
+    assert np.allclose(found(unit), found(1.0), rtol=1e-3)
+
+
+def test_one_entry_that_is_not_finite_does_not_spoil_its_key():
+    one, bad = mi.Float([1.0, 1.0, 1.0]), mi.Float([1.0, np.nan, 1.0])
+    moments = Moments(
+        *({"a": one * x, "b": one * x} for x in (0.3, 1.0, 0.01)), {"a": 0.02, "b": 0.02}
+    )
+    for given in (None, moments):
+        found = masses({"a": one, "b": one}, {"a": bad, "b": one}, given, 1e-3)
+        a, b = (np.array(found[key]) for key in "ab")
+        assert a[1] == 0 and np.allclose(a[[0, 2]], b[[0, 2]], rtol=0.5) and np.all(b > 0)
+
+
+def test_paths_are_counted_as_they_are_traced(monkeypatch):
+    """What the record bills as paths: every lane of every stream that a look makes."""
+    p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5})
+    stage1 = Stage1Settings(resolution=4, spp=2, denoise="none")
+    sampler = Progress(stage1=stage1)
+    sampler.prepare(p, losses.L2(), 512, freeze=False)
+    traced = []
+    honest = rays.stream
+    monkeypatch.setattr(
+        rays, "stream", lambda seed, count: (traced.append(count), honest(seed, count))[1]
+    )
+    values = p.unknowns.starts()
+    sampler.look(values, 1, 0)
+    assert sum(traced) == sampler.paths_before + sampler.paths_per_look
+    traced.clear()
+    stepper = Stepper(p.unknowns, OptimizerConfig())
+    stepper.step(p.unknowns.starts(), 0.0)
+    sampler.look(values, 1, 60, stepper.moments(0.1))
+    p.unknowns.write(values)
+    assert sum(traced) == sampler.paths_per_look

@@ -16,7 +16,7 @@ from .denoise import Denoiser
 from .path_cost import PathCost
 from .stage1 import Stage1
 
-# Paths of one pass over the cells, about.
+# Paths of one pass over the cells at most, about.
 _LANES = 1 << 18
 # Number of the survey's streams, far from those of any iteration's look.
 _SURVEY = (1 << 27) - (1 << 16)
@@ -88,8 +88,8 @@ class Progress(Sampler):
                 raise InputError(f"sampler.{name}={value}: must be a finite number above 0")
 
     def resolution(self, problem, batch: int) -> int:
-        # By the images and not by the batch: it is fine cells that pay.
-        return super().resolution(problem, min(_LANES, 64 * batch))
+        # Twice the paths of a gradient step in each pass, up to a bound: it is fine cells that pay.
+        return super().resolution(problem, min(_LANES, 4 * batch))
 
     def due(self, iteration: int) -> bool:
         times = iteration // self.refresh if self.refresh else 0
