@@ -171,7 +171,7 @@ def test_variance_of_single_draws_is_the_closed_form(small, measured, seed):
         error = steps.std(ddof=1) / np.sqrt(steps.size)
         z = (steps.mean() - exact) / error
         print(contestant.label, "measured", steps.mean(), "±", error, "closed form", exact, "z", z)
-        assert abs(z) < 4 and error < 0.15 * exact
+        assert abs(z) < 4 and error < 0.2 * exact
 
 
 def test_no_sampler_beats_the_best_pmf(small, measured):

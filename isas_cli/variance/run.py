@@ -63,10 +63,9 @@ class Progress(Display):
 
 
 def run(plan: Plan) -> int:
-    """Measure and record. Returns 0, or 130 after Ctrl-C, when what was finished is there.
+    """Measure and record. Returns 0, or 130 after Ctrl-C: all whole rounds are then recorded.
 
-    Raises InputError before anything is computed where that is possible, and IsasError when not
-    even one round was.
+    Raises InputError before anything is computed where that is possible.
     """
     typed, _ = checked(plan.common)
     machine = started(list(plan.cfgs.values()), typed)
