@@ -161,13 +161,3 @@ def test_moments_tell_what_noise_the_mean_keeps():
     _, _, v, _ = stepper.adam.state[TEXTURE][3]
     assert np.allclose(np.array(moments.second[TEXTURE]), np.array(v) / (1 - 0.999**steps))
     assert moments.rate[TEXTURE] == pytest.approx(1e-6)
-
-
-def test_moments_of_a_colour_are_flat():
-    p = problem({"wall.bsdf.base_color.value": 0.5})
-    stepper = Stepper(p.unknowns, settings())
-    key = "wall.bsdf.base_color.value"
-    stepper.step({key: unflat(p.unknowns.starts()[key], mi.Float([1.0, 2.0, 3.0]))}, 0.0)
-    moments = stepper.moments(0.0)
-    assert np.allclose(np.array(moments.first[key]), [1, 2, 3], rtol=1e-5)
-    assert np.allclose(np.array(moments.second[key]), [1, 4, 9], rtol=1e-5)

@@ -29,6 +29,7 @@ from .reader import read_rows
 
 _RECORD_FILES = ("manifest.json", "config.yaml", "history.csv", "summary.json")
 _MADE_FILES = (
+    "profile.csv",
     "error.txt",
     "report.html",
     "frames/*.exr",

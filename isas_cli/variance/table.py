@@ -49,8 +49,8 @@ def rows(contestants: list[Contestant], rounds: list[int], results: Results) -> 
     ``Bootstrap`` has them. variance_iid: what independent draws would have, in closed form from the
     pixels' second moments; variance_iid_bound: the least that it can be with any pmf, too low on
     average (see ``Best``). Seconds are medians; per estimate: a step, from the unknowns put into
-    the scene to their gradients, without Adam's own step, and the share of a look that a long run
-    takes with each step (what happens once in a run, a survey or a mask, does not count).
+    the scene to their gradients, without Adam's own step, and the share of a look that a run of
+    1,000 steps takes with each (the one at its start, with a survey or a mask, does not count).
     efficiency: 1/(variance × seconds per estimate), uniform's is 1. bias_z, bias_p: see ``bias``,
     against uniform. batch: pixels drawn per estimate, two paths each.
     """
