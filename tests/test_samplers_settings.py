@@ -254,7 +254,7 @@ def test_extreme_problems_leave_a_pmf(name, extreme):
 @pytest.mark.parametrize("every", [1, 5], ids=["all", "some"])
 @pytest.mark.parametrize("name", NAMES)
 def test_paths_of_stage_1_that_are_not_finite_leave_a_pmf(name, every, bench, monkeypatch):
-    """NaN and infinities in the radiances and in the derivatives that stage 1 traces."""
+    """NaN and infinities in the radiances and in the derivatives of both directions."""
     bench.moments()
 
     def spoil(colours: mi.Color3f) -> mi.Color3f:
@@ -263,8 +263,9 @@ def test_paths_of_stage_1_that_are_not_finite_leave_a_pmf(name, every, bench, mo
         bad = dr.select(lane % 2 == 0, mi.Float(np.nan), mi.Float(np.inf))
         return dr.select(spoilt, bad, colours)
 
-    primal, forward = replay.primal, replay.forward
+    primal, forward, backward = replay.primal, replay.forward, replay.backward
     monkeypatch.setattr(replay, "forward", lambda *args: spoil(forward(*args)))
+    monkeypatch.setattr(replay, "backward", lambda *args: backward(*args[:-1], spoil(args[-1])))
 
     def spoilt_primal(*args):
         radiance, state = primal(*args)

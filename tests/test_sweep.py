@@ -110,7 +110,9 @@ def test_joblib_survives_lost_jobs_and_lost_workers(isas):
     assert status == 1
     # The job that took its worker with it does so once only.
     assert "a worker was killed" in err
-    assert list(table(err).values()) == ["failed", "done", "done"]
+    outcomes = list(table(err).values())
+    # Losing one worker costs the pool its others: a job that had begun in one of them is resumed.
+    assert [outcomes[0], outcomes[2]] == ["failed", "done"] and outcomes[1] in ("done", "resumed")
     places = folders()
     assert summary(places[killed])["killed"] is True
     run = records.load(places[8])
