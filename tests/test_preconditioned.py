@@ -74,7 +74,7 @@ def test_least_must_be_a_positive_number(least):
 
 def test_looks_come_early():
     found = [i for i in range(60) if Preconditioned().due(i)]
-    assert found == [0, 1, 2, 4, 8, 16, 20, 40]
+    assert found == [0, 1, 2, 4, 8, 16, 32, 50]
     assert [i for i in range(5) if Preconditioned(refresh=1).due(i)] == [0, 1, 2, 3, 4]
     with pytest.raises(InputError, match="sampler.refresh=0"):
         Preconditioned(refresh=0)

@@ -39,7 +39,7 @@ class Balanced(Sampler):
     power: float = 0.5
     passes: int = 4
     least: float = 0.1
-    stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(resolution=128, spp=2))
+    stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(spp=2))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -49,6 +49,10 @@ class Balanced(Sampler):
             raise InputError(f"sampler.passes={self.passes}: at least 1")
         if not 0 < self.least < math.inf:
             raise InputError(f"sampler.least={self.least}: must be above 0")
+
+    def resolution(self, problem, batch: int) -> int:
+        # One look is for the whole run: fine cells, as long as all views together stay cheap.
+        return self.stage1.resolution or min(128, self._even(problem, 1 << 19))
 
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
         super().prepare(problem, loss, batch, freeze)

@@ -84,7 +84,7 @@ class Sampler:
     needs_moments: ClassVar[bool] = False
 
     floor: float = 0.05
-    refresh: int = 20
+    refresh: int = 50
     stage1: Stage1Settings = field(default_factory=Stage1Settings)
 
     def __post_init__(self) -> None:
@@ -120,7 +120,11 @@ class Sampler:
         """Cells along the longer side of a view."""
         if self.stage1.resolution:
             return self.stage1.resolution
-        per_view = batch / (len(problem.film_sizes) * self.stage1.spp)
+        return self._even(problem, batch)
+
+    def _even(self, problem: Problem, lanes: float) -> int:
+        """Cells along the longer side at which one pass traces ``lanes`` paths; at least 32."""
+        per_view = lanes / (len(problem.film_sizes) * self.stage1.spp)
         return max(32, round(math.sqrt(per_view)))
 
     def due(self, iteration: int) -> bool:

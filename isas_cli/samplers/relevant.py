@@ -24,9 +24,11 @@ class Relevant(Sampler):
     uses = Sampler.uses - {"denoise"}
 
     refresh: int = 0
-    stage1: Stage1Settings = field(
-        default_factory=lambda: Stage1Settings(resolution=128, spp=2, denoise="none")
-    )
+    stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(spp=2, denoise="none"))
+
+    def resolution(self, problem, batch: int) -> int:
+        # One look is for the whole run: fine cells, as long as all views together stay cheap.
+        return self.stage1.resolution or min(128, self._even(problem, 1 << 19))
 
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
         super().prepare(problem, loss, batch, freeze)
