@@ -38,6 +38,8 @@ class Position:
     iteration: int = 0
     paths: int = 0
     evaluations: int = 0
+    # What was spent before the first step: billed seconds, light paths.
+    before: tuple[float, int] = (0.0, 0)
 
 
 @dataclass
@@ -78,6 +80,14 @@ class Loop:
     def progress(self) -> float:
         p = self.position
         return self.budget.progress(self.clock.seconds, p.iteration, p.paths)
+
+    @property
+    def scheduled(self) -> float:
+        """Progress of the learning rate's schedule, which runs from the first step to the end of
+        the budget: a sampler whose first look takes long must not begin at a rate half decayed."""
+        seconds, paths = self.position.before
+        before = self.budget.progress(seconds, 0, paths)
+        return (self.progress - before) / (1 - before) if before < 1 else 1.0
 
     def rehearse(self) -> None:
         """Compile everything the run will launch, measure the gradient's scale, start afresh."""
@@ -143,17 +153,19 @@ class Loop:
             p.paths += self.sampler.paths_per_look
             if p.iteration == 0:
                 p.paths += self.sampler.paths_before
+        if p.iteration == 0:
+            p.before = self.clock.seconds, p.paths
         with self.clock.billed("step"):
-            progress = self.progress
+            scheduled = self.scheduled
             self._gradients = self._estimate(p.iteration)
-            self.stepper.step(self._gradients, progress)
+            self.stepper.step(self._gradients, scheduled)
         p.paths += self.estimator.paths_per_pixel * self.estimator.batch
         p.iteration += 1
 
     def _look(self, iteration: int) -> None:
         moments = None
         if self.sampler.needs_moments and self.stepper.taken:
-            moments = self.stepper.moments(self.progress)
+            moments = self.stepper.moments(self.scheduled)
         found = self.sampler.look(self.stepper.values, self.seed, iteration, moments)
         self._weights = self.sampler.blended(self._weights, found)
         self._spread()
@@ -198,7 +210,7 @@ class Loop:
             "gradient_noise": noise,
             "nonfinite": nonfinite,
             "stage1_seconds": self.clock.billed_seconds["stage1"],
-            "learning_rate": self.stepper.rate(self.progress),
+            "learning_rate": self.stepper.rate(self.scheduled),
         }
         self.last = row
         hooks.evaluated(row)
@@ -234,6 +246,7 @@ class Loop:
             "seed": self.seed,
             "iteration": p.iteration,
             "paths": p.paths,
+            "before": p.before,
             "counted": self._counted,
             "lost": self.lost,
             "billed": dict(self.clock.billed_seconds),
@@ -248,7 +261,9 @@ class Loop:
         if "cells" in arrays:
             self._weights = mi.Float(arrays["cells"])
             self._spread()
+        seconds, paths = state["before"]
         self.position = Position(int(state["iteration"]), int(state["paths"]))
+        self.position.before = float(seconds), int(paths)
         self._counted, self.lost = tuple(state["counted"]), state["lost"]
         self.clock.billed_seconds.update(state["billed"])
         for phase, seconds in state["unbilled"].items():

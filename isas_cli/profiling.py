@@ -149,7 +149,7 @@ class _Pass:
         with _watch() as spent:
             unknowns.attach(stepper.values)
             self._estimate(self.loop.estimator, iteration)
-            stepper.step(unknowns.gradients(), self.loop.progress)
+            stepper.step(unknowns.gradients(), self.loop.scheduled)
         return spent[0]
 
     def _kernels(self, iteration: int) -> dict[str, float]:
@@ -178,7 +178,7 @@ class _Pass:
             gradients = unknowns.gradients()
             dr.eval(gradients)
         with _count(spent, "Adam"):
-            stepper.step(gradients, loop.progress)
+            stepper.step(gradients, loop.scheduled)
         return spent
 
     def _estimate(self, estimator: TwoPath, iteration: int) -> None:

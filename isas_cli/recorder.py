@@ -163,12 +163,14 @@ class Recorder:
         self._summary(status, complete=False)
 
     def illustrate(self, given_up: Callable[[], bool] = lambda: False) -> Path:
-        """Profile, pictures and report, after ``close``. Returns the path of the report's page.
+        """Profile (of a run that is done), pictures and report, after ``close``. Returns the path
+        of the report's page.
 
         ``given_up``: asked now and then; what is not made yet is left to a continuation.
         """
         loop = self.loop
-        if self.typed.profile and loop.position.iteration and not given_up():
+        done = self._status == "done" and loop.position.iteration > 0
+        if self.typed.profile and done and not given_up():
             self._measure()
         self.display.phase("pictures")
         # The start as well: rendered before the loop it would only delay it.

@@ -18,7 +18,8 @@ def factor(schedule: str, final: float) -> Callable[[float], float]:
     """What the base learning rate is multiplied with at progress t in [0, 1] of the budget.
 
     ``schedule``: constant; cosine or exponential, both from 1 at t = 0 to ``final`` at t = 1.
-    In progress, not iterations: the schedule ends with the budget whatever the budget counts.
+    In progress, not iterations: the schedule begins with the first step and ends with the budget,
+    whatever the budget counts.
     """
     if schedule not in _SHAPES:
         raise InputError(f"optimizer.schedule={schedule}: {nearest(schedule, _SHAPES)}")

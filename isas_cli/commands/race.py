@@ -78,14 +78,14 @@ def _fresh(own: dict[str, str], overrides: list[str]):
     for text in overrides:
         if text.split("=")[0] == "sampler":
             raise InputError(f"{text}: a race has several: samplers=[A,B] or contestants=[…]")
-    differences = _differences(own)
+    differing = differences(own)
     seeds = _values("seed", own.get("seed", "1"))
     if not all(isinstance(seed, int) and not isinstance(seed, bool) for seed in seeds):
         raise InputError(f"seed={own['seed']}: whole numbers, such as seed=[1,2,3]")
     _distinct("seed", seeds)
     common = translate(overrides)
     entries, folder, planned = [], None, []
-    for difference in differences:
+    for difference in differing:
         more = translate([f"{key}={override(value)}" for key, value in difference.items()])
         for seed in seeds:
             settings = [*common, *more, f"seed={seed}", f"name=seed{seed}"]
@@ -138,7 +138,7 @@ def _continued(own: dict[str, str], overrides: list[str]):
     return folder, entries, lambda: None
 
 
-def _differences(own: dict[str, str]) -> list[dict[str, Any]]:
+def differences(own: dict[str, str]) -> list[dict[str, Any]]:
     """What each contestant changes, by key."""
     contestants = _contestants(own["contestants"]) if "contestants" in own else [{}]
     if "samplers" not in own:

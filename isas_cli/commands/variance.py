@@ -65,7 +65,7 @@ def _configurations(own: dict[str, str], overrides: list[str]) -> dict:
     """What each sampler's configuration is, by its label; the references come first."""
     if "samplers" not in own and "contestants" not in own:
         own = {**own, "samplers": f"[{','.join(options('sampler'))}]"}
-    differences = race._differences(own)
+    differences = race.differences(own)
     for difference in differences:
         if "sampler" not in difference:
             raise InputError("contestants: each needs its sampler: {sampler:ours,…}")

@@ -126,8 +126,16 @@ def _find(folder: Path) -> Iterator[Path]:
     """Folders that hold (part of) a run, in order; hidden ones are not searched."""
     for path, names, files in os.walk(folder):
         names[:] = sorted(name for name in names if not name.startswith("."))
-        if _MARKS & set(files):
+        if _MARKS & set(files) and not _measures_variance(Path(path)):
             yield Path(path)
+
+
+def _measures_variance(folder: Path) -> bool:
+    """Whether this is what `isas variance` wrote: a measurement, not a run."""
+    try:
+        return "variance" in read_json(folder / "manifest.json")
+    except InputError:
+        return False
 
 
 def _failure(folder: Path) -> str | None:

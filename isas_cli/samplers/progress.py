@@ -16,9 +16,8 @@ from .denoise import Denoiser
 from .path_cost import PathCost
 from .stage1 import Stage1
 
-# Paths of one pass over the cells at most, about, and of all passes of the first look for one
-# quantity: per entry of the unknowns, at least in batches, and at most in passes.
-_LANES, _PER_ENTRY, _BATCHES, _PASSES = 1 << 18, 64, 8, 8
+# Paths of one pass over the cells, about: in batches, and at most.
+_BATCHES, _LANES = 8, 1 << 18
 # Number of the survey's streams, far from those of any iteration's look.
 _SURVEY = (1 << 27) - (1 << 16)
 
@@ -63,15 +62,14 @@ class Progress(Sampler):
     h_k = Σ_j ℓ''_j J_j J_jk with J_j = Σ_k J_jk, the curvature along an error that all entries of a
     key share. Curvature and costs (``PathCost``; a path that meets nothing costs ``overhead``
     vertices) are taken once, at the start values. A run's first look takes everything ``passes``
-    times (0: twice for a few scalars, up to eight times for textures, whose every texel wants a C
-    and an h) and x_k ≪ 1. Later looks, after ``refresh``, 2 ``refresh``, 4 ``refresh`` … iterations
-    as the unknowns slow down, take it once, with x_k from Adam's moments, and are averaged with
-    the earlier ones. Derivatives of one sign are assumed within a pixel and key (reflectances,
+    times and x_k ≪ 1. Later looks, after ``refresh``, 2 ``refresh``, 4 ``refresh`` … iterations as
+    the unknowns slow down, take it once, with x_k from Adam's moments, and are averaged with the
+    earlier ones. Derivatives of one sign are assumed within a pixel and key (reflectances,
     roughness, radiances have them); of others the absolute value of their sum is used.
     """
 
-    refresh: int = 400
-    passes: int = 0
+    refresh: int = 200
+    passes: int = 2
     least: float = 0.001
     overhead: float = 0.5
     stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(average=0.75))
@@ -82,21 +80,16 @@ class Progress(Sampler):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.passes < 0:
-            raise InputError(f"sampler.passes={self.passes}: 0 (auto) or more")
+        if self.passes < 1:
+            raise InputError(f"sampler.passes={self.passes}: at least 1")
         for name in ("least", "overhead"):
             value = getattr(self, name)
             if not (value > 0 and math.isfinite(value)):
                 raise InputError(f"sampler.{name}={value}: must be a finite number above 0")
 
     def resolution(self, problem, batch: int) -> int:
-        if self.stage1.resolution:
-            return self.stage1.resolution
-        return self._even(problem, min(_LANES, self._survey_paths(batch) // 2))
-
-    def _survey_paths(self, batch: int) -> int:
-        entries = sum(dr.width(flat(value)) for value in self.problem.unknowns.starts().values())
-        return max(_BATCHES * batch, min(_PER_ENTRY * entries, _PASSES * _LANES))
+        # Fine cells: coarse ones cost more than noisy ones.
+        return self.stage1.resolution or self._even(problem, min(_LANES, _BATCHES * batch))
 
     def due(self, iteration: int) -> bool:
         times = iteration // self.refresh if self.refresh else 0
@@ -106,8 +99,6 @@ class Progress(Sampler):
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
         super().prepare(problem, loss, batch, freeze)
         spp = self.stage1.spp
-        wanted = round(self._survey_paths(batch) / (self.cells.count * spp))
-        self._passes = self.passes or min(max(wanted, 2), _PASSES)
         self._stage1 = Stage1(problem, loss, self.cells, spp, freeze)
         self._cost = PathCost(problem, self.cells, spp, freeze)
         denoise = self.stage1.denoise
@@ -123,8 +114,8 @@ class Progress(Sampler):
             self._surveys[base] = self._survey(base)
         curvature, cost = self._surveys[base]
         # As many in a rehearsal, so that nothing is left to compile in a run's first look.
-        passes = self._passes if moments is None else 1
-        first = iteration * self._passes
+        passes = self.passes if moments is None else 1
+        first = iteration * self.passes
         noise = sum(
             (self._stage1.residual(values, base, first + i)[1] for i in range(passes)),
             mi.Color3f(0),
@@ -148,16 +139,16 @@ class Progress(Sampler):
         unknowns = self.problem.unknowns
         starts = unknowns.starts()
         unknowns.write(starts)
-        cost = sum(self._cost(base, i) for i in range(self._passes)) / self._passes + self.overhead
+        cost = sum(self._cost(base, i) for i in range(self.passes)) / self.passes + self.overhead
         weight = self._stage1.curvature(base, _SURVEY) * self.problem.share
         curvature = {}
         first = _SURVEY
         for key in unknowns.keys:
             ones = dr.opaque(mi.Float, 1, dr.width(flat(starts[key])))
             # A sum over its cells is next: noise in single ones is of no account.
-            image = self._along(starts, key, ones, self._passes, base, first) * weight
+            image = self._along(starts, key, ones, self.passes, base, first) * weight
             dr.eval(image)
-            curvature[key] = self._stage1.sensitivity(starts, self._passes, base, first, image)[key]
+            curvature[key] = self._stage1.sensitivity(starts, self.passes, base, first, image)[key]
         dr.eval(curvature, cost)
         return curvature, cost
 
@@ -184,4 +175,4 @@ class Progress(Sampler):
     @property
     def paths_before(self) -> int:
         survey = self.cells.count * self.stage1.spp * (1 + 2 * len(self.problem.unknowns.keys))
-        return self._passes * survey + (self._passes - 1) * self.paths_per_look
+        return self.passes * survey + (self.passes - 1) * self.paths_per_look

@@ -29,68 +29,11 @@ class Stage1:
 
     def __init__(self, problem: Problem, loss, cells: Cells, samples: int, freeze: bool = True):
         self.problem, self.cells, self.samples = problem, cells, samples
-        integrator = problem.integrator
-        count = cells.count * samples
-
-        def mean(values):
-            return dr.block_reduce(dr.ReduceOp.Add, values, samples) * (1.0 / samples)
-
-        def trace(sensors, views, cells, seeds):
-            view, column, row = cells.place(views, samples, seeds[0])
-            stream = rays.stream(seeds[1], count)
-            ray, weight = rays.spawn(sensors, views, view, column, row, stream)
-            return view, views.index(view, column, row), stream, ray, weight
-
-        def moments(derivative):
-            dr.eval(derivative)
-            size = dr.abs(derivative)
-            first = mi.Color3f(*[mean(size[c]) for c in range(3)])
-            second = mi.Color3f(*[mean(dr.square(size[c])) for c in range(3)])
-            dr.eval(first, second)
-            return first, second
-
-        def residual_kernel(scene, sensors, views, leaves, cells, targets, mask, seeds):
-            with dr.suspend_grad():
-                _, pixel, stream, ray, weight = trace(sensors, views, cells, seeds)
-                radiance, _ = replay.primal(integrator, scene, stream, ray)
-                target = dr.gather(mi.Color3f, targets, pixel)
-                derivative = loss.derivative(radiance * weight, target)
-                if mask is not None:
-                    derivative *= dr.gather(mi.Float, mask, pixel)
-                return moments(derivative)
-
-        def derivative_kernel(scene, sensors, views, leaves, cells, seeds):
-            with dr.suspend_grad():
-                _, _, stream, ray, weight = trace(sensors, views, cells, seeds)
-                return moments(replay.forward(integrator, scene, stream, ray) * weight)
-
-        def sensitivity_kernel(scene, sensors, views, leaves, cells, image, seeds):
-            with dr.suspend_grad():
-                view, _, stream, ray, weight = trace(sensors, views, cells, seeds)
-                # A sample stands for all pixels of its cell, of which large films have more.
-                pixels = dr.gather(mi.Float, cells.scale_x, view)
-                pixels *= dr.gather(mi.Float, cells.scale_y, view) * (1.0 / samples)
-                adjoint = mi.Color3f(pixels)
-                if image is not None:
-                    cell = dr.arange(mi.UInt32, count) // samples
-                    adjoint *= dr.gather(mi.Color3f, image, cell)
-                replay.backward(integrator, scene, stream, ray, adjoint * weight)
-
-        def curvature_kernel(views, cells, targets, mask, seeds):
-            view, column, row = cells.place(views, samples, seeds[0])
-            pixel = views.index(view, column, row)
-            weight = loss.curvature(dr.gather(mi.Color3f, targets, pixel))
-            if mask is not None:
-                weight *= dr.gather(mi.Float, mask, pixel)
-            weight = mi.Color3f(*[mean(weight[c] + dr.zeros(mi.Float, count)) for c in range(3)])
-            dr.eval(weight)
-            return weight
-
         wrap = dr.freeze if freeze else (lambda f: f)
-        self._residual = wrap(residual_kernel)
-        self._derivative = wrap(derivative_kernel)
-        self._sensitivity = wrap(sensitivity_kernel)
-        self._curvature = wrap(curvature_kernel)
+        self._residual = wrap(_residual_kernel(problem.integrator, loss, samples))
+        self._derivative = wrap(_derivative_kernel(problem.integrator, samples))
+        self._sensitivity = wrap(_sensitivity_kernel(problem.integrator, samples))
+        self._curvature = wrap(_curvature_kernel(loss, samples))
 
     def _arguments(self):
         p = self.problem
@@ -163,3 +106,79 @@ def random_signs(values: dict, seed: int, scale: dict | None = None) -> dict:
         signs = dr.select(rng.next_float32() < 0.5, mi.Float(-1), 1)
         tangents[key] = unflat(value, signs if scale is None else signs * scale[key])
     return tangents
+
+
+def _residual_kernel(integrator, loss, samples: int):
+    def kernel(scene, sensors, views, leaves, cells, targets, mask, seeds):
+        with dr.suspend_grad():
+            _, pixel, stream, ray, weight = _spawned(sensors, views, cells, samples, seeds)
+            radiance, _ = replay.primal(integrator, scene, stream, ray)
+            target = dr.gather(mi.Color3f, targets, pixel)
+            derivative = loss.derivative(radiance * weight, target)
+            if mask is not None:
+                derivative *= dr.gather(mi.Float, mask, pixel)
+            return _moments(derivative, samples)
+
+    return kernel
+
+
+def _derivative_kernel(integrator, samples: int):
+    def kernel(scene, sensors, views, leaves, cells, seeds):
+        with dr.suspend_grad():
+            _, _, stream, ray, weight = _spawned(sensors, views, cells, samples, seeds)
+            return _moments(replay.forward(integrator, scene, stream, ray) * weight, samples)
+
+    return kernel
+
+
+def _sensitivity_kernel(integrator, samples: int):
+    def kernel(scene, sensors, views, leaves, cells, image, seeds):
+        with dr.suspend_grad():
+            view, _, stream, ray, weight = _spawned(sensors, views, cells, samples, seeds)
+            # A sample stands for all pixels of its cell, of which large films have more.
+            pixels = dr.gather(mi.Float, cells.scale_x, view)
+            pixels *= dr.gather(mi.Float, cells.scale_y, view) * (1.0 / samples)
+            adjoint = mi.Color3f(pixels)
+            if image is not None:
+                cell = dr.arange(mi.UInt32, cells.count * samples) // samples
+                adjoint *= dr.gather(mi.Color3f, image, cell)
+            replay.backward(integrator, scene, stream, ray, adjoint * weight)
+
+    return kernel
+
+
+def _curvature_kernel(loss, samples: int):
+    def kernel(views, cells, targets, mask, seeds):
+        view, column, row = cells.place(views, samples, seeds[0])
+        pixel = views.index(view, column, row)
+        weight = loss.curvature(dr.gather(mi.Color3f, targets, pixel))
+        if mask is not None:
+            weight *= dr.gather(mi.Float, mask, pixel)
+        zero = dr.zeros(mi.Float, cells.count * samples)
+        weight = mi.Color3f(*[_mean(weight[c] + zero, samples) for c in range(3)])
+        dr.eval(weight)
+        return weight
+
+    return kernel
+
+
+def _spawned(sensors, views, cells: Cells, samples: int, seeds: list) -> tuple:
+    """A path for each sample of each cell: view, pixel, stream, ray, ray weight. Traced."""
+    view, column, row = cells.place(views, samples, seeds[0])
+    stream = rays.stream(seeds[1], cells.count * samples)
+    ray, weight = rays.spawn(sensors, views, view, column, row, stream)
+    return view, views.index(view, column, row), stream, ray, weight
+
+
+def _mean(values: mi.Float, samples: int) -> mi.Float:
+    return dr.block_reduce(dr.ReduceOp.Add, values, samples) * (1.0 / samples)
+
+
+def _moments(derivative: mi.Color3f, samples: int) -> tuple[mi.Color3f, mi.Color3f]:
+    """Mean over each cell of |derivative| and of its square. Evaluates."""
+    dr.eval(derivative)
+    size = dr.abs(derivative)
+    first = mi.Color3f(*[_mean(size[c], samples) for c in range(3)])
+    second = mi.Color3f(*[_mean(dr.square(size[c]), samples) for c in range(3)])
+    dr.eval(first, second)
+    return first, second

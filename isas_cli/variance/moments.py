@@ -55,8 +55,11 @@ class Moments:
         return self.halves.mean(axis=0)
 
     def sum_over(self, probability: np.ndarray, contributions: np.ndarray) -> float:
-        """Σ_j A_j / p_j over all pixels, both by slot."""
-        return float(np.sum(self.pixels * contributions / probability))
+        """Σ_j A_j / p_j over all pixels, both by slot. Pixels that contribute nothing need no p."""
+        reached = np.zeros_like(contributions)
+        with np.errstate(divide="ignore"):
+            np.divide(contributions, probability, out=reached, where=contributions != 0)
+        return float(np.sum(self.pixels * reached))
 
     def probability(self, distribution: PixelDistribution) -> np.ndarray:
         """p_j of every tile's middle pixel, ``(T,) float64``."""

@@ -67,7 +67,7 @@ def rows(contestants: list[Contestant], rounds: list[int], results: Results) -> 
     terms = counts - (np.arange(len(counts)) == 0)
     bootstrap = Bootstrap(sums, terms)
     place = {c.label: i for i, c in enumerate(contestants)}
-    squared = _squared_gradient(contestants, bootstrap, repeats)
+    squared = _squared_gradient(contestants, bootstrap)
     made = [
         _row(c, i, bootstrap, place, repeats, squared, results) for i, c in enumerate(contestants)
     ]
@@ -122,13 +122,15 @@ def _row(
     }
 
 
-def _squared_gradient(contestants: list[Contestant], bootstrap: Bootstrap, repeats: int) -> float:
+def _squared_gradient(contestants: list[Contestant], bootstrap: Bootstrap) -> float:
     """‖∇‖² without the noise of the mean, from the contestant that knows it best."""
     variances = [bootstrap.variance(i).value for i in range(len(contestants))]
     if not np.isfinite(variances).all():
         return math.nan
     surest = int(np.argmin(variances))
-    return contestants[surest].tally.squared_norm - variances[surest] / repeats
+    tally = contestants[surest].tally
+    # Of an interrupted round as well: the mean is of all estimates.
+    return tally.squared_norm - variances[surest] / len(tally.steps)
 
 
 def _with_bounds(name: str, estimate: Estimate) -> dict[str, float]:
