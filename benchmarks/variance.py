@@ -15,7 +15,7 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 CONTESTANTS = "[{sampler:ours},{sampler:joint},{sampler:progress}"
-CONTESTANTS += ",{sampler:ours,sampler.stage1.average:0.8}]"
+CONTESTANTS += "]"
 MADE = {"variance.csv": ".csv", "variance.png": ".png", "densities_v00.png": "_densities.png"}
 
 

@@ -261,7 +261,8 @@ class Loop:
         if "cells" in arrays:
             self._weights = mi.Float(arrays["cells"])
             self._spread()
-        seconds, paths = state["before"]
+        # Checkpoints of earlier versions lack it: their schedule began with the budget.
+        seconds, paths = state.get("before", (0.0, 0))
         self.position = Position(int(state["iteration"]), int(state["paths"]))
         self.position.before = float(seconds), int(paths)
         self._counted, self.lost = tuple(state["counted"]), state["lost"]

@@ -228,6 +228,17 @@ def test_a_folder_named_twice_counts_once(tmp_path):
     assert warnings(*folders) == []
 
 
+def test_measurements_of_variance_beside_runs_are_passed_over_in_silence(tmp_path):
+    run(tmp_path / "uniform", sampler="uniform", seed=7)
+    (tmp_path / "variance").mkdir()
+    manifest = {"schema": 2, "variance": {"repeats": 8}}
+    (tmp_path / "variance" / "manifest.json").write_text(json.dumps(manifest))
+    assert found(tmp_path) == [("pottery", "uniform", [7])]
+    assert warnings(tmp_path) == warnings(tmp_path / "uniform")
+    with pytest.raises(InputError, match="holds no run"):
+        gather([tmp_path / "variance"], None)
+
+
 @pytest.mark.parametrize("name, reason", [("none", "no such folder"), ("empty", "holds no run")])
 def test_a_folder_without_runs_is_refused_even_beside_good_ones(tmp_path, name, reason):
     (tmp_path / "empty").mkdir()

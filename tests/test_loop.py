@@ -126,6 +126,32 @@ def test_budgets_of_every_kind_end_the_run():
     assert l.clock.seconds >= 0.2 and l.last["seconds"] == l.clock.seconds
 
 
+def test_the_learning_rate_falls_from_the_first_step_on(monkeypatch):
+    """A first look that takes half the budget must not cost half the schedule, nor a continued
+    run go back to its beginning."""
+    p = problem({TEXTURE: 0.5}, constant_target=None)
+    ours = Ours(refresh=0, stage1=STAGE1)
+    ours.prepare(p, losses.L2(), 256)
+    budget = Budget(paths=2 * ours.paths_per_look)
+
+    def recorded(loop_) -> list[float]:
+        seen, step = [], loop_.stepper.step
+        with monkeypatch.context() as patched:
+            patched.setattr(loop_.stepper, "step", lambda g, t: (seen.append(t), step(g, t)))
+            run(loop_)
+        return seen
+
+    whole = recorded(loop(p, ours, budget))
+    assert whole[0] == 0 and 0.5 < whole[-1] < 1
+    assert np.allclose(np.diff(whole), whole[1]), "evenly over what the look has left"
+
+    stopped = loop(p, ours, budget)
+    run(stopped, stop=lambda: stopped.position.iteration >= 1)
+    continued = loop(p, ours, budget)
+    continued.restore(*stopped.export())
+    assert recorded(continued) == whole[1:]
+
+
 def test_photographs_have_an_image_error_and_no_parameter_error():
     """Without a truth the error is against the pictures, less the noise of its own measurement."""
     p = problem({ROUGHNESS: 0.4}, constant_target=None, resolution=(48, 32))

@@ -174,6 +174,14 @@ def test_variance_of_single_draws_is_the_closed_form(small, measured, seed):
         assert abs(z) < 4 and error < 0.2 * exact
 
 
+def test_pixels_that_contribute_nothing_need_no_probability(small):
+    some = moments.Moments(small, Tiles.over(small.views), np.zeros((2, 3)), 2)
+    some.pixels = np.array([1.0, 4.0, 3.0])
+    contributions, p = np.array([2.0, 0.0, 1.0]), np.array([0.5, 0.0, 0.25])
+    assert some.sum_over(p, contributions) == 4 + 12
+    assert some.sum_over(np.zeros(3), contributions) == np.inf
+
+
 def test_no_sampler_beats_the_best_pmf(small, measured):
     """Judged by paths that none of them was made from. The bound lies below what was reached."""
     found, judge = best.find(measured[0]), measured[1]
