@@ -35,7 +35,8 @@ def loop(p, name: str) -> Loop:
     loss, batch = losses.L2(), 256
     sampler.prepare(p, loss, batch)
     if sampler.refresh:
-        sampler.refresh = BLOCK // 4  # so that looks are met often
+        looking = getattr(sampler, "base", sampler)  # multiresolution looks through another
+        looking.refresh = BLOCK // 4  # so that looks are met often
     stepper = Stepper(p.unknowns, OptimizerConfig())
     evaluator = Evaluator(p, loss, 50, 2, 1)
     budget, estimator = Budget(iterations=10_000), TwoPath(p, loss, batch)

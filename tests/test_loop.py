@@ -131,8 +131,9 @@ def test_the_learning_rate_falls_from_the_first_step_on(monkeypatch):
     run go back to its beginning."""
     p = problem({TEXTURE: 0.5}, constant_target=None)
     ours = Ours(refresh=0, stage1=STAGE1)
-    ours.prepare(p, losses.L2(), 256)
+    ours.prepare(p, losses.L2(), 16)
     budget = Budget(paths=2 * ours.paths_per_look)
+    same = {"budget": budget, "batch": 16}  # a dozen steps
 
     def recorded(loop_) -> list[float]:
         seen, step = [], loop_.stepper.step
@@ -141,13 +142,13 @@ def test_the_learning_rate_falls_from_the_first_step_on(monkeypatch):
             run(loop_)
         return seen
 
-    whole = recorded(loop(p, ours, budget))
+    whole = recorded(loop(p, ours, **same))
     assert whole[0] == 0 and 0.5 < whole[-1] < 1
     assert np.allclose(np.diff(whole), whole[1]), "evenly over what the look has left"
 
-    stopped = loop(p, ours, budget)
+    stopped = loop(p, ours, **same)
     run(stopped, stop=lambda: stopped.position.iteration >= 1)
-    continued = loop(p, ours, budget)
+    continued = loop(p, ours, **same)
     continued.restore(*stopped.export())
     assert recorded(continued) == whole[1:]
 

@@ -27,7 +27,7 @@ from isas_cli.unknowns import flat
 
 LEVEL = 1e-4
 BATCH = 4096
-REPEATS = 128
+REPEATS = 160
 LOSSES = unbiased_losses()
 # Cells of two pixels' side, with enough paths that the pmf follows the image and not the noise.
 LOOKS = {"stage1.resolution": 6, "stage1.spp": 4}

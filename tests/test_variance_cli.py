@@ -98,7 +98,7 @@ def test_columns_agree_with_each_other(made):
         share = row["looks_per_estimate"] * row["seconds_look"]
         assert row["seconds_per_estimate"] == pytest.approx(row["seconds_step"] + share)
         assert row["nonfinite"] == 0
-    assert uniform["looks_per_estimate"] == 0 and gradient["looks_per_estimate"] == 1 / 20
+    assert uniform["looks_per_estimate"] == 0 and gradient["looks_per_estimate"] == 1 / 50
     assert gradient["paths_per_estimate"] > uniform["paths_per_estimate"] == 512
     best = number["best pmf"]
     assert best["variance_iid_bound"] < best["variance_iid"] and best["ratio_to_best"] == 1
