@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import pandas
 
-from isas_cli import records
+from isas_cli import images, records
 
 HERE = Path(__file__).parent
 SAMPLERS = ["uniform", "relevant", "gradient", "ours", "balanced", "progress"]
@@ -58,6 +58,21 @@ def runs(folder: Path) -> pandas.DataFrame:
     return pandas.DataFrame(rows)
 
 
+def worst_twentieth(folder: Path) -> float:
+    """Share of a texture's squared error that its worst 5 % of texels hold, of those that the run
+    has touched; NaN without a texture."""
+    shares = []
+    for path in sorted((folder / "frames").glob("truth_*.exr")):
+        truth, start, result = (
+            images.read(path.with_name(path.name.replace("truth_", f"{name}_", 1)))
+            for name in ("truth", "start", "result")
+        )
+        touched = np.any(result != start, axis=-1)
+        error = np.sort(np.mean((result - truth) ** 2, axis=-1)[touched])[::-1]
+        shares.append(error[: error.size // 20].sum() / error.sum())
+    return float(np.mean(shares)) if shares else float("nan")
+
+
 def reached(history: pandas.DataFrame, goal: float) -> float:
     """Billed seconds from which on the error stays at or below ``goal``, linear between
     evaluations; infinite if it is not."""
@@ -88,6 +103,7 @@ def table(scene: str, found: pandas.DataFrame) -> pandas.DataFrame:
         row["iterations"] = np.median([h["iteration"].iloc[-1] for h in own["history"]])
         row["stage1_share"] = np.median([h["stage1_seconds"].iloc[-1] for h in own["history"]])
         row["stage1_share"] /= budget
+        row["worst_twentieth"] = np.median([worst_twentieth(path) for path in own["folder"]])
         for rival in ("uniform", "relevant"):
             times = [reached(h, finals[rival]) / budget for h in own["history"]]
             row[f"time_to_{rival}"] = np.median(times)

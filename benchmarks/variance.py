@@ -14,8 +14,7 @@ import tempfile
 from pathlib import Path
 
 HERE = Path(__file__).parent
-CONTESTANTS = "[{sampler:ours},{sampler:joint},{sampler:progress}"
-CONTESTANTS += "]"
+CONTESTANTS = "[{sampler:ours},{sampler:joint},{sampler:progress}]"
 MADE = {"variance.csv": ".csv", "variance.png": ".png", "densities_v00.png": "_densities.png"}
 
 

@@ -176,3 +176,18 @@ def difference_quotients(
                     result[l, s, i] += sign * value / (2 * h)
     problem.unknowns.write(problem.unknowns.starts())
     return result
+
+
+class WithoutWeights(TwoPath):
+    """Broken on purpose: pretends that every pixel was drawn uniformly."""
+
+    def accumulate(self, distribution, base, iteration):
+        honest = PixelDistribution._probability
+        alike = 1 / self.problem.views.total
+        PixelDistribution._probability = lambda d, mass, pixels: dr.full(
+            mi.Float, alike, dr.width(mass)
+        )
+        try:
+            super().accumulate(distribution, base, iteration)
+        finally:
+            PixelDistribution._probability = honest

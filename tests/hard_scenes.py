@@ -11,13 +11,10 @@ from dataclasses import dataclass
 
 import mitsuba as mi
 import numpy as np
-from scenes_for_tests import dictionary, texture
+from scenes_for_tests import dictionary, texture, without_targets
 
-from isas_cli.config import UnknownConfig
-from isas_cli.pixels import Views
 from isas_cli.problem import Problem
 from isas_cli.render import Renderer
-from isas_cli.unknowns import Unknowns, parse
 
 _place = mi.ScalarTransform4f
 _BRIGHTER = 4.0
@@ -178,22 +175,7 @@ def assemble(description: dict, unknowns: dict) -> Problem:
     everywhere, so that what pixels say about an unknown adds up to a gradient well above its
     noise, against which a small bias can be seen.
     """
-    scene = mi.load_dict(description, optimize=False)
-    film = [tuple(int(x) for x in s.film().crop_size()) for s in scene.sensors()]
-    specs = {key: UnknownConfig(start=start) for key, start in unknowns.items()}
-    found = parse(mi.traverse(scene), specs, truth_known=True)
-    result = Problem(
-        "test",
-        scene,
-        scene.integrator(),
-        scene.sensors_dr(),
-        film,
-        Views.of(film),
-        Unknowns(mi.traverse(scene), found),
-        "test",
-    )
-    for unknown in result.unknowns:
-        unknown.seen = np.ones(unknown.start.shape, bool)
+    result = without_targets(description, unknowns)
     result.unknowns.write(result.unknowns.starts())
     rendered = Renderer(result).range(0, result.views.total, 1024, lambda i: 1000 + i)
     result.set_targets(mi.Float(_BRIGHTER * rendered.ravel()), None, "test")

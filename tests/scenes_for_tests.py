@@ -77,10 +77,9 @@ def dictionary(
     }
 
 
-def problem(unknowns: dict[str, float], constant_target: float | None = 0.25, **sizes) -> Problem:
-    """The scene above as a problem. ``unknowns``: key → start. The target is a constant, or the
-    truth rendered coarsely where ``constant_target`` is None."""
-    scene = mi.load_dict(dictionary(**sizes), optimize=False)
+def without_targets(description: dict, unknowns: dict[str, float]) -> Problem:
+    """``description``: Mitsuba's, whose values are the truth; ``unknowns``: key → start."""
+    scene = mi.load_dict(description, optimize=False)
     film = [tuple(int(x) for x in s.film().crop_size()) for s in scene.sensors()]
     specs = {key: UnknownConfig(start=start) for key, start in unknowns.items()}
     found = parse(mi.traverse(scene), specs, truth_known=True)
@@ -96,6 +95,13 @@ def problem(unknowns: dict[str, float], constant_target: float | None = 0.25, **
     )
     for unknown in result.unknowns:
         unknown.seen = np.ones(unknown.start.shape, bool)
+    return result
+
+
+def problem(unknowns: dict[str, float], constant_target: float | None = 0.25, **sizes) -> Problem:
+    """The scene above as a problem. ``unknowns``: key → start. The target is a constant, or the
+    truth rendered coarsely where ``constant_target`` is None."""
+    result = without_targets(dictionary(**sizes), unknowns)
     if constant_target is None:
         from isas_cli.render import Renderer
 

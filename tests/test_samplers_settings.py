@@ -2,6 +2,7 @@
 whatever they are and stage 1 finds, what comes out is a pmf that reaches every pixel."""
 
 import dataclasses
+import types
 
 import drjit as dr
 import mitsuba as mi
@@ -273,3 +274,22 @@ def test_paths_of_stage_1_that_are_not_finite_leave_a_pmf(name, every, bench, mo
 
     monkeypatch.setattr(replay, "primal", spoilt_primal)
     check_all(configured("sampler", name), bench)
+
+
+@pytest.mark.parametrize(
+    "name, views, side",
+    [
+        ("relevant", 16, 128),
+        ("relevant", 64, 64),
+        ("balanced", 64, 64),
+        ("balanced", 5000, 32),
+        ("progress", 1, 512),
+        ("progress", 16, 128),
+        ("ours", 16, 64),
+    ],
+)
+def test_a_look_at_many_views_takes_no_more_cells_than_at_few(name, views, side):
+    """Cells along a view's longer side by default, at the default batch, and as configured."""
+    p = types.SimpleNamespace(film_sizes=[(4096, 4096)] * views)
+    assert configured("sampler", name).resolution(p, 65536) == side
+    assert configured("sampler", name, {"stage1.resolution": 200}).resolution(p, 65536) == 200

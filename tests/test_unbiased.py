@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from gradient_estimates import (
     Gradients,
+    WithoutWeights,
     configured,
     difference_quotients,
     shared_settings,
@@ -21,7 +22,6 @@ from montecarlo import welch
 from isas_cli import rays, streams
 from isas_cli.compose import options
 from isas_cli.estimators import attached, replay
-from isas_cli.estimators.two_path import TwoPath
 from isas_cli.pixels import PixelDistribution, Tiles
 from isas_cli.unknowns import flat
 
@@ -134,21 +134,6 @@ def test_short_paths_differentiate_like_replayed_ones(bench, monkeypatch):
     for unrolled, replayed in zip(*found):
         assert np.any(replayed != 0)
         assert np.allclose(unrolled, replayed, rtol=1e-3, atol=1e-4 * np.abs(replayed).max())
-
-
-class WithoutWeights(TwoPath):
-    """Broken on purpose: pretends that every pixel was drawn uniformly."""
-
-    def accumulate(self, distribution, base, iteration):
-        honest = PixelDistribution._probability
-        alike = 1 / self.problem.views.total
-        PixelDistribution._probability = lambda d, mass, pixels: dr.full(
-            mi.Float, alike, dr.width(mass)
-        )
-        try:
-            super().accumulate(distribution, base, iteration)
-        finally:
-            PixelDistribution._probability = honest
 
 
 def test_missing_weights_are_noticed(bench, seed):

@@ -5,7 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from brute_force import per_path_derivatives, per_path_residuals
-from gradient_estimates import Gradients, configured
+from gradient_estimates import Gradients, WithoutWeights, configured
 from montecarlo import z_against
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 from scipy import stats
@@ -209,21 +209,6 @@ def test_variances_are_those_of_estimates_made_one_by_one(small, seed):
     error = np.hypot(*(x.std(ddof=1) / np.sqrt(x.size) for x in (own, away)))
     print("variance", own.mean(), away.mean(), "standard error", error)
     assert abs(own.mean() - away.mean()) < 4 * error and error < 0.12 * own.mean()
-
-
-class WithoutWeights(TwoPath):
-    """Broken on purpose: pretends that every pixel was drawn uniformly."""
-
-    def accumulate(self, distribution, base, iteration):
-        honest = PixelDistribution._probability
-        alike = 1 / self.problem.views.total
-        PixelDistribution._probability = lambda d, mass, pixels: dr.full(
-            mi.Float, alike, dr.width(mass)
-        )
-        try:
-            super().accumulate(distribution, base, iteration)
-        finally:
-            PixelDistribution._probability = honest
 
 
 @pytest.mark.parametrize("estimator", [TwoPath, WithoutWeights])

@@ -52,7 +52,7 @@ class Balanced(Sampler):
 
     def resolution(self, problem, batch: int) -> int:
         # One look is for the whole run: fine cells, as long as all views together stay cheap.
-        return self.stage1.resolution or min(128, self._even(problem, 1 << 19))
+        return self.stage1.resolution or min(128, self._resolution_for(problem, 1 << 19))
 
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
         super().prepare(problem, loss, batch, freeze)

@@ -120,9 +120,9 @@ class Sampler:
         """Cells along the longer side of a view."""
         if self.stage1.resolution:
             return self.stage1.resolution
-        return self._even(problem, batch)
+        return self._resolution_for(problem, batch)
 
-    def _even(self, problem: Problem, lanes: float) -> int:
+    def _resolution_for(self, problem: Problem, lanes: float) -> int:
         """Cells along the longer side at which one pass traces ``lanes`` paths; at least 32."""
         per_view = lanes / (len(problem.film_sizes) * self.stage1.spp)
         return max(32, round(math.sqrt(per_view)))

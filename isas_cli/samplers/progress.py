@@ -55,8 +55,8 @@ class Progress(Sampler):
     paths' |∂I_j/∂θ|, smaller than the root of their mean square where paths differ: the latter
     would be exact and is so much noisier that runs on textures ended worse with it.
 
-    **Estimation.** Noise in a pmf costs more than its age, and coarse cells cost more than noisy
-    ones: fine cells, denoised, and means of values instead of products of single paths. Per cell:
+    **Estimation.** Fine cells, denoised, and means of values instead of products of single paths:
+    at equal iterations coarse cells ended worse than noisy ones. Per cell:
     r as the root of p_j1 (as in ``ours``), J from a forward pass along ones, and Σ_k P_k J_jk/C_k
     from one along P_k/C_k. Per unknown, by backward passes with these images as adjoints: C_k, and
     h_k = Σ_j ℓ''_j J_j J_jk with J_j = Σ_k J_jk, the curvature along an error that all entries of a
@@ -89,7 +89,9 @@ class Progress(Sampler):
 
     def resolution(self, problem, batch: int) -> int:
         # Fine cells: coarse ones cost more than noisy ones.
-        return self.stage1.resolution or self._even(problem, min(_LANES, _BATCHES * batch))
+        return self.stage1.resolution or self._resolution_for(
+            problem, min(_LANES, _BATCHES * batch)
+        )
 
     def due(self, iteration: int) -> bool:
         times = iteration // self.refresh if self.refresh else 0
