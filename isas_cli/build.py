@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import importlib
 import inspect
@@ -12,12 +13,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from . import backend, coverage, scene_file, targets
+from . import backend, coverage, mesh_checks, scene_file, targets
 from .config import SceneConfig, TargetConfig
 from .errors import InputError, nearest
 from .pixels import Views
 from .problem import Problem
-from .unknowns import Unknowns, parse
+from .unknowns import Unknowns, parse, textures
 
 
 def problem(
@@ -31,6 +32,8 @@ def problem(
     ``phase(name)`` is told when work of another kind begins ('load', 'targets', 'coverage').
     """
     phase("load")
+    # Earlier scenes that nobody uses: collected in the middle of a frozen kernel, they break it.
+    gc.collect()
     with backend.loading():
         if scene.path is not None:
             loaded, integrator, description = scene_file.load(scene.path, scene.max_depth)
@@ -62,6 +65,7 @@ def problem(
         Views.of(sizes),
         unknowns,
         content,
+        warnings=mesh_checks.check_scene(loaded, textures(params, unknowns.keys)),
     )
     if photographs:
         phase("targets")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +25,7 @@ _RANGES = {
     "spec_trans": (0.0, 1.0),
     "radiance": (0.0, np.inf),
     "intensity": (0.0, np.inf),
+    "irradiance": (0.0, np.inf),
 }
 
 
@@ -43,24 +45,37 @@ class Unknown:
     seen: np.ndarray | None = None
 
 
+def _owner(params: mi.SceneParameters, key: str):
+    return params.properties[key][2]
+
+
+def _is_environment(params: mi.SceneParameters, key: str) -> bool:
+    """Whether the parameter is the picture of an environment map."""
+    return isinstance(_owner(params, key), mi.Emitter) and dr.is_tensor_v(params[key])
+
+
 def _moves_geometry(params: mi.SceneParameters, key: str) -> bool:
     """Whether the parameter changes what is visible. Mitsuba's flag alone would not do: it also
-    marks roughness, whose lobe is smooth inside the legal range."""
-    owner = params.properties[key][2]
-    discontinuous = params.flags(key) & mi.ParamFlags.Discontinuous
-    return bool(discontinuous) and not isinstance(owner, (mi.BSDF, mi.Texture))
+    marks roughness, whose lobe is smooth inside the legal range, and environment maps."""
+    if isinstance(_owner(params, key), (mi.BSDF, mi.Texture)) or _is_environment(params, key):
+        return False
+    return bool(params.flags(key) & mi.ParamFlags.Discontinuous)
+
+
+def _is_float(value) -> bool:
+    """Whether it holds floating-point numbers, at least one, and is no matrix."""
+    if not (dr.is_array_v(value) and dr.is_float_v(value)):
+        return False
+    return not dr.is_matrix_v(value) and dr.width(value) > 0
 
 
 def differentiable_keys(params: mi.SceneParameters) -> list[str]:
     """All keys that path replay can differentiate: floating point, not moving geometry."""
     keys = []
     for key in params.keys():
-        value = params[key]
-        if not (dr.is_array_v(value) and dr.is_diff_v(value) and dr.is_float_v(value)):
+        if not (_is_float(params[key]) and dr.is_diff_v(params[key])):
             continue
-        if dr.is_matrix_v(value) or dr.width(value) == 0:
-            continue
-        if isinstance(params.properties[key][2], (mi.Sensor, mi.Film)):
+        if isinstance(_owner(params, key), (mi.Sensor, mi.Film)):
             continue
         if params.flags(key) & mi.ParamFlags.NonDifferentiable or _moves_geometry(params, key):
             continue
@@ -74,14 +89,29 @@ def as_numpy(value) -> np.ndarray:
     return array if dr.is_tensor_v(value) else array.reshape(-1)
 
 
+def _loaded(params: mi.SceneParameters, key: str) -> np.ndarray:
+    """The scene's value of a parameter, in the shape that it has as an unknown.
+
+    An environment map of (H, W, 3) texels is kept by Mitsuba as (H, W + 2, 3): its last column
+    stands before the first once more, and its first behind the last. Only the W in between are
+    unknown (``Unknowns`` puts the others around them).
+    """
+    array = as_numpy(params[key])
+    return array[:, 1:-1].copy() if _is_environment(params, key) else array
+
+
 def _like(template, array: np.ndarray):
-    """``array`` as a Dr.Jit value of the type of ``template``."""
+    """``array`` as a Dr.Jit value of the type of ``template``, in memory of its own: frozen kernels
+    go on seeing earlier values of a texture of one channel whose memory is NumPy's."""
     kind = type(template)
+    if not dr.is_tensor_v(kind) and array.size == dr.size_v(kind) > 1:
+        return kind(*[float(x) for x in array])
+    entries = mi.Float(np.ascontiguousarray(array.reshape(-1), dtype=np.float32))
+    entries = entries + dr.opaque(mi.Float, 0, entries.shape[0])
+    dr.eval(entries)
     if dr.is_tensor_v(kind):
-        return kind(np.ascontiguousarray(array, dtype=np.float32))
-    if dr.size_v(kind) > 1:
-        return kind(*[float(x) for x in array]) if array.size == dr.size_v(kind) else kind(array)
-    return kind(np.ascontiguousarray(array.reshape(-1), dtype=np.float32))
+        return kind(entries, array.shape)
+    return dr.unravel(kind, entries) if dr.size_v(kind) > 1 else kind(entries)
 
 
 def flat(value) -> mi.Float:
@@ -96,14 +126,17 @@ def unflat(template, entries: mi.Float):
     return dr.unravel(type(template), entries)
 
 
-def _start(spec, key: str, current: np.ndarray, truth_known: bool) -> np.ndarray:
+def _start(spec, key: str, params: mi.SceneParameters, truth_known: bool) -> np.ndarray:
+    current = _loaded(params, key)
     if spec is None:
         if truth_known:
             raise InputError(
                 f"scene.unknowns['{key}'] has no start: without scene.targets the scene's own "
-                "value is the truth; give start: a number, a list or an image file"
+                "value is the truth; give start: a number, a list, an image file or {of: key}"
             )
-        return current.copy()
+        return current
+    if isinstance(spec, Mapping):
+        return _start_of_another(spec, key, current.shape, params)
     if isinstance(spec, str):
         loaded = images.read(Path(spec))
         if loaded.shape != current.shape:
@@ -123,10 +156,32 @@ def _start(spec, key: str, current: np.ndarray, truth_known: bool) -> np.ndarray
         ) from None
 
 
-def _range(spec, key: str, start: np.ndarray) -> tuple[float, float]:
+def _start_of_another(
+    spec: Mapping, key: str, shape: tuple[int, ...], params: mi.SceneParameters
+) -> np.ndarray:
+    """``{of: other}``: what the scene was loaded with as ``other``, which may be unknown itself."""
+    where = f"scene.unknowns['{key}'].start"
+    if list(spec) != ["of"]:
+        raise InputError(f"{where}={dict(spec)}: the only mapping is {{of: another key}}")
+    other = spec["of"]
+    valid = [k for k in params.keys() if k != key and _is_float(params[k])]
+    if other not in valid:
+        raise InputError(
+            f"{where}.of={other}: no other parameter that holds numbers; "
+            f"{nearest(str(other), valid)}"
+        )
+    value = _loaded(params, other)
+    if value.shape != shape:
+        raise InputError(f"{where}: '{other}' is {value.shape}, the parameter {shape}")
+    return value
+
+
+def _range(spec, key: str, params: mi.SceneParameters) -> tuple[float, float]:
     if spec is None:
-        words = key.split(".")
-        return next((_RANGES[w] for w in reversed(words) if w in _RANGES), (-np.inf, np.inf))
+        # A light's own numbers ('scale', 'data') have names that say nothing: none is negative.
+        light = isinstance(_owner(params, key), mi.Emitter)
+        default = (0.0 if light else -np.inf, np.inf)
+        return next((_RANGES[w] for w in reversed(key.split(".")) if w in _RANGES), default)
     if len(spec) != 2 or not spec[0] < spec[1]:
         raise InputError(
             f"scene.unknowns['{key}'].range={list(spec)}: give [low, high] with low < high"
@@ -159,16 +214,20 @@ def parse(params: mi.SceneParameters, specs: dict, truth_known: bool) -> list[Un
             raise InputError(
                 f"scene.unknowns: '{key}' is no differentiable parameter; {nearest(key, valid)}"
             )
-        current = as_numpy(params[key])
-        start = _start(spec.start, key, current, truth_known)
-        low, high = _range(spec.range, key, start)
+        start = _start(spec.start, key, params, truth_known)
+        low, high = _range(spec.range, key, params)
         if not np.all(np.isfinite(start)) or start.min() < low or start.max() > high:
             raise InputError(
                 f"scene.unknowns['{key}'].start lies outside its range [{low:g}, {high:g}]"
             )
+        if _is_environment(params, key) and not start.any():
+            raise InputError(
+                f"scene.unknowns['{key}'].start: a map that is zero everywhere cannot be sampled; "
+                "start above 0"
+            )
         if spec.lr is not None and not spec.lr > 0:
             raise InputError(f"scene.unknowns['{key}'].lr={spec.lr}: must be above 0")
-        truth = current if truth_known else None
+        truth = _loaded(params, key) if truth_known else None
         if truth is not None and (truth.min() < low or truth.max() > high):
             raise InputError(
                 f"scene.unknowns['{key}']: the scene's own value, the truth, is outside its range "
@@ -178,18 +237,27 @@ def parse(params: mi.SceneParameters, specs: dict, truth_known: bool) -> list[Un
     return found
 
 
+def textures(params: mi.SceneParameters, keys: list[str]) -> dict[str, mi.Texture]:
+    """Of ``keys``, those of texels laid out on a surface, with the texture that holds them."""
+    owners = {key: _owner(params, key) for key in keys if dr.is_tensor_v(params[key])}
+    return {key: owner for key, owner in owners.items() if isinstance(owner, mi.Texture)}
+
+
 class Unknowns:
     """The unknowns of one scene, and the only writer of the scene's parameters.
 
     ``leaves``: key → Dr.Jit value that the scene currently uses; after ``attach`` these carry
-    gradients, and estimators add to them.
+    gradients, and estimators add to them. (Of an environment map: the value that the scene's own
+    is made from. Mitsuba makes it once more at each update, and only gradients at its origin stay.)
     """
 
     def __init__(self, params: mi.SceneParameters, items: list[Unknown]):
         self.params, self.items = params, items
         params.keep([u.key for u in items])
         self._templates = {u.key: type(params[u.key])(params[u.key]) for u in items}
-        self.leaves = {u.key: params[u.key] for u in items}
+        self._shapes = {u.key: params[u.key].shape for u in items if _is_environment(params, u.key)}
+        self._around = {key: _wrapped(shape) for key, shape in self._shapes.items()}
+        self.leaves = self.values_of({u.key: _loaded(params, u.key) for u in items})
 
     def __iter__(self):
         return iter(self.items)
@@ -212,10 +280,7 @@ class Unknowns:
 
     def write(self, values: dict) -> None:
         """Put values into the scene, without derivatives (for evaluation)."""
-        for key, value in values.items():
-            self.params[key] = dr.detach(value)
-        self.params.update()
-        self.leaves = {k: self.params[k] for k in self.keys}
+        self._update({key: dr.detach(value) for key, value in values.items()})
 
     def attach(self, values: dict) -> None:
         """Put values into the scene with fresh derivatives: the next backward pass adds to the
@@ -224,12 +289,20 @@ class Unknowns:
         While a scene is attached, forward passes through *another* scene of the process fail:
         Dr.Jit's virtual calls reach all materials there are. ``write`` ends it.
         """
-        for key, value in values.items():
-            leaf = type(value)(dr.detach(value))
-            dr.enable_grad(leaf)
-            self.params[key] = leaf
+        leaves = {key: type(value)(dr.detach(value)) for key, value in values.items()}
+        dr.enable_grad(leaves)
+        self._update(leaves)
+
+    def _update(self, leaves: dict) -> None:
+        for key, leaf in leaves.items():
+            if key in self._around:
+                entries = dr.gather(mi.Float, leaf.array, self._around[key])
+                self.params[key] = type(leaf)(entries, self._shapes[key])
+            else:
+                self.params[key] = leaf
         self.params.update()
-        self.leaves = {k: self.params[k] for k in self.keys}
+        origins = self.leaves | leaves
+        self.leaves = {k: origins[k] if k in self._around else self.params[k] for k in self.keys}
 
     def gradients(self) -> dict:
         """Gradients of the leaves, by key. Read after the frozen call, never returned from it."""
@@ -246,3 +319,12 @@ class Unknowns:
             dr.set_grad(leaf, tangents[key])
             dr.enqueue(dr.ADMode.Forward, leaf)
         dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
+
+
+def _wrapped(shape: tuple[int, int, int]) -> mi.UInt32:
+    """For each entry of an environment map of ``shape (H, W + 2, C)``: which entry of the
+    (H, W, C) texels stands there."""
+    height, width, channels = shape
+    texels = np.arange(height * (width - 2) * channels, dtype=np.uint32)
+    texels = texels.reshape(height, width - 2, channels)
+    return mi.UInt32(np.pad(texels, ((0, 0), (1, 1), (0, 0)), mode="wrap").ravel())

@@ -1,5 +1,6 @@
 """Set-up shared by all tests: Mitsuba started once, plots without a window, an own cache."""
 
+import gc
 import os
 import shutil
 import tempfile
@@ -31,6 +32,17 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     terminal = session.config.pluginmanager.get_plugin("terminalreporter")
     if terminal is not None:
         terminal.write_line(f"{machine}; seeds of tests: CRC-32 of their names")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _scenes_leave_between_modules():
+    """Python's collector rests while a module's tests run: when it takes a scene of an earlier
+    test in the middle of a frozen kernel, Dr.Jit finds other objects after the call than before.
+    Building a problem collects, too."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

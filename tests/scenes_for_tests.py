@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import mitsuba as mi
 import numpy as np
 
@@ -79,6 +81,7 @@ def dictionary(
 
 def without_targets(description: dict, unknowns: dict[str, float]) -> Problem:
     """``description``: Mitsuba's, whose values are the truth; ``unknowns``: key → start."""
+    gc.collect()  # see build.problem
     scene = mi.load_dict(description, optimize=False)
     film = [tuple(int(x) for x in s.film().crop_size()) for s in scene.sensors()]
     specs = {key: UnknownConfig(start=start) for key, start in unknowns.items()}
