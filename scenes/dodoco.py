@@ -1,16 +1,17 @@
-"""Dodoco: three diffuse objects before a rough mirror; the mirror's roughness is unknown.
+"""Dodoco: three matt objects before a rough mirror; the mirror's roughness is unknown.
 
 The paper's scenes (Fig. 3 and DODOCO in Fig. 8): "three diffuse objects are placed in front of a
 mirror. The experiment simulates a single iteration of an inverse-rendering optimization where the
 roughness of the mirror is optimized"; DODOCO "uses a similar setting as Figure 3", with 4 M
 pixels an image.
 
-Ours: a cat, a globe and a hen, diffuse and textured, on a dark floor before a mirror that hangs on
+Ours: a cat, a globe and a hen, matt and textured, on a dark floor before a mirror that hangs on
 a plastered wall, under the CC0 map `sunset`, which has no dominant sun. They face the mirror, so
 that the camera sees their backs and the mirror their faces: parts near the mirror stay sharp in
 it, far ones blur, and so the derivative by roughness varies from pixel to pixel. The mirror is a
 metallic principled BSDF of true roughness 0.15; its gradient dies below about 0.032, so the legal
-range starts above that.
+range starts above that. All other surfaces are principled BSDFs too, of roughness 1 and without a
+specular lobe: nearly diffuse, but with the retroreflection of that model.
 
 What differs: the paper's models, light and camera are not published, so ours are others. One view,
 as a single image determines a single number; more views stand on an arc before the mirror.
@@ -24,8 +25,9 @@ and covered 59 % of the image; |∂ℒ|'s variance was 0.69 of uniform's, that o
 best pmf's 0.62: nothing to choose between them. Now the mirror covers an eighth of the image, and a
 bright wall, whose single-path noise counts as residual, covers half of it; the floor is dark and
 the map turned so that the light falls on the wall. Objects, roughness, its start value and the
-depth are as they were. Tried on the way, as |∂ℒ|'s variance over the best pmf's for independent
-draws, from second moments of 256 paths in each of 128² pixels, good to about a tenth (then 1.1):
+depth are as they were. All these variances were measured before the diffuse materials became
+principled ones. Tried on the way, as |∂ℒ|'s variance over the best pmf's for independent draws,
+from second moments of 256 paths in each of 128² pixels, good to about a tenth (then 1.1):
 
 - before there was a wall, the camera further away or a smaller mirror: 1.4; with the start value
   0.3 in addition: 1.4 to 1.8;
@@ -39,8 +41,8 @@ draws, from second moments of 256 paths in each of 128² pixels, good to about a
 All of the last together, with the mirror on 13 %: 4.1.
 
 Depth 4: camera, mirror, object, mirror, light. The faces that the mirror shows are lit mostly by
-the mirror and the wall, so depth 3 would leave them dark. Against depth 8 the image lacks 0.2 % of
-its light (2 % at depth 3); targets have the same depth.
+the mirror and the wall, so depth 3 would leave them dark. Against depth 8 the image lacks 0.3 % of
+its light (3 % at depth 3); targets have the same depth.
 """
 
 from __future__ import annotations
@@ -101,7 +103,7 @@ def _mirror() -> dict[str, Any]:
         "frame": {
             "type": "cube",
             "to_world": behind.scale(frame_size),
-            "bsdf": _diffuse({"type": "rgb", "value": [0.20, 0.09, 0.04]}),
+            "bsdf": _matt({"type": "rgb", "value": [0.20, 0.09, 0.04]}),
         },
     }
 
@@ -117,12 +119,12 @@ def _room() -> dict[str, Any]:
         "floor": {
             "type": "disk",
             "to_world": lying.scale([4, 4, 1]),
-            "bsdf": _diffuse({"type": "rgb", "value": [0.15, 0.145, 0.14]}),
+            "bsdf": _matt({"type": "rgb", "value": [0.15, 0.145, 0.14]}),
         },
         "wall": {
             "type": "rectangle",
             "to_world": upright.scale([6, 4, 1]),
-            "bsdf": _diffuse({"type": "rgb", "value": [0.70, 0.68, 0.65]}),
+            "bsdf": _matt({"type": "rgb", "value": [0.70, 0.68, 0.65]}),
         },
     }
 
@@ -153,12 +155,13 @@ def _objects(texture: int) -> dict[str, Any]:
 
 
 def _painted(relative: str, width: int, height: int) -> dict[str, Any]:
-    return _diffuse(library.texture(library.picture(relative, width, height)))
+    return _matt(library.texture(library.picture(relative, width, height)))
 
 
-def _diffuse(reflectance: dict[str, Any]) -> dict[str, Any]:
-    """Diffuse on both sides: the hen's mesh is open, and its rear faces would be black."""
-    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
+def _matt(colour: dict[str, Any]) -> dict[str, Any]:
+    """Matt on both sides: the hen's mesh is open, and its rear faces would be black."""
+    material = {"type": "principled", "base_color": colour, "roughness": 1.0, "specular": 0.0}
+    return {"type": "twosided", "bsdf": material}
 
 
 def _sensors(views: int, resolution: int) -> dict[str, Any]:

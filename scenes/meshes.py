@@ -6,6 +6,8 @@ texture coordinate of 1e9 shows only as a NaN pixel, which then poisons the opti
 
 from __future__ import annotations
 
+import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,12 +15,7 @@ from typing import Any
 import numpy as np
 
 from isas_cli.errors import InputError
-
-# A triangle is degenerate when its area is below this fraction of the squared diagonal of the
-# bounding box: the rounding of float32 positions alone gives areas of this order.
-SMALLEST_AREA = 1e-12
-# Repeats of a texture beyond this count are taken for damage, not for tiling.
-LARGEST_TEXCOORD = 1000.0
+from isas_cli.mesh_checks import check, degenerate
 
 
 @dataclass(frozen=True)
@@ -27,7 +24,8 @@ class Surface:
 
     vertices: (V, 3) float32, positions
     faces: (F, 3) uint32, indices into the vertices, counter-clockwise seen from outside
-    texcoords: (V, 2) float32; row i of an n-row texture covers v in [i/n, (i+1)/n]
+    texcoords: (V, 2) float32; row i of an n-row texture covers v in [i/n, (i+1)/n].
+        (0, 2) for a surface without a texture
     normals: (V, 3) float32, unit length
     """
 
@@ -37,68 +35,89 @@ class Surface:
     normals: np.ndarray
 
 
-def read_obj(path: Path) -> Surface:
-    """Read and check an OBJ file with texture coordinates, as a single mesh.
+def read_obj(
+    path: Path, textured: bool = True, material: str | None = None, flat: bool = False
+) -> Surface:
+    """Read and check an OBJ file as a single mesh.
 
-    Material statements are ignored: the whole file becomes one surface, which is right for a
-    file with one texture atlas. Normals are made smooth here, whatever the file says: some files
-    have none, and Mitsuba's own sum over faces runs in parallel, so that its last bits, and with
-    them the hash that cached targets are found by, change from run to run. Raises InputError for
-    a missing or broken mesh.
+    `textured`: the file must have texture coordinates; otherwise they are left away.
+    `material`: only the faces that the file gives this material by `usemtl`. Without it material
+    statements are ignored: the whole file becomes one surface, which is right for a file with one
+    texture atlas.
+    `flat`: triangles without area, which show nothing, are left away instead of refused.
+
+    Normals are made smooth here, whatever the file says: some files have none, and Mitsuba's own
+    sum over faces runs in parallel, so that its last bits, and with them the hash that cached
+    targets are found by, change from run to run. Raises InputError for a missing or broken mesh,
+    and for a material that the file does not use.
     """
     import mitsuba as mi
 
     if not path.is_file():
         raise InputError(f"mesh {path} does not exist")
-    try:
-        mesh = mi.load_dict({"type": "obj", "filename": str(path), "face_normals": True})
-    except RuntimeError as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"mesh {path.name} cannot be read: {reason}") from error
-    if not mesh.has_vertex_texcoords():
-        raise InputError(f"mesh {path.name} has no texture coordinates")
+    name = path.name if material is None else f"{path.name}, material {material},"
+    if material is None:
+        mesh = _load(path, name)
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            part = Path(folder) / path.name
+            part.write_text(_only(path, material))
+            mesh = _load(part, name)
+    if textured and not mesh.has_vertex_texcoords():
+        raise InputError(f"mesh {name} has no texture coordinates")
     values = mi.traverse(mesh)
     vertices = np.array(values["vertex_positions"]).reshape(-1, 3)
-    texcoords = np.array(values["vertex_texcoords"]).reshape(-1, 2)
     faces = np.array(values["faces"]).reshape(-1, 3)
-    check(vertices, texcoords, faces, path.name)
+    texcoords = np.zeros((0, 2), np.float32)
+    if textured:
+        texcoords = np.array(values["vertex_texcoords"]).reshape(-1, 2)
+    if flat:
+        faces = np.delete(faces, degenerate(vertices, faces), axis=0)
+    check(vertices, texcoords, faces, name)
     positions, place_of_vertex = np.unique(vertices, axis=0, return_inverse=True)
     normals = corner_normals(positions, place_of_vertex.ravel()[faces])
-    return from_corners(vertices[faces], texcoords[faces], normals)
+    return from_corners(vertices[faces], texcoords[faces] if textured else texcoords, normals)
+
+
+def _load(path: Path, name: str) -> Any:
+    import mitsuba as mi
+
+    try:
+        return mi.load_dict({"type": "obj", "filename": str(path), "face_normals": True})
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"mesh {name} cannot be read: {reason}") from error
+
+
+def _only(path: Path, material: str) -> str:
+    """The text of an OBJ file without the faces of other materials."""
+    kept, current, found = [], None, []
+    for line in path.read_text().splitlines():
+        word, _, rest = line.strip().partition(" ")
+        if word == "usemtl":
+            current = rest.strip()
+            if current not in found:
+                found.append(current)
+        elif word != "f" or current == material:
+            kept.append(line)
+    if material not in found:
+        raise InputError(
+            f"mesh {path.name} has no material '{material}'; it has: {', '.join(found) or 'none'}"
+        )
+    return "\n".join(kept)
 
 
 def from_corners(positions: np.ndarray, texcoords: np.ndarray, normals: np.ndarray) -> Surface:
-    """A mesh whose triangles share no vertex, from values (F, 3, n) at their corners."""
+    """A mesh whose triangles share no vertex, from values (F, 3, n) at their corners.
+
+    `texcoords` may be empty: a surface without a texture.
+    """
     return Surface(
         vertices=positions.reshape(-1, 3).astype(np.float32),
         faces=np.arange(3 * len(positions), dtype=np.uint32).reshape(-1, 3),
         texcoords=texcoords.reshape(-1, 2).astype(np.float32),
         normals=normals.reshape(-1, 3).astype(np.float32),
     )
-
-
-def check(vertices: np.ndarray, texcoords: np.ndarray, faces: np.ndarray, name: str) -> None:
-    """Raise InputError, naming the first offender, when a mesh would render as NaN."""
-    if not faces.size:
-        raise InputError(f"mesh {name} has no triangles")
-    for what, values in (("position", vertices), ("texture coordinate", texcoords)):
-        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-        if bad.size:
-            raise InputError(f"mesh {name}: the {what} of vertex {bad[0]} is not finite")
-    absurd = np.flatnonzero((np.abs(texcoords) > LARGEST_TEXCOORD).any(axis=1))
-    if absurd.size:
-        raise InputError(
-            f"mesh {name}: the texture coordinate of vertex {absurd[0]} is "
-            f"{texcoords[absurd[0]].tolist()}, beyond ±{LARGEST_TEXCOORD:g}"
-        )
-    diagonal = np.ptp(vertices, axis=0).astype(np.float64)
-    areas = np.linalg.norm(_face_vectors(vertices, faces), axis=1) / 2
-    degenerate = np.flatnonzero(areas <= SMALLEST_AREA * (diagonal @ diagonal))
-    if degenerate.size:
-        raise InputError(
-            f"mesh {name}: triangle {degenerate[0]} has no area "
-            f"({degenerate.size} of {len(areas)} are degenerate)"
-        )
 
 
 def place(
@@ -111,17 +130,33 @@ def place(
 
     Afterwards the bounding box rests on y = 0 and is centred on `at`.
     """
+    return placement(surface, height, turn, at)(surface)
+
+
+def placement(
+    whole: Surface,
+    height: float = 1.0,
+    turn: float = 0.0,
+    at: tuple[float, float] = (0.0, 0.0),
+) -> Callable[[Surface], Surface]:
+    """What `place` does with `whole`, as a function that moves each of its parts alike."""
     angle = np.radians(turn)
     cos, sin = np.cos(angle), np.sin(angle)
     rotation = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
-    vertices = surface.vertices.astype(np.float64) @ rotation.T
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    turned = whole.vertices.astype(np.float64) @ rotation.T
+    low, high = turned.min(axis=0), turned.max(axis=0)
     foot = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
-    vertices = (vertices - foot) * (height / (high[1] - low[1])) + [at[0], 0, at[1]]
-    normals = surface.normals.astype(np.float64) @ rotation.T
-    return replace(
-        surface, vertices=vertices.astype(np.float32), normals=normals.astype(np.float32)
-    )
+    scale = height / (high[1] - low[1])
+
+    def moved(part: Surface) -> Surface:
+        vertices = (part.vertices.astype(np.float64) @ rotation.T - foot) * scale
+        vertices += [at[0], 0, at[1]]
+        normals = part.normals.astype(np.float64) @ rotation.T
+        return replace(
+            part, vertices=vertices.astype(np.float32), normals=normals.astype(np.float32)
+        )
+
+    return moved
 
 
 def corner_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -145,6 +180,7 @@ def shape(name: str, surface: Surface, bsdf: dict[str, Any]) -> Any:
     """A Mitsuba mesh with a material, for use as an entry of a scene dictionary."""
     import mitsuba as mi
 
+    textured = len(surface.texcoords) > 0
     properties = mi.Properties()
     # optimize=False: otherwise Mitsuba may merge materials that are equal at the start.
     properties["bsdf"] = mi.load_dict(bsdf, optimize=False)
@@ -153,14 +189,15 @@ def shape(name: str, surface: Surface, bsdf: dict[str, Any]) -> Any:
         vertex_count=len(surface.vertices),
         face_count=len(surface.faces),
         has_vertex_normals=True,
-        has_vertex_texcoords=True,
+        has_vertex_texcoords=textured,
         props=properties,
     )
     values = mi.traverse(mesh)
     values["vertex_positions"] = surface.vertices.ravel()
     values["faces"] = surface.faces.ravel()
     values["vertex_normals"] = surface.normals.ravel()
-    values["vertex_texcoords"] = surface.texcoords.ravel()
+    if textured:
+        values["vertex_texcoords"] = surface.texcoords.ravel()
     values.update()
     return mesh
 

@@ -45,7 +45,7 @@ def refused(isas, arguments: list[str], expected: list[str]) -> None:
 BAD_SETTINGS = {
     "": ["scene=NAME", "pottery"],
     "scene=potery": ["scene=potery", "did you mean 'pottery'?"],
-    "scene=": ["valid: dodoco, file"],
+    "scene=": ["valid: bowl, catcake"],
     "scene=[pottery,dodoco]": ["one name"],
     "pottery": ["'pottery'", "KEY=VALUE"],
     "scene=pottery sampler=our": ["did you mean 'ours'?"],

@@ -1,0 +1,82 @@
+"""Every scene with every sampler: three iterations at the size `tiny`, as configured."""
+
+import numpy as np
+import pytest
+from omegaconf import DictConfig, OmegaConf
+
+from isas_cli import experiment
+from isas_cli.budget import Budget
+from isas_cli.compose import compose, options, translate
+from isas_cli.config import Config
+from isas_cli.display import Display
+from isas_cli.experiment import Phases
+from isas_cli.optimise import Hooks
+from isas_cli.unknowns import as_numpy
+from isas_cli.workshop import Workshop
+
+SCENES = [name for name in options("scene") if name != "file"]
+SAMPLERS = options("sampler")
+ITERATIONS = 3
+SMALL = [
+    "size=tiny",
+    f"budget.iterations={ITERATIONS}",
+    "target.spp=8",
+    "estimator.batch=1024",
+    "evaluation.count=2",
+    "evaluation.pixels=512",
+    "evaluation.spp=2",
+]
+
+
+def configured(*overrides: str) -> tuple[DictConfig, Config, Budget]:
+    cfg = compose(translate(overrides))
+    return cfg, *experiment.checked(cfg)
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def workshop(request) -> Workshop:
+    """The problem of one scene, from its configuration, for all samplers."""
+    _, typed, budget = configured(f"scene={request.param}", *SMALL)
+    with Display(budget) as display:
+        made = Workshop(experiment.built(typed, Phases(display)))
+    return made
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_three_iterations(workshop, sampler):
+    chosen = f"scene={workshop.problem.name}", f"sampler={sampler}"
+    cfg, typed, budget = configured(*chosen, *SMALL)
+    loop = workshop.loop(cfg, typed, budget)
+    loop.rehearse()
+    rows: list[dict] = []
+    status = loop.run(Hooks(evaluated=rows.append))
+    workshop.problem.unknowns.write(loop.stepper.values)  # detach
+
+    assert status == "done"
+    assert loop.position.iteration == rows[-1]["iteration"] == ITERATIONS
+    for unknown in workshop.problem.unknowns:
+        found = as_numpy(loop.stepper.values[unknown.key])
+        assert np.isfinite(found).all()
+        assert unknown.low <= found.min() and found.max() <= unknown.high
+        assert np.abs(found - unknown.start).max() > 1e-3, f"{unknown.key} has not moved"
+    last = rows[-1]
+    assert last["nonfinite"] == 0 and loop.lost == 0
+    assert last["gradient_norm"] > 0
+    measured = {k: v for k, v in last.items() if isinstance(v, float)}
+    assert {"loss", "image_rmse", "parameter_rmse", "gradient_norm"} <= measured.keys()
+    assert all(np.isfinite(v) for v in measured.values()), measured
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_choices_compose_together(scene):
+    """Each sampler, each loss and each size with each scene, not all of their combinations: each
+    of these groups is composed by itself, and a composition takes a tenth of a second."""
+    sizes = OmegaConf.to_container(compose([f"scene={scene}"]).scene.sizes)
+    assert list(sizes) == ["tiny", "default", "paper"]
+    losses = options("loss")
+    for index, sampler in enumerate(SAMPLERS):
+        loss, size = losses[index % len(losses)], list(sizes)[index // len(losses) % len(sizes)]
+        chosen = f"scene={scene}", f"sampler={sampler}", f"loss={loss}", f"size={size}"
+        cfg, typed, _ = configured(*chosen)
+        assert (cfg.scene.name, cfg.sampler.name, cfg.loss.name) == (scene, sampler, loss)
+        assert typed.size == size and typed.scene.arguments == sizes[size]
