@@ -15,6 +15,8 @@ from .schedule import factor
 
 # Dr.Jit counts the lanes of a kernel in 32 bits.
 _MOST_LANES = 2**31
+# Parameters of a lobe that `estimator.derivative_sampling` draws directions for, as keys name them.
+ROUGHNESSES = ("roughness", "alpha")
 
 
 def _at_least(least: int, **values: Optional[int]) -> None:
@@ -26,7 +28,8 @@ def _at_least(least: int, **values: Optional[int]) -> None:
 
 @dataclass
 class UnknownConfig:
-    """One unknown: start value (number, list or image file), legal range, own learning rate."""
+    """One unknown: start value (number, list, image file or ``{of: other key}``), legal range, own
+    learning rate."""
 
     start: Any = None
     range: Optional[List[float]] = None
@@ -96,9 +99,11 @@ class OptimizerConfig:
 
 @dataclass
 class EstimatorConfig:
-    """Pixels drawn per step (two light paths each); ``freeze``: record kernels once."""
+    """Pixels drawn per step (two light paths each); ``derivative_sampling``: draw directions for
+    the derivative by roughness; ``freeze``: record kernels once."""
 
     batch: int = 65536
+    derivative_sampling: bool = False
     freeze: bool = True
 
     def __post_init__(self) -> None:
@@ -172,6 +177,13 @@ class Config:
             raise InputError(
                 f"size={self.size}: scene={scene.name} has no sizes: its films say how large it is"
             )
+        for key in scene.unknowns if self.estimator.derivative_sampling else ():
+            if not set(key.split(".")[-2:]) & set(ROUGHNESSES):
+                raise InputError(
+                    f"estimator.derivative_sampling=true: '{key}' is no roughness; it draws for "
+                    f"derivatives by {' or '.join(ROUGHNESSES)} alone: leave it out, or this "
+                    "unknown"
+                )
         if scene.targets is None and scene.masks is not None:
             raise InputError("scene.masks needs scene.targets: rendered targets have no masks")
         if scene.targets is not None and self.target != TargetConfig():

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import mitsuba as mi
 
 from .estimators import attached
+from .estimators.derivative_sampling import DerivativeSampling
 
 if TYPE_CHECKING:
     from .problem import Problem
@@ -31,10 +32,16 @@ def plan(problem: "Problem") -> dict[str, str]:
         "media": _media(shapes),
         "moving silhouettes": "not differentiated: no unknown moves geometry",
         "colour": "linear RGB, no spectra, no polarisation",
-        "derivatives": "short paths unrolled and differentiated in one go"
-        if attached.handles(problem.integrator)
-        else "path replay backpropagation",
+        "derivatives": _derivatives(problem.integrator),
     }
+
+
+def _derivatives(integrator) -> str:
+    if isinstance(integrator, DerivativeSampling):
+        return "by roughness, directions drawn for the derivative's two parts"
+    if attached.handles(integrator):
+        return "short paths unrolled and differentiated in one go"
+    return "path replay backpropagation"
 
 
 def _depth(depth: int) -> str:

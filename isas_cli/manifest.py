@@ -66,7 +66,7 @@ def describe(backend: Backend, problem: "Problem", seed: int, target_seed: int) 
     """Versions, machine, seeds, content hashes, what is simulated, and the command line."""
     from . import effects  # imports Mitsuba, which readers of manifests need not
 
-    integrator = problem.integrator
+    integrator = getattr(problem.integrator, "base", problem.integrator)
     return {
         "isas": __version__,
         "command": sys.argv,

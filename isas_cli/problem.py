@@ -37,6 +37,11 @@ class Problem:
     warnings: list[str] = field(default_factory=list)
 
     @property
+    def paths_per_derivative(self) -> int:
+        """Light paths behind one estimate of a pixel's derivative."""
+        return getattr(self.integrator, "paths", 1)
+
+    @property
     def truth_known(self) -> bool:
         return all(u.truth is not None for u in self.unknowns)
 

@@ -10,6 +10,7 @@ from .adam import Stepper
 from .budget import Budget
 from .compose import instantiate
 from .config import Config
+from .estimators.derivative_sampling import sampled
 from .estimators.two_path import TwoPath
 from .evaluate import Evaluator
 from .optimise import Loop
@@ -44,16 +45,19 @@ class Workshop:
         named, chosen = (OmegaConf.to_yaml(node, resolve=True) for node in (cfg.loss, cfg.sampler))
         loss = self._once("loss", (named,), lambda: instantiate(cfg.loss, "loss"))
         batch, freeze = typed.estimator.batch, typed.estimator.freeze
-        shared = named, batch, freeze
+        problem = self.problem
+        if typed.estimator.derivative_sampling:
+            problem = self._once("derivatives", (), lambda: sampled(self.problem))
+        shared = named, batch, freeze, typed.estimator.derivative_sampling
 
         def sampler():
             made = instantiate(cfg.sampler, "sampler")
-            made.prepare(self.problem, loss, batch, freeze)
+            made.prepare(problem, loss, batch, freeze)
             return made
 
         measuring = named, typed.evaluation.pixels, typed.evaluation.spp, typed.seed
         return Loop(
-            self.problem,
+            problem,
             self._once("sampler", (chosen, *shared), sampler),
             Stepper(self.problem.unknowns, typed.optimizer),
             self._once(
@@ -62,7 +66,7 @@ class Workshop:
                 lambda: Evaluator(self.problem, loss, *measuring[1:], self.renderer),
             ),
             budget,
-            self._once("estimator", shared, lambda: TwoPath(self.problem, loss, batch, freeze)),
+            self._once("estimator", shared, lambda: TwoPath(problem, loss, batch, freeze)),
             typed.seed,
             typed.evaluation.count,
         )

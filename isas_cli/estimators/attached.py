@@ -20,7 +20,7 @@ def handles(integrator) -> bool:
     )
 
 
-def _mis_weight(a: mi.Float, b: mi.Float) -> mi.Float:
+def mis_weight(a: mi.Float, b: mi.Float) -> mi.Float:
     """Power heuristic of two densities."""
     a, b = dr.square(a), dr.square(b)
     w = a / (a + b)
@@ -58,7 +58,7 @@ def radiance(scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, max_depth: int
             ds = mi.DirectionSample3f(scene, si=si, ref=previous)
             mis = mi.Float(1)  # nothing else could have sampled what the camera sees
             if depth > 0:
-                mis = _mis_weight(pdf, scene.pdf_emitter_direction(previous, ds, ~delta))
+                mis = mis_weight(pdf, scene.pdf_emitter_direction(previous, ds, ~delta))
         L += β * mis * ds.emitter.eval(si, active)
         active &= si.is_valid()
         if depth + 1 == max_depth:
@@ -74,7 +74,7 @@ def radiance(scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, max_depth: int
         inverse = dr.select(ds.pdf != 0, dr.rcp(ds.pdf), 0)
         emitted = dr.replace_grad(emitted, emitted_again * inverse)
         value, value_pdf = bsdf.eval_pdf(context, si, wo, lit)
-        mis = dr.select(ds.delta, 1, _mis_weight(ds.pdf, dr.detach(value_pdf)))
+        mis = dr.select(ds.delta, 1, mis_weight(ds.pdf, dr.detach(value_pdf)))
         L += dr.select(lit, β * mis * value * emitted, 0)
 
         # ------------------ Detached BSDF sampling -------------------

@@ -13,6 +13,16 @@ import drjit as dr
 import mitsuba as mi
 
 from . import attached
+from .derivative_sampling import DerivativeSampling
+
+
+def _unrolled(integrator, scene, sampler, ray):
+    """What to differentiate in one go, derivatives attached; None where paths are replayed."""
+    if isinstance(integrator, DerivativeSampling):
+        return integrator.radiance(scene, sampler, ray)
+    if attached.handles(integrator):
+        return attached.radiance(scene, sampler, ray, integrator.max_depth)
+    return None
 
 
 def _sample(integrator, mode, scene, sampler, ray, adjoint=None, state=None):
@@ -32,6 +42,7 @@ def _sample(integrator, mode, scene, sampler, ray, adjoint=None, state=None):
 
 def primal(integrator, scene, sampler, ray) -> tuple[mi.Color3f, mi.Color3f]:
     """Radiance of one path per ray, and the state that a replay of the same paths needs."""
+    integrator = getattr(integrator, "base", integrator)
     return _sample(integrator, dr.ADMode.Primal, scene, sampler, ray)
 
 
@@ -40,12 +51,12 @@ def backward(integrator, scene, sampler, ray, adjoint: mi.Color3f) -> None:
 
     ``adjoint (3, N)``: ∂ℒ/∂L per path, importance weights included.
     """
-    if attached.handles(integrator):
-        with dr.resume_grad():
-            radiance = attached.radiance(scene, sampler, ray, integrator.max_depth)
-            # Paths too short to reach any unknown have no derivative.
-            if dr.grad_enabled(radiance):
-                dr.backward_from(adjoint * radiance)
+    with dr.resume_grad():
+        radiance = _unrolled(integrator, scene, sampler, ray)
+        # Paths too short to reach any unknown have no derivative.
+        if radiance is not None and dr.grad_enabled(radiance):
+            dr.backward_from(adjoint * radiance)
+    if radiance is not None:
         return
     replayed = sampler.clone()
     _, state = primal(integrator, scene, sampler, ray)
@@ -60,13 +71,12 @@ def forward(integrator, scene, sampler, ray) -> mi.Color3f:
     (``Unknowns.push_tangent``). The result counts a parameter that a path meets at several
     bounces once per meeting, summed before anything is squared.
     """
-    if attached.handles(integrator):
-        with dr.resume_grad():
-            radiance = attached.radiance(scene, sampler, ray, integrator.max_depth)
-            derivative = dr.zeros(mi.Color3f, dr.width(ray.o))
-            if dr.grad_enabled(radiance):
-                derivative = mi.Color3f(dr.forward_to(radiance))
-    else:
+    derivative = dr.zeros(mi.Color3f, dr.width(ray.o))
+    with dr.resume_grad():
+        radiance = _unrolled(integrator, scene, sampler, ray)
+        if radiance is not None and dr.grad_enabled(radiance):
+            derivative = mi.Color3f(dr.forward_to(radiance))
+    if radiance is None:
         replayed = sampler.clone()
         _, state = primal(integrator, scene, sampler, ray)
         dr.eval(state)

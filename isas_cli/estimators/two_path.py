@@ -35,8 +35,6 @@ class TwoPath:
     and the gradients are read outside, after the call.
     """
 
-    paths_per_pixel = 2
-
     def __init__(self, problem: "Problem", loss, batch: int, freeze: bool = True, second_pass=None):
         """``second_pass(integrator, scene, stream, ray, adjoint)``: what is done along the second
         path, for measurements; None for ``replay.backward``."""
@@ -64,6 +62,10 @@ class TwoPath:
                 (second_pass or replay.backward)(integrator, scene, second, ray, adjoint)
 
         self._kernel = dr.freeze(kernel) if freeze else kernel
+
+    @property
+    def paths_per_pixel(self) -> int:
+        return 1 + self.problem.paths_per_derivative
 
     def accumulate(self, distribution: PixelDistribution, base: int, iteration: int) -> None:
         """Add one estimate to the gradients of the unknowns' leaves (``Unknowns.attach`` first)."""

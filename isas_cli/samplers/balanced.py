@@ -80,4 +80,5 @@ class Balanced(Sampler):
 
     @property
     def paths_per_look(self) -> int:
-        return self.cells.count * self.stage1.spp * (self.passes + self.stage1.probes)
+        derivatives = self.problem.paths_per_derivative * (self.passes + self.stage1.probes)
+        return self.cells.count * self.stage1.spp * derivatives

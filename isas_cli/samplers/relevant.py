@@ -44,4 +44,5 @@ class Relevant(Sampler):
 
     @property
     def paths_per_look(self) -> int:
-        return self.cells.count * self.stage1.spp * self.stage1.probes
+        derivatives = self.problem.paths_per_derivative * self.stage1.probes
+        return self.cells.count * self.stage1.spp * derivatives

@@ -72,6 +72,10 @@ def run(plan: Plan) -> int:
     with Progress() as display:
         phases = Phases(display)
         problem = built(typed, phases)
+        if typed.estimator.derivative_sampling:
+            from ..estimators.derivative_sampling import sampled
+
+            problem = sampled(problem)
         bench, contestants, best = _prepared(plan, typed, problem, phases)
         with interrupt.graceful(display.interrupted) as stop:
             return _Record(plan, typed, machine, bench, contestants, best, display).make(stop)
