@@ -17,6 +17,7 @@ from .errors import NumericalError
 from .estimators.two_path import TwoPath
 from .evaluate import Evaluator
 from .problem import Problem
+from .samplers import reliability
 from .samplers.base import Sampler
 from .unknowns import flat
 
@@ -73,6 +74,7 @@ class Loop:
         self.last: dict | None = None
         self.lost = 0  # paths of evaluations that came out non-finite
         self.estimator = estimator
+        self.warnings: list[str] = []
         self._weights = self._distribution = self._gradients = None
         self._counted = 0, 0
 
@@ -101,6 +103,9 @@ class Loop:
                 gradients.append(self._estimate(iteration))
                 self.stepper.step(gradients[-1], 0.0)
             self.stepper.calibrate(gradients)
+            starts = self.problem.unknowns.starts()
+            doubt = reliability.warning(self.sampler, starts, self.seed, _REHEARSAL_BASE)
+            self.warnings = [doubt] if doubt else []
             self.stepper.restart(self.problem.unknowns.starts())
             self._weights = self._distribution = None
 

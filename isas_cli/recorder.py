@@ -208,7 +208,7 @@ class Recorder:
     @property
     def warnings(self) -> list[str]:
         """What a reader of the figures should know."""
-        warnings = list(self.loop.problem.warnings)
+        warnings = self.loop.problem.warnings + self.loop.warnings
         lost = self.loop.lost + self.pictures.renderer.nonfinite
         if lost:
             warnings.append(f"{lost} paths of evaluations and pictures were not finite: left out")

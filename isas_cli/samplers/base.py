@@ -140,6 +140,15 @@ class Sampler:
         """
         raise NotImplementedError
 
+    def measured(self, values: dict, base: int, iteration: int) -> list[mi.Color3f] | None:
+        """What a look measures before it is denoised, images ``(3, C)`` over the cells whose means
+        over several looks are better measurements; None where a look is no such thing."""
+        return None
+
+    def weighed(self, images: list[mi.Color3f]) -> mi.Float:
+        """The weight of every cell from what was ``measured``. Evaluates."""
+        raise NotImplementedError
+
     def blended(self, earlier: mi.Float | None, found: mi.Float) -> mi.Float:
         """The weights after a look that found ``found``: the running mean. Evaluates."""
         share = self.stage1.average

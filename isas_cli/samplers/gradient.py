@@ -29,8 +29,13 @@ class Gradient(Sampler):
         self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
 
     def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
-        size, _ = self._stage1.residual(values, base, iteration)
-        weights = dr.sum(self._denoise(size))
+        return self.weighed(self.measured(values, base, iteration))
+
+    def measured(self, values: dict, base: int, iteration: int) -> list[mi.Color3f]:
+        return [self._stage1.residual(values, base, iteration)[0]]
+
+    def weighed(self, images: list[mi.Color3f]) -> mi.Float:
+        weights = dr.sum(self._denoise(images[0]))
         dr.eval(weights)
         return weights
 

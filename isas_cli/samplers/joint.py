@@ -47,12 +47,19 @@ class Joint(Sampler):
         self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
 
     def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
-        moment = self._product.second_moment(values, self.stage1.probes, base, iteration)
+        return self.weighed(self.measured(values, base, iteration))
+
+    def measured(self, values: dict, base: int, iteration: int) -> list[mi.Color3f]:
         # The denoiser's images have three channels.
-        weights = dr.sqrt(self._denoise(mi.Color3f(moment)).x)
+        probes = self.stage1.probes
+        return [mi.Color3f(self._product.second_moment(values, probes, base, iteration))]
+
+    def weighed(self, images: list[mi.Color3f]) -> mi.Float:
+        weights = dr.sqrt(self._denoise(images[0]).x)
         dr.eval(weights)
         return weights
 
     @property
     def paths_per_look(self) -> int:
-        return self.cells.count * self.stage1.spp * self.stage1.probes * 2
+        pair = 1 + self.problem.paths_per_derivative
+        return self.cells.count * self.stage1.spp * self.stage1.probes * pair

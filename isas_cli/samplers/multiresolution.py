@@ -84,7 +84,15 @@ class Multiresolution(Sampler):
         return self.base.due(iteration)
 
     def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
-        weights = self.base.look(values, base, iteration, moments)
+        return self._combined(self.base.look(values, base, iteration, moments))
+
+    def measured(self, values: dict, base: int, iteration: int) -> list[mi.Color3f] | None:
+        return self.base.measured(values, base, iteration)
+
+    def weighed(self, images: list[mi.Color3f]) -> mi.Float:
+        return self._combined(self.base.weighed(images))
+
+    def _combined(self, weights: mi.Float) -> mi.Float:
         weights = self._combine(weights, self.cells)
         dr.eval(weights)
         return weights

@@ -24,9 +24,12 @@ class Ours(Gradient):
 
     uses = Sampler.uses
 
-    def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
+    def measured(self, values: dict, base: int, iteration: int) -> list[mi.Color3f]:
         _, first = self._stage1.residual(values, base, iteration)
-        second = self._stage1.second_moment(values, self.stage1.probes, base, iteration)
+        return [first, self._stage1.second_moment(values, self.stage1.probes, base, iteration)]
+
+    def weighed(self, images: list[mi.Color3f]) -> mi.Float:
+        first, second = images
         # Denoising one evaluated image after the other: both moments are heavy-tailed on their
         # own, and their product would be more so.
         weights = dr.sqrt(dr.sum(self._denoise(first) * self._denoise(second)))
@@ -35,4 +38,5 @@ class Ours(Gradient):
 
     @property
     def paths_per_look(self) -> int:
-        return self.cells.count * self.stage1.spp * (1 + self.stage1.probes)
+        derivatives = self.problem.paths_per_derivative * self.stage1.probes
+        return self.cells.count * self.stage1.spp * (1 + derivatives)

@@ -169,12 +169,22 @@ class Progress(Sampler):
         dr.eval(size)
         return size
 
+    def measured(self, values: dict, base: int, iteration: int) -> list[mi.Color3f]:
+        """The residual's second moment alone, which the noise of a look comes from."""
+        return [self._stage1.residual(values, base, iteration)[1]]
+
+    def weighed(self, images: list[mi.Color3f]) -> mi.Float:
+        weights = dr.sum(dr.sqrt(self._denoise(images[0])))
+        dr.eval(weights)
+        return weights
+
     @property
     def paths_per_look(self) -> int:
-        lanes = self.cells.count * self.stage1.spp
-        return lanes * (2 + len(self.problem.unknowns.keys))
+        derivatives = self.problem.paths_per_derivative * (1 + len(self.problem.unknowns.keys))
+        return self.cells.count * self.stage1.spp * (1 + derivatives)
 
     @property
     def paths_before(self) -> int:
-        survey = self.cells.count * self.stage1.spp * (1 + 2 * len(self.problem.unknowns.keys))
+        derivatives = self.problem.paths_per_derivative * 2 * len(self.problem.unknowns.keys)
+        survey = self.cells.count * self.stage1.spp * (1 + derivatives)
         return self.passes * survey + (self.passes - 1) * self.paths_per_look
