@@ -1,42 +1,79 @@
-"""Every sampler at its own best learning rate, raced at equal billed time, scene after scene.
+"""Every scene's comparison: each sampler at its own best learning rate, at equal billed time.
 
 A quarter of the default texture and batch, so that short budgets hold hundreds of steps. Two races
 a scene: all samplers at every rate with the first seed, then each at its best rate, by the final
-parameter error, with the other seeds, which alone are reported.
+parameter error, with the other seeds, which alone are reported. Contestants take turns.
 
-Writes results/sampler_race_<scene>_*: accuracy_time.csv and errors.png of the comparison at the
-best rates, and rates.csv; and results/samplers.csv over all scenes: final errors, and when each
-sampler reached the final error of uniform and of relevant.
+Writes for each scene results/<scene>.csv (a row per sampler), <scene>_rates.csv (the search for
+rates), <scene>_errors.png (error against billed time and light paths) and <scene>_gallery.png
+(target, start, result, density of `ours`). The whole takes hours.
+
+    make reproduce SCENES="pottery bowl"
 """
 
 from __future__ import annotations
 
 import argparse
-import shutil
 import subprocess
 import sys
 import tempfile
+from dataclasses import dataclass, field
 from pathlib import Path
 
+import _gallery
 import numpy as np
 import pandas
+from PIL import Image
 
 from isas_cli import images, records
 
-HERE = Path(__file__).parent
-SAMPLERS = ["uniform", "relevant", "gradient", "ours", "balanced", "progress"]
-SECONDS = {"pottery": 20, "jumpydumpy": 20, "dodoco": 10}
+RESULTS = Path(__file__).parent / "results"
 MEASURE = "parameter_rmse"
-COMMON = ["scene.arguments.texture=128", "estimator.batch=16384", "target.spp=64"]
-COMMON += ["frames.views=1", "frames.spp=2", "frames.snapshots=0", "evaluation.pixels=65536"]
+COMMON = ["estimator.batch=16384", "target.spp=64", "evaluation.count=24"]
+COMMON += ["evaluation.pixels=32768", "frames.views=1", "frames.snapshots=0"]
+SAMPLERS = ("uniform", "relevant", "gradient", "ours", "progress")
 
 
-def race(folder: Path, scene: str, contestants: list[tuple[str, float]], seeds: list[int]) -> None:
+@dataclass(frozen=True)
+class Comparison:
+    """``seconds``: the default budget of a run; ``settings``: beyond COMMON; ``more``: samplers
+    beyond SAMPLERS."""
+
+    seconds: float
+    settings: tuple[str, ...] = ("scene.arguments.texture=128",)
+    more: tuple[str, ...] = field(default=())
+
+    @property
+    def samplers(self) -> list[str]:
+        return [*SAMPLERS, *self.more]
+
+
+SCENES = {
+    "catcake": Comparison(20),
+    # Where a number and a texture are unknown, what is the best resolution differs.
+    "multires": Comparison(20, more=("multiresolution",)),
+    "dodoco": Comparison(10),
+    "pottery": Comparison(20),
+    "earth2mars": Comparison(20),
+    "jumpydumpy": Comparison(20),
+    # The paper's figure 6: derivative sampling throughout, a small budget.
+    "trashcan": Comparison(5, ("estimator.derivative_sampling=true",)),
+    "earth": Comparison(20),
+    "dodoco_a": Comparison(20),
+    "bowl": Comparison(20),
+    "caustic_failure": Comparison(20),
+}
+
+
+def race(
+    folder: Path, scene: str, contestants: list, seeds: list[int], seconds: float, spp: int
+) -> None:
+    """Race ``contestants``, (sampler, rate) each; ``spp`` of the pictures at the end."""
     listed = ",".join(f"{{sampler:{s},optimizer.lr:{rate}}}" for s, rate in contestants)
     command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *COMMON]
+    command += [*SCENES[scene].settings, f"frames.spp={spp}", f"budget.seconds={seconds}"]
     command += [f"contestants=[{listed}]", f"seed=[{','.join(map(str, seeds))}]"]
-    command += [f"hydra.run.dir={folder}", f"budget.seconds={SECONDS[scene]}"]
-    subprocess.run(command, check=True)
+    subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
 
 
 def runs(folder: Path) -> pandas.DataFrame:
@@ -53,6 +90,7 @@ def runs(folder: Path) -> pandas.DataFrame:
                 "folder": path.parent,
                 "history": history,
                 "final": float(history[MEASURE].iloc[-1]),
+                "image": float(history["image_rmse"].iloc[-1]),
             }
         )
     return pandas.DataFrame(rows)
@@ -87,67 +125,87 @@ def reached(history: pandas.DataFrame, goal: float) -> float:
     return float(seconds[last] + share * (seconds[last + 1] - seconds[last]))
 
 
-def table(scene: str, found: pandas.DataFrame) -> pandas.DataFrame:
-    """One row per sampler: medians over seeds, in brackets the seeds' range as low and high."""
-    rows, budget = [], SECONDS[scene]
+def _spread(name: str, values: list[float]) -> dict[str, float]:
+    """Median and range over the seeds: of three, the range holds the median in 75 % of cases."""
+    return {name: np.median(values), f"{name}_low": min(values), f"{name}_high": max(values)}
+
+
+def table(scene: str, found: pandas.DataFrame, budget: float) -> pandas.DataFrame:
+    """One row per sampler: medians over seeds, and the seeds' range as low and high."""
+    rows = []
     finals = found.groupby("sampler")["final"].median()
-    for sampler in SAMPLERS:
+    for sampler in SCENES[scene].samplers:
         own = found[found["sampler"] == sampler]
         if own.empty:
             continue
-        start = np.median([h[MEASURE].iloc[0] for h in own["history"]])
         row = {"scene": scene, "sampler": sampler, "rate": own["rate"].iloc[0], "seeds": len(own)}
-        row |= {"final": own["final"].median(), "low": own["final"].min()}
-        row |= {"high": own["final"].max(), "share_of_start": own["final"].median() / start}
-        row["image_rmse"] = np.median([h["image_rmse"].iloc[-1] for h in own["history"]])
+        row["seconds"] = budget
+        row |= _spread("parameter_rmse", own["final"].tolist())
+        start = np.median([h[MEASURE].iloc[0] for h in own["history"]])
+        row["share_of_start"] = row["parameter_rmse"] / start
+        row |= _spread("image_rmse", own["image"].tolist())
         row["iterations"] = np.median([h["iteration"].iloc[-1] for h in own["history"]])
-        row["stage1_share"] = np.median([h["stage1_seconds"].iloc[-1] for h in own["history"]])
-        row["stage1_share"] /= budget
+        stage1 = np.median([h["stage1_seconds"].iloc[-1] for h in own["history"]])
+        row["stage1_share"] = stage1 / budget
         row["worst_twentieth"] = np.median([worst_twentieth(path) for path in own["folder"]])
         for rival in ("uniform", "relevant"):
             times = [reached(h, finals[rival]) / budget for h in own["history"]]
-            row[f"time_to_{rival}"] = np.median(times)
-            row[f"time_to_{rival}_low"], row[f"time_to_{rival}_high"] = min(times), max(times)
+            row |= _spread(f"time_to_{rival}", times)
         rows.append(row)
     return pandas.DataFrame(rows)
 
 
+def _best(scene: str, folder: Path, chosen: argparse.Namespace, seconds: float) -> list:
+    """(sampler, rate) pairs, each sampler at its best rate with the first seed."""
+    every = [(s, rate) for rate in chosen.rates for s in SCENES[scene].samplers]
+    race(folder, scene, every, chosen.seeds[:1], seconds, spp=1)
+    first = runs(folder)
+    first.drop(columns=["folder", "history"]).to_csv(
+        RESULTS / f"{scene}_rates.csv", index=False, float_format="%.4g"
+    )
+    best = first.loc[first.groupby("sampler")["final"].idxmin()]
+    return list(zip(best["sampler"], best["rate"]))
+
+
+def compared(scene: str, root: Path, chosen: argparse.Namespace) -> pandas.DataFrame:
+    """Both races of a scene and what is kept of them."""
+    seconds = chosen.seconds or SCENES[scene].seconds
+    pairs = _best(scene, root / scene / "rates", chosen, seconds)
+    race(root / scene / "seeds", scene, pairs, chosen.seeds[1:], seconds, spp=16)
+    found = runs(root / scene / "seeds")
+    comparison = root / scene / "comparison"
+    folders = [str(path) for path in found["folder"]]
+    command = [sys.executable, "-m", "isas_cli", "compare", *folders, "--output", comparison]
+    subprocess.run(command, check=True)
+    with Image.open(comparison / "plots" / f"{scene}_errors.png") as plot:
+        # Few colours: a plot needs no more, and the file is a quarter as large.
+        small = plot.convert("RGB").quantize(64)
+        small.save(RESULTS / f"{scene}_errors.png", optimize=True)
+    ours = found[(found["sampler"] == "ours") & (found["seed"] == chosen.seeds[1])]
+    _gallery.write(ours["folder"].iloc[0], RESULTS / f"{scene}_gallery.png")
+    made = table(scene, found, seconds)
+    # After each scene: what is measured survives what follows.
+    made.to_csv(RESULTS / f"{scene}.csv", index=False, float_format="%.4g")
+    return made
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", nargs="+", default=list(SECONDS), choices=list(SECONDS))
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}")
     parser.add_argument("--rates", nargs="+", type=float, default=[0.005, 0.01, 0.02])
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
+    parser.add_argument("--seconds", type=float, help="budget of each run, instead of the scene's")
     parser.add_argument("--folder", type=Path, help="where the runs go (default: a new folder)")
     chosen = parser.parse_args()
-    root = chosen.folder or Path(tempfile.mkdtemp(prefix="isas-sampler-race-"))
-    results = HERE / "results"
-    results.mkdir(exist_ok=True)
-    tables = []
-    for scene in chosen.scenes:
-        grid, rest = root / scene / "rates", root / scene / "seeds"
-        pairs = [(sampler, chosen.rates[0]) for sampler in SAMPLERS]
-        if len(chosen.rates) > 1:
-            every = [(sampler, rate) for rate in chosen.rates for sampler in SAMPLERS]
-            race(grid, scene, every, chosen.seeds[:1])
-            first = runs(grid)
-            best = first.loc[first.groupby("sampler")["final"].idxmin()]
-            pairs = list(zip(best["sampler"], best["rate"]))
-            first.drop(columns=["folder", "history"]).to_csv(
-                results / f"sampler_race_{scene}_rates.csv", index=False, float_format="%.4g"
-            )
-        race(rest, scene, pairs, chosen.seeds[1:])
-        found = runs(rest)
-        comparison = root / scene / "comparison"
-        folders = [str(path) for path in found["folder"]]
-        command = [sys.executable, "-m", "isas_cli", "compare", *folders, "--output", comparison]
-        subprocess.run(command, check=True)
-        for name in ("accuracy_time.csv", f"plots/{scene}_errors.png"):
-            target = name.rpartition("/")[2].removeprefix(f"{scene}_")
-            shutil.copy(comparison / name, results / f"sampler_race_{scene}_{target}")
-        tables.append(table(scene, found))
-        print(tables[-1].to_string(index=False), flush=True)
-        # After each scene: what is measured survives what follows.
-        pandas.concat(tables).to_csv(results / "samplers.csv", index=False, float_format="%.4g")
+    strange = [scene for scene in chosen.scenes if scene not in SCENES]
+    if strange:
+        parser.error(f"{strange[0]}: no such scene; valid: {', '.join(SCENES)}")
+    if len(chosen.seeds) < 2:
+        parser.error("--seeds: at least two; the first is for the rates")
+    root = chosen.folder or Path(tempfile.mkdtemp(prefix="isas-reproduce-"))
+    RESULTS.mkdir(exist_ok=True)
+    for scene in chosen.scenes or SCENES:
+        print(compared(scene, root, chosen).to_string(index=False), flush=True)
 
 
 if __name__ == "__main__":
