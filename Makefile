@@ -3,16 +3,16 @@
 .DEFAULT_GOAL := help
 .ONESHELL:
 .SHELLFLAGS := -ec
-.PHONY: help setup demo test bench clean
+.PHONY: help setup demo test bench reproduce clean
 
 VENV := .venv
 CANDIDATES := python3.12 python3.11 python3.13 python3.10 python3
 STAMP := $(VENV)/.installed
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check --quiet
-BENCHMARKS := $(filter-out benchmarks/_%,$(sort $(wildcard benchmarks/*.py)))
+BENCHMARKS := $(filter-out benchmarks/_% benchmarks/reproduce.py,$(sort $(wildcard benchmarks/*.py)))
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
 
 setup: $(STAMP) ## make .venv with pinned packages and .venv/bin/isas
 
@@ -22,11 +22,14 @@ demo: setup ## recover a pottery texture in about two minutes and write a report
 test: setup ## run the tests
 	@$(VENV)/bin/python -m pytest
 
-bench: setup ## run the timings under benchmarks/, one after the other
+bench: setup ## run the measurements under benchmarks/, one after the other
 	@for script in $(BENCHMARKS); do
 		echo "$$script"
 		$(VENV)/bin/python "$$script"
 	done
+
+reproduce: setup ## race the samplers on every scene of the paper: hours; SCENES="pottery bowl" for some
+	@$(VENV)/bin/python benchmarks/reproduce.py $(SCENES)
 
 clean: ## remove .venv, build outputs and caches; runs/ stays
 	@rm -rf $(VENV) build dist *.egg-info .pytest_cache

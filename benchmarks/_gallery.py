@@ -24,7 +24,7 @@ def write(run: Path, path: Path) -> None:
         box = (column / len(_COLUMNS), 0, 0.98 / len(_COLUMNS), 1)
         axes = canvas.add_axes(box, xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
-        scale = cells.density_scale([view[name]]) if name == "density" else None
+        scale = cells.density_scale([view[name]]) if name == "density" and name in view else None
         cells.draw(axes, view.get(name), shown, scale)
     canvas.savefig(path)
     with Image.open(path) as picture:

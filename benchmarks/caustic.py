@@ -26,6 +26,8 @@ def main() -> None:
     )
     parser.add_argument("--resolution", type=int, default=128, help="cells a side")
     chosen = parser.parse_args()
+    if chosen.most not in [4**n for n in range(16)] or chosen.most <= max(SHOWN):
+        parser.error(f"--most={chosen.most}: a power of 4 above {max(SHOWN)}")
     backend.start()
     import pandas
 

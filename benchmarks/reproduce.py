@@ -1,12 +1,15 @@
 """Every scene's comparison: each sampler at its own best learning rate, at equal billed time.
 
-A quarter of the default texture and batch, so that short budgets hold hundreds of steps. Two races
-a scene: all samplers at every rate with the first seed, then each at its best rate, by the final
-parameter error, with the other seeds, which alone are reported. Contestants take turns.
+Textures 128 wide and a quarter of the default batch, so that short budgets hold hundreds of steps
+(``SCENES`` says which settings). Two races a scene: all samplers at every rate with the first seed,
+then each at its best rate, by the final parameter error, with the other seeds, which alone are
+reported. Contestants take turns.
 
 Writes for each scene results/<scene>.csv (a row per sampler), <scene>_rates.csv (the search for
 rates), <scene>_errors.png (error against billed time and light paths) and <scene>_gallery.png
-(target, start, result, density of `ours`). The whole takes hours.
+(target, start, result, density of `ours`); and over all scenes measured so far reproduce.csv and
+reproduce.md, the tables as one, and claims.md, each figure of the paper beside what was found. The
+whole takes hours.
 
     make reproduce SCENES="pottery bowl"
 """
@@ -20,7 +23,9 @@ import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import _claims
 import _gallery
+import _overview
 import numpy as np
 import pandas
 from PIL import Image
@@ -37,11 +42,14 @@ SAMPLERS = ("uniform", "relevant", "gradient", "ours", "progress")
 @dataclass(frozen=True)
 class Comparison:
     """``seconds``: the default budget of a run; ``settings``: beyond COMMON; ``more``: samplers
-    beyond SAMPLERS."""
+    beyond SAMPLERS; ``rates``: what each sampler's learning rate is chosen from; ``scene``: where
+    a comparison is not named after its scene."""
 
     seconds: float
     settings: tuple[str, ...] = ("scene.arguments.texture=128",)
     more: tuple[str, ...] = field(default=())
+    rates: tuple[float, ...] = (0.005, 0.01, 0.02)
+    scene: str | None = None
 
     @property
     def samplers(self) -> list[str]:
@@ -56,8 +64,11 @@ SCENES = {
     "pottery": Comparison(20),
     "earth2mars": Comparison(20),
     "jumpydumpy": Comparison(20),
+    "jumpydumpy_relative": Comparison(
+        20, ("scene.arguments.texture=128", "loss=relative_l2"), scene="jumpydumpy"
+    ),
     # The paper's figure 6: derivative sampling throughout, a small budget.
-    "trashcan": Comparison(5, ("estimator.derivative_sampling=true",)),
+    "trashcan": Comparison(5, ("estimator.derivative_sampling=true",), rates=(0.01, 0.02, 0.05)),
     "earth": Comparison(20),
     "dodoco_a": Comparison(20),
     "bowl": Comparison(20),
@@ -69,8 +80,9 @@ def race(
     folder: Path, scene: str, contestants: list, seeds: list[int], seconds: float, spp: int
 ) -> None:
     """Race ``contestants``, (sampler, rate) each; ``spp`` of the pictures at the end."""
+    own = SCENES[scene].scene or scene
     listed = ",".join(f"{{sampler:{s},optimizer.lr:{rate}}}" for s, rate in contestants)
-    command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *COMMON]
+    command = [sys.executable, "-m", "isas_cli", "race", f"scene={own}", *COMMON]
     command += [*SCENES[scene].settings, f"frames.spp={spp}", f"budget.seconds={seconds}"]
     command += [f"contestants=[{listed}]", f"seed=[{','.join(map(str, seeds))}]"]
     subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
@@ -91,6 +103,11 @@ def runs(folder: Path) -> pandas.DataFrame:
                 "history": history,
                 "final": float(history[MEASURE].iloc[-1]),
                 "image": float(history["image_rmse"].iloc[-1]),
+                **{
+                    key: float(run.history[key].iloc[-1])
+                    for key in run.history.columns
+                    if key.startswith(f"{MEASURE}/")
+                },
             }
         )
     return pandas.DataFrame(rows)
@@ -148,6 +165,9 @@ def table(scene: str, found: pandas.DataFrame, budget: float) -> pandas.DataFram
         stage1 = np.median([h["stage1_seconds"].iloc[-1] for h in own["history"]])
         row["stage1_share"] = stage1 / budget
         row["worst_twentieth"] = np.median([worst_twentieth(path) for path in own["folder"]])
+        keys = [key for key in own.columns if key.startswith(f"{MEASURE}/")]
+        for key in keys if len(keys) > 1 else ():
+            row |= _spread(key, own[key].tolist())
         for rival in ("uniform", "relevant"):
             times = [reached(h, finals[rival]) / budget for h in own["history"]]
             row |= _spread(f"time_to_{rival}", times)
@@ -157,7 +177,7 @@ def table(scene: str, found: pandas.DataFrame, budget: float) -> pandas.DataFram
 
 def _best(scene: str, folder: Path, chosen: argparse.Namespace, seconds: float) -> list:
     """(sampler, rate) pairs, each sampler at its best rate with the first seed."""
-    every = [(s, rate) for rate in chosen.rates for s in SCENES[scene].samplers]
+    every = [(s, rate) for rate in SCENES[scene].rates for s in SCENES[scene].samplers]
     race(folder, scene, every, chosen.seeds[:1], seconds, spp=1)
     first = runs(folder)
     first.drop(columns=["folder", "history"]).to_csv(
@@ -177,7 +197,8 @@ def compared(scene: str, root: Path, chosen: argparse.Namespace) -> pandas.DataF
     folders = [str(path) for path in found["folder"]]
     command = [sys.executable, "-m", "isas_cli", "compare", *folders, "--output", comparison]
     subprocess.run(command, check=True)
-    with Image.open(comparison / "plots" / f"{scene}_errors.png") as plot:
+    (errors,) = (comparison / "plots").glob("*_errors.png")
+    with Image.open(errors) as plot:
         # Few colours: a plot needs no more, and the file is a quarter as large.
         small = plot.convert("RGB").quantize(64)
         small.save(RESULTS / f"{scene}_errors.png", optimize=True)
@@ -192,7 +213,6 @@ def compared(scene: str, root: Path, chosen: argparse.Namespace) -> pandas.DataF
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}")
-    parser.add_argument("--rates", nargs="+", type=float, default=[0.005, 0.01, 0.02])
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
     parser.add_argument("--seconds", type=float, help="budget of each run, instead of the scene's")
     parser.add_argument("--folder", type=Path, help="where the runs go (default: a new folder)")
@@ -206,6 +226,11 @@ def main() -> None:
     RESULTS.mkdir(exist_ok=True)
     for scene in chosen.scenes or SCENES:
         print(compared(scene, root, chosen).to_string(index=False), flush=True)
+        found = [RESULTS / f"{name}.csv" for name in SCENES]
+        tables = [pandas.read_csv(path) for path in found if path.exists()]
+        pandas.concat(tables).to_csv(RESULTS / "reproduce.csv", index=False)
+        _overview.write(tables, RESULTS / "reproduce.md")
+        _claims.write(RESULTS)
 
 
 if __name__ == "__main__":

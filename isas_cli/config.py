@@ -15,8 +15,14 @@ from .schedule import factor
 
 # Dr.Jit counts the lanes of a kernel in 32 bits.
 _MOST_LANES = 2**31
-# Parameters of a lobe that `estimator.derivative_sampling` draws directions for, as keys name them.
+# Parameters of a lobe that `estimator.derivative_sampling` draws directions for.
 ROUGHNESSES = ("roughness", "alpha")
+
+
+def roughness_of(key: str) -> str | None:
+    """Which of ROUGHNESSES an unknown is, by its key: 'roughness' of 'wall.bsdf.roughness.value',
+    'alpha' of 'ball.bsdf.alpha'; None for others."""
+    return next((word for word in key.split(".")[:-3:-1] if word in ROUGHNESSES), None)
 
 
 def _at_least(least: int, **values: Optional[int]) -> None:
@@ -99,7 +105,7 @@ class OptimizerConfig:
 
 @dataclass
 class EstimatorConfig:
-    """Pixels drawn per step (two light paths each); ``derivative_sampling``: draw directions for
+    """``batch``: pixels drawn per step; ``derivative_sampling``: draw directions for
     the derivative by roughness; ``freeze``: record kernels once."""
 
     batch: int = 65536
@@ -178,7 +184,7 @@ class Config:
                 f"size={self.size}: scene={scene.name} has no sizes: its films say how large it is"
             )
         for key in scene.unknowns if self.estimator.derivative_sampling else ():
-            if not set(key.split(".")[-2:]) & set(ROUGHNESSES):
+            if roughness_of(key) is None:
                 raise InputError(
                     f"estimator.derivative_sampling=true: '{key}' is no roughness; it draws for "
                     f"derivatives by {' or '.join(ROUGHNESSES)} alone: leave it out, or this "

@@ -65,8 +65,9 @@ def continuation(
 def describe(backend: Backend, problem: "Problem", seed: int, target_seed: int) -> dict:
     """Versions, machine, seeds, content hashes, what is simulated, and the command line."""
     from . import effects  # imports Mitsuba, which readers of manifests need not
+    from .estimators.derivative_sampling import plain
 
-    integrator = getattr(problem.integrator, "base", problem.integrator)
+    integrator = plain(problem.integrator)
     return {
         "isas": __version__,
         "command": sys.argv,

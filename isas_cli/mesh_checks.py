@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 # A triangle is degenerate when its area is below this fraction of the squared diagonal of the
 # bounding box: the rounding of float32 positions alone gives areas of this order.
 SMALLEST_AREA = 1e-12
-# Repeats of a texture beyond this count are taken for damage, not for tiling.
-LARGEST_TEXCOORD = 1000.0
-# Mitsuba leaves the others' coordinates as they lie in memory.
-_PARTLY = (
-    "an OBJ file that has coordinates for only some of its faces is loaded so; unwrap them all"
-)
+# Repeats of an unknown texture beyond this count are taken for damage, not for tiling; of others,
+# which may be in metres, from where float32 tells no fraction of a texel.
+LARGEST_TEXCOORD, LARGEST_UNUSED = 1000.0, 1e6
+# Of an OBJ file that has coordinates for only some faces, Mitsuba leaves the others' as they lie in
+# memory.
+_PARTLY = "unwrap the mesh, all of its faces, and export it anew"
 # Share of the used texels that belong to several places, from which on a reader should know.
 LARGEST_OVERLAP = 0.01
 # Overlap is counted on a grid of this many points a side, whatever size a texture has,
@@ -48,16 +48,22 @@ def check(vertices: np.ndarray, texcoords: np.ndarray, faces: np.ndarray, name: 
         )
 
 
-def check_values(vertices: np.ndarray, texcoords: np.ndarray, faces: np.ndarray, name: str) -> None:
+def check_values(
+    vertices: np.ndarray,
+    texcoords: np.ndarray,
+    faces: np.ndarray,
+    name: str,
+    largest_texcoord: float = LARGEST_TEXCOORD,
+) -> None:
     """Raise InputError, naming the first offender, for a mesh that cannot be rendered.
 
-    ``texcoords``: ``(0, 2)`` for a mesh without.
+    ``texcoords``: ``(0, 2)`` for a mesh without; ``largest_texcoord``: what they may be.
     """
     if not faces.size:
         raise InputError(f"mesh {name} has no triangles")
     for what, values, largest, hint in (
         ("position", vertices, np.inf, "export the mesh anew"),
-        ("texture coordinate", texcoords, LARGEST_TEXCOORD, _PARTLY),
+        ("texture coordinate", texcoords, largest_texcoord, _PARTLY),
     ):
         bad = np.flatnonzero(~(np.isfinite(values) & (np.abs(values) <= largest)).all(axis=1))
         if bad.size:
@@ -99,14 +105,16 @@ def check_scene(scene: mi.Scene, textures: dict[str, mi.Texture]) -> list[str]:
         texcoords = np.zeros((0, 2), np.float32)
         if shape.has_vertex_texcoords():
             texcoords = np.array(values["vertex_texcoords"]).reshape(-1, 2)
-        check_values(vertices, texcoords, faces, name)
+        unknown = _textures_of(values, textures)
+        largest = LARGEST_TEXCOORD if unknown else LARGEST_UNUSED
+        check_values(vertices, texcoords, faces, name, largest)
         flat = degenerate(vertices, faces)
         if flat.size:
             warnings.append(
                 f"mesh {name}: {flat.size} of {len(faces)} triangles have no area, the first is "
                 f"triangle {flat[0]}: no view can show them"
             )
-        for key, place in _textures_of(values, textures):
+        for key, place in unknown:
             if not len(texcoords):
                 raise InputError(
                     f"mesh {name} has no texture coordinates, which '{key}' needs: unwrap it "

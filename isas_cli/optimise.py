@@ -106,7 +106,7 @@ class Loop:
             starts = self.problem.unknowns.starts()
             doubt = reliability.warning(self.sampler, starts, self.seed, _REHEARSAL_BASE)
             self.warnings = [doubt] if doubt else []
-            self.stepper.restart(self.problem.unknowns.starts())
+            self.stepper.restart(starts)
             self._weights = self._distribution = None
 
     def run(self, hooks: Hooks) -> str:

@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from .estimators.derivative_sampling import DerivativeSampling
 from .pixels import Views
 from .unknowns import Unknowns
 
@@ -39,7 +40,8 @@ class Problem:
     @property
     def paths_per_derivative(self) -> int:
         """Light paths behind one estimate of a pixel's derivative."""
-        return getattr(self.integrator, "paths", 1)
+        sampled = isinstance(self.integrator, DerivativeSampling)
+        return self.integrator.paths if sampled else 1
 
     @property
     def truth_known(self) -> bool:

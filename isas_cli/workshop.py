@@ -10,7 +10,7 @@ from .adam import Stepper
 from .budget import Budget
 from .compose import instantiate
 from .config import Config
-from .estimators.derivative_sampling import sampled
+from .estimators import derivative_sampling
 from .estimators.two_path import TwoPath
 from .evaluate import Evaluator
 from .optimise import Loop
@@ -45,10 +45,13 @@ class Workshop:
         named, chosen = (OmegaConf.to_yaml(node, resolve=True) for node in (cfg.loss, cfg.sampler))
         loss = self._once("loss", (named,), lambda: instantiate(cfg.loss, "loss"))
         batch, freeze = typed.estimator.batch, typed.estimator.freeze
-        problem = self.problem
-        if typed.estimator.derivative_sampling:
-            problem = self._once("derivatives", (), lambda: sampled(self.problem))
-        shared = named, batch, freeze, typed.estimator.derivative_sampling
+        special = typed.estimator.derivative_sampling
+        problem = self._once(
+            "derivatives",
+            (special,),
+            lambda: derivative_sampling.chosen(self.problem, typed.estimator),
+        )
+        shared = named, batch, freeze, special
 
         def sampler():
             made = instantiate(cfg.sampler, "sampler")

@@ -18,8 +18,8 @@ warns that the density of `ours` is not to be trusted here.
 What differs: the paper's scene is not described, so ours is another. The ball is a `dielectric`:
 a principled lobe has no smooth limit.
 
-Depth 5: camera, floor, glass, glass, lamp, or glass, glass, floor, lamp. Against depth 12 the image
-lacks 0.7 % of its light (2.8 % at depth 4); targets have the same depth.
+Depth 5: camera, floor, glass, glass, lamp, and one surface more. Against depth 12 the image lacks
+0.7 % of its light (2.8 % at depth 4); targets have the same depth.
 """
 
 from __future__ import annotations

@@ -14,12 +14,13 @@ from isas_cli.scenes.cameras import perspective
 
 WHITE, RED, GREEN = [0.73, 0.71, 0.68], [0.57, 0.05, 0.05], [0.12, 0.42, 0.10]
 LAMP_COLOUR = [1.0, 0.85, 0.6]
+RADIANCE, LAMP = 14.0, 0.35  # LAMP: half its side
 FRONT = 4.0  # z of the wall behind the camera
 CAMERA, LOOK_AT, FIELD_OF_VIEW = [0.0, 0.95, 3.8], (0.0, 0.72, 0.0), 30.5
 
 
-def cornell_box(resolution: int, radiance: float = 14.0, lamp: float = 0.35) -> dict[str, Any]:
-    """Walls, lamp (half its side: `lamp`) and one sensor, as entries of a scene dictionary."""
+def cornell_box(resolution: int) -> dict[str, Any]:
+    """Walls, lamp and one sensor, as entries of a scene dictionary."""
     import mitsuba as mi
 
     to = mi.ScalarTransform4f
@@ -37,11 +38,11 @@ def cornell_box(resolution: int, radiance: float = 14.0, lamp: float = 0.35) -> 
         "right": _wall(right, GREEN),
         "lamp": {
             "type": "rectangle",
-            "to_world": to().translate([0, 1.995, 0]).rotate([1, 0, 0], 90).scale([lamp, lamp, 1]),
+            "to_world": to().translate([0, 1.995, 0]).rotate([1, 0, 0], 90).scale([LAMP, LAMP, 1]),
             "bsdf": _matt([0.0, 0.0, 0.0]),
             "emitter": {
                 "type": "area",
-                "radiance": {"type": "rgb", "value": [radiance * c for c in LAMP_COLOUR]},
+                "radiance": {"type": "rgb", "value": [RADIANCE * c for c in LAMP_COLOUR]},
             },
         },
         "sensor_000": perspective(CAMERA, LOOK_AT, FIELD_OF_VIEW, resolution),

@@ -17,7 +17,7 @@ Path replay connects surfaces with light straight on, which the bell blocks: all
 comes by paths that leave through the glass by chance. Parts of it that neither camera nor mirror
 see stay unknown.
 
-Depth 7: camera, mirror, glass, globe, glass, light, and one surface more. Against depth 16 the
+Depth 7: camera, mirror, glass, globe, glass, light, and two surfaces more. Against depth 16 the
 image lacks 1.0 % of its light (6 % at depth 5); targets have the same depth.
 """
 

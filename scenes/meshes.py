@@ -1,7 +1,6 @@
 """Triangle meshes: read an OBJ file, check it, place it, make a shape of it.
 
-The checks exist because a renderer takes broken meshes in silence: a triangle without area or a
-texture coordinate of 1e9 shows only as a NaN pixel, which then poisons the optimiser.
+What is checked, and why, says `isas_cli.mesh_checks`.
 """
 
 from __future__ import annotations

@@ -6,10 +6,9 @@ small sample budget", the derivative estimated by differential BSDF sampling (Be
 
 Ours: the CC0 model `dustbin` as metal (principled BSDF, metallic 0.9) of true roughness 0.25,
 started from 0.8, in a box that is closed behind the camera (`cornell`), so that the bin shows a
-room and not the dark outside. One image. The bin
-covers a quarter of it and has a seventh of the variance of single paths; half of that lies in the
-uppermost fifth of the image, on wall and upper rim, where the light of the lamp that the bin throws
-there is found by chance.
+room and not the dark outside. One image. The bin covers a quarter of it and has a seventh of the
+variance of single paths; half of that lies in the uppermost fifth of the image, on wall and upper
+rim, where the light of the lamp that the bin throws there is found by chance.
 
 What differs: the paper's models, light and roughness are not published, so ours are others. The
 error of the image, without noise, falls all the way from 1.0 to the true roughness, but slowly at

@@ -72,9 +72,11 @@ def test_overlap_is_what_counting_every_triangle_finds(rng, monkeypatch):
 
 
 def test_charts_that_tile_very_often_are_counted_on_a_coarser_grid(monkeypatch):
-    monkeypatch.setattr(mesh_checks, "_MOST_SPANS", 4000)
-    assert overlap(rectangle(0, 0, 0.5, 100)) == 1
-    assert overlap(np.concatenate(CHARTS["side by side"][0] * 1)) == 0
+    """One column of texels overlaps: of 512 it is seen, of 16 it falls between two centres."""
+    charts = np.concatenate([rectangle(0, 0, 0.5, 1), rectangle(0.5 - 1.4 / 512, 0, 0.4, 1)])
+    assert overlap(charts) > 0
+    monkeypatch.setattr(mesh_checks, "_MOST_SPANS", 40)
+    assert overlap(charts) == 0
 
 
 def test_triangles_of_a_dense_atlas_share_no_texel(rng):
@@ -235,8 +237,8 @@ def test_triangles_without_area_are_a_warning_in_a_users_file(folder):
     "field, value, parts",
     [
         ("vertices", np.nan, ["position of vertex 2 is not finite"]),
-        ("texcoords", np.nan, ["texture coordinate of vertex 2 is not finite", "only some"]),
-        ("texcoords", 1e9, ["texture coordinate of vertex 2 is beyond ±1000", "1000000000.0"]),
+        ("texcoords", np.nan, ["texture coordinate of vertex 2 is not finite", "all of its faces"]),
+        ("texcoords", 1e9, ["texture coordinate of vertex 2 is beyond ±1e+06", "1000000000.0"]),
     ],
 )
 def test_numbers_that_are_none_are_refused(field, value, parts):
@@ -251,6 +253,13 @@ def test_numbers_that_are_none_are_refused(field, value, parts):
         check_scene(scene, {})
     for part in parts:
         assert part in str(refused.value)
+
+
+def test_coordinates_in_metres_are_refused_for_an_unknown_texture_alone(folder):
+    write(folder / "mesh.obj", UV * 2000)
+    assert warnings_of(folder, obj("other", paint()), *[]) == []
+    with pytest.raises(InputError, match="texture coordinate of vertex . is beyond ±1000"):
+        warnings_of(folder, obj("quad", paint()), KEY)
 
 
 def test_a_run_says_and_records_what_is_wrong_with_its_meshes(folder, capsys):

@@ -17,8 +17,8 @@ CELLS = 64 * 64
 class Looks:
     """Stands for a sampler whose looks find ``image(rng)``, and weigh it as it is."""
 
-    def __init__(self, image):
-        self.image = image
+    def __init__(self, image, floor: float = 0.0):
+        self.image, self.floor = image, floor
 
     def measured(self, values, base, iteration):
         rng = np.random.default_rng((base, iteration))
@@ -28,8 +28,8 @@ class Looks:
         return images[0].x
 
 
-def distance(image) -> float:
-    return reliability.disagreement(Looks(image), {}, 1, 0)
+def distance(image, floor: float = 0.0) -> float:
+    return reliability.disagreement(Looks(image, floor), {}, 1, 0)
 
 
 def test_looks_that_agree_are_no_distance_apart():
@@ -46,6 +46,7 @@ def test_distance_of_a_look_that_finds_another_cell_each_time():
         return image
 
     assert distance(one_cell) == pytest.approx(1 - 1 / reliability.LOOKS, abs=1e-6)
+    assert distance(one_cell, 0.25) == pytest.approx(0.75 * distance(one_cell))
 
 
 def test_distance_of_mild_noise():

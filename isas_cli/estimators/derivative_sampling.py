@@ -1,4 +1,9 @@
-"""Derivatives by roughness from directions that are drawn for them (Belhe et al. 2024).
+"""Derivatives by roughness from directions that are drawn for them.
+
+After Belhe et al., *Importance Sampling BRDF Derivatives* (2024), who draw from the positive and
+the negative part of a BRDF's derivative apart; the shared random numbers follow the antithetic
+sampling of Zeltner et al., *Monte Carlo Estimators for Differential Light Transport* (2021). The
+closed forms below, and the choice of one vertex per path, are ours.
 
 The derivative of a microfacet lobe by its roughness changes sign: rougher means less at the peak
 and more around it. Directions drawn in proportion to the lobe lie where its derivative is small,
@@ -37,7 +42,9 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
+from ..config import ROUGHNESSES, EstimatorConfig, roughness_of
 from ..errors import InputError
 from ..unknowns import Unknowns
 from .attached import mis_weight
@@ -45,10 +52,19 @@ from .attached import mis_weight
 if TYPE_CHECKING:
     from ..problem import Problem
 
-# How α follows from the parameter that an unknown's key ends in.
-_ALPHA = {"roughness": dr.square, "alpha": lambda x: x}
-# Normals drawn: below this the square of a float32 tangent is lost.
-_SMALLEST = 1e-12
+# How α follows from each of the parameters.
+_ALPHA = dict(zip(ROUGHNESSES, (dr.square, lambda x: x)))
+_SMALLEST = 1e-12  # keeps quotients finite
+
+
+def chosen(problem: "Problem", settings: EstimatorConfig) -> "Problem":
+    """``problem``, with derivatives estimated as ``settings`` say."""
+    return sampled(problem) if settings.derivative_sampling else problem
+
+
+def plain(integrator) -> mi.Integrator:
+    """The integrator that renders, whatever estimates derivatives."""
+    return integrator.base if isinstance(integrator, DerivativeSampling) else integrator
 
 
 def sampled(problem: "Problem") -> "Problem":
@@ -60,15 +76,16 @@ def sampled(problem: "Problem") -> "Problem":
 class DerivativeSampling:
     """Stands where a path integrator does: the same radiance, other estimates of derivatives.
 
-    ``base``: the integrator, whose radiance, depths and roulette are kept.
+    ``base``: the integrator, whose radiance and depths are kept. Roulette begins at the same depth,
+    beyond the chosen vertex by the throughput from there on.
     ``paths``: light paths per estimate.
     """
 
     paths = 4  # to the vertex, and three from it
 
     def __init__(self, base: mi.Integrator, scene: mi.Scene, unknowns: Unknowns):
-        """``unknowns``: roughnesses, which the configuration sees to. Raises InputError where the
-        integrator is none that this estimate can follow."""
+        """``unknowns``: roughnesses, which the configuration sees to. Raises InputError for an
+        integrator that this estimate cannot follow, and for a roughness that it cannot reach."""
         if type(base).__name__ != "PRBIntegrator" or base.hide_emitters:
             raise InputError(
                 "estimator.derivative_sampling=true: works for the integrator 'prb' with visible "
@@ -80,8 +97,16 @@ class DerivativeSampling:
         self.max_depth, self.rr_depth = base.max_depth, base.rr_depth
         self._bsdfs = {word: [] for word in _ALPHA}
         for key in unknowns.keys:
-            owner = unknowns.params.properties[key][2]
-            self._bsdfs[_word(key)] += _holding(scene, owner)
+            word = roughness_of(key)
+            found = _holding(scene, unknowns.params.properties[key][2])
+            # Mixed and masked materials do not tell the roughness of what they are made of.
+            if not found or not all(np.all(bsdf.has_attribute(word)) for bsdf in found):
+                raise InputError(
+                    f"estimator.derivative_sampling=true: '{key}' lies inside a material or an "
+                    "instance that does not pass it on; leave it out, or give the shape the "
+                    "material itself"
+                )
+            self._bsdfs[word] += found
 
     def _unknown(self, bsdf: mi.BSDFPtr) -> mi.Bool:
         return self._among([b for bsdfs in self._bsdfs.values() for b in bsdfs], bsdf)
@@ -290,18 +315,14 @@ def parts_pdf(wi: mi.Vector3f, wo: mi.Vector3f, alpha: mi.Float) -> mi.Float:
     """
     h = dr.normalize(wi + wo)
     cos = dr.abs(h.z)
-    tan2 = (1 - dr.square(cos)) / dr.maximum(dr.square(cos), _SMALLEST)
+    # Not 1 - cos², whose rounding exceeds α² where a lobe is sharp.
+    tan2 = (dr.square(h.x) + dr.square(h.y)) / dr.maximum(dr.square(cos), _SMALLEST)
     a2 = dr.square(alpha)
     sum_ = a2 + tan2
     density = 4 * a2 * dr.abs(a2 - tan2) / (sum_ * sum_ * sum_)
     density /= dr.pi * cos * cos * cos * 4 * dr.abs(dr.dot(wi, h))
     valid = (wi.z * wo.z > 0) & dr.isfinite(density)
     return dr.select(valid, density, 0)
-
-
-def _word(key: str) -> str:
-    """The parameter that a key is a value of: 'roughness' of 'wall.bsdf.roughness.value'."""
-    return key.split(".")[-2] if "." in key else key
 
 
 def _holding(scene: mi.Scene, owner) -> list[mi.BSDF]:

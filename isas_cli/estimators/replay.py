@@ -3,8 +3,9 @@
 In one place, because the order of events matters: a replay must see the random numbers of the
 primal pass again (the sampler is cloned before it), nothing may track derivatives but the
 integrator itself, and results are evaluated before anyone reduces them (otherwise each channel's
-reduction renders again). Short paths are differentiated in one go (``attached``), all others by
-path replay backpropagation.
+reduction renders again). Short paths are differentiated in one go (``attached``), roughnesses on
+request with directions of their own (``derivative_sampling``), all else by path replay
+backpropagation.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ import drjit as dr
 import mitsuba as mi
 
 from . import attached
-from .derivative_sampling import DerivativeSampling
+from .derivative_sampling import DerivativeSampling, plain
 
 
-def _unrolled(integrator, scene, sampler, ray):
+def _attached(integrator, scene, sampler, ray):
     """What to differentiate in one go, derivatives attached; None where paths are replayed."""
     if isinstance(integrator, DerivativeSampling):
         return integrator.radiance(scene, sampler, ray)
@@ -42,8 +43,7 @@ def _sample(integrator, mode, scene, sampler, ray, adjoint=None, state=None):
 
 def primal(integrator, scene, sampler, ray) -> tuple[mi.Color3f, mi.Color3f]:
     """Radiance of one path per ray, and the state that a replay of the same paths needs."""
-    integrator = getattr(integrator, "base", integrator)
-    return _sample(integrator, dr.ADMode.Primal, scene, sampler, ray)
+    return _sample(plain(integrator), dr.ADMode.Primal, scene, sampler, ray)
 
 
 def backward(integrator, scene, sampler, ray, adjoint: mi.Color3f) -> None:
@@ -52,7 +52,7 @@ def backward(integrator, scene, sampler, ray, adjoint: mi.Color3f) -> None:
     ``adjoint (3, N)``: ∂ℒ/∂L per path, importance weights included.
     """
     with dr.resume_grad():
-        radiance = _unrolled(integrator, scene, sampler, ray)
+        radiance = _attached(integrator, scene, sampler, ray)
         # Paths too short to reach any unknown have no derivative.
         if radiance is not None and dr.grad_enabled(radiance):
             dr.backward_from(adjoint * radiance)
@@ -73,7 +73,7 @@ def forward(integrator, scene, sampler, ray) -> mi.Color3f:
     """
     derivative = dr.zeros(mi.Color3f, dr.width(ray.o))
     with dr.resume_grad():
-        radiance = _unrolled(integrator, scene, sampler, ray)
+        radiance = _attached(integrator, scene, sampler, ray)
         if radiance is not None and dr.grad_enabled(radiance):
             derivative = mi.Color3f(dr.forward_to(radiance))
     if radiance is None:

@@ -23,11 +23,11 @@ class TwoPath:
         ⟨dℒ/dθ⟩ = 1/N Σ_i  ⟨∂ℒ/∂I⟩_{j_i} ⟨dI/dθ⟩_{j_i} / p_{j_i}
 
     The first path's radiance gives ⟨∂ℒ/∂I⟩ through the loss, a second, independent path gives
-    ⟨dI/dθ⟩ by path replay (Vicini et al. 2021). One path for both would be biased for L2: its
-    noise is correlated with itself.
+    ⟨dI/dθ⟩ as ``problem.integrator`` estimates it (``replay``). One path for both would be biased
+    for L2: its noise is correlated with itself.
 
-    Symbols: N → ``batch`` (pixels a step; 2 N light paths); p → ``PixelDistribution``;
-    θ → ``problem.unknowns``, whose gradients receive the estimate.
+    Symbols: N → ``batch`` (pixels a step; 2 N light paths, more with derivative sampling);
+    p → ``PixelDistribution``; θ → ``problem.unknowns``, whose gradients receive the estimate.
     Bias: none for losses with linear derivative (``loss.linear``) and p > 0 wherever
     ∂ℒ/∂I · dI/dθ ≠ 0; other losses as their docstrings say. Visibility is not differentiated:
     unknowns that move geometry are refused by ``Unknowns``.

@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from .base import Sampler
+from .gradient import Gradient
 
 # Share of the draws that a density of one look sends elsewhere than that of LOOKS looks. Measured
 # at the start of the scenes, at two sizes and two batches: `ours` 0.1 to 0.3, on caustic_failure
@@ -23,20 +24,22 @@ def warning(sampler: Sampler, values: dict, base: int, first: int) -> str | None
     ``base``, ``first``: the random streams, of iterations from ``first`` on.
     """
     share = disagreement(sampler, values, base, first)
+    own = getattr(sampler, "base", sampler)
+    instead = " or sampler=gradient, whose density rests on means and not on squares"
     if share is None or not share > LARGEST:
         return None
     return (
         f"the sampling density is not to be trusted: {LOOKS} looks together would send {share:.0%} "
         f"of the draws elsewhere than one does (reliable up to {LARGEST:.0%}), as where paths from "
         "the camera find some of the light, such as a small lamp's caustic, only by chance; take "
-        "more paths (sampler.stage1.spp) or sampler=gradient, whose density rests on means and not "
-        "on squares"
+        f"more paths a cell (stage1.spp){'' if type(own) is Gradient else instead}"
     )
 
 
 def disagreement(sampler: Sampler, values: dict, base: int, first: int) -> float | None:
-    """Total variation distance between the pmf over cells of one look and that of LOOKS
-    whose measurements are averaged, in [0, 1]; the median over some single looks."""
+    """Total variation distance between the pmf over cells of one look and that of LOOKS whose
+    measurements are averaged, in [0, 1]; the median over some single looks. The uniform share
+    (``floor``) is in both."""
     looks = []
     for i in range(LOOKS):
         images = sampler.measured(values, base, first + i)
@@ -47,7 +50,7 @@ def disagreement(sampler: Sampler, values: dict, base: int, first: int) -> float
     dr.eval(pooled)
     all_ = _pmf(sampler.weighed(pooled))
     distances = [0.5 * np.abs(_pmf(sampler.weighed(i)) - all_).sum() for i in looks[:_SINGLE]]
-    return float(np.median(distances))
+    return float(np.median(distances)) * (1 - sampler.floor)
 
 
 def _pmf(weights: mi.Float) -> np.ndarray:

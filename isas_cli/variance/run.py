@@ -71,11 +71,9 @@ def run(plan: Plan) -> int:
     machine = started(list(plan.cfgs.values()), typed)
     with Progress() as display:
         phases = Phases(display)
-        problem = built(typed, phases)
-        if typed.estimator.derivative_sampling:
-            from ..estimators.derivative_sampling import sampled
+        from ..estimators import derivative_sampling  # imports Mitsuba
 
-            problem = sampled(problem)
+        problem = derivative_sampling.chosen(built(typed, phases), typed.estimator)
         bench, contestants, best = _prepared(plan, typed, problem, phases)
         with interrupt.graceful(display.interrupted) as stop:
             return _Record(plan, typed, machine, bench, contestants, best, display).make(stop)

@@ -52,7 +52,7 @@ def rows(contestants: list[Contestant], rounds: list[int], results: Results) -> 
     the scene to their gradients, without Adam's own step, and the share of a look that a run of
     1,000 steps takes with each (the one at its start, with a survey or a mask, does not count).
     efficiency: 1/(variance × seconds per estimate), uniform's is 1. bias_z, bias_p: see ``bias``,
-    against uniform. batch: pixels drawn per estimate, two paths each.
+    against uniform. batch: pixels drawn per estimate.
     """
     counts = np.array(rounds)
     repeats = int(counts.sum())
