@@ -198,6 +198,7 @@ def test_helps_and_lists(isas):
         (["run", "--help"], "isas run scene=pottery"),
         (["run", "scene=pottery", "-h"], "usage: isas run"),
         (["scenes"], "jar.bsdf.base_color.data"),
+        (["scenes"], "caustic_failure"),
     ):
         status, out, err = isas(*arguments)
         assert (status, err) == (0, "") and expected in out

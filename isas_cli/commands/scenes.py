@@ -20,13 +20,16 @@ def _comment(path: Path) -> str:
 def main() -> int:
     """Print scenes with their unknowns and sizes, then samplers and losses."""
     console = Console()
-    keys = Column("unknowns", no_wrap=True)  # for copying: never cut
-    table = Table("scene", "problem", keys, "sizes", title="isas run scene=NAME size=SIZE")
+    # For copying: never cut.
+    names, keys = Column("scene", no_wrap=True), Column("unknowns", no_wrap=True)
+    sizes = Column("sizes", no_wrap=True)
+    table = Table(names, "problem", keys, sizes, title="isas run scene=NAME size=SIZE")
     for name in options("scene"):
         node = OmegaConf.load(Path(config.folder()) / "scene" / f"{name}.yaml")
         unknowns = "\n".join(node.get("unknowns") or {}) or "scene.unknowns=…"
-        sizes = " ".join(node.get("sizes") or [])
-        table.add_row(name, node.get("description", ""), unknowns, sizes)
+        table.add_row(
+            name, node.get("description", ""), unknowns, "\n".join(node.get("sizes") or [])
+        )
     console.print(table)
     for group in ("sampler", "loss"):
         table = Table(group, "what it does", title=f"{group}=NAME")
