@@ -209,18 +209,21 @@ class DerivativeSampling:
             β *= passed
             η *= sample.eta
             ray = si.spawn_ray(si.to_world(sample.wo))
-            most = dr.max(β)
-            active &= most != 0
+            β, alive = self._roulette(sampler, β, η, depth)
             # The vertices after the last one would be of no use.
-            active &= depth + 2 < self.max_depth
-            survives = dr.minimum(most * dr.square(η), 0.95)
-            late = depth >= self.rr_depth
-            β[late] *= dr.rcp(survives)
-            active &= ~late | (sampler.next_1d() < survives)
+            active &= alive & (depth + 2 < self.max_depth)
             depth += 1
             hit = scene.ray_intersect_preliminary(ray, coherent=False, reorder=False, active=active)
 
         return chosen_hit, chosen_ray, chosen_depth, chosen_β * total, total > 0
+
+    def _roulette(self, sampler, β, η, depth) -> tuple[mi.Spectrum, mi.Bool]:
+        """Throughput after Russian roulette as path replay plays it, and who survives."""
+        most = dr.max(β)
+        chance = dr.minimum(most * dr.square(η), 0.95)
+        late = depth >= self.rr_depth
+        alive = (most != 0) & (~late | (sampler.next_1d() < chance))
+        return dr.select(late, β * dr.rcp(chance), β), alive
 
     @dr.syntax
     def _incident(self, scene, sampler, origin, ray, number, active):
@@ -268,12 +271,8 @@ class DerivativeSampling:
             pdf = sample.pdf
             delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
             first = mi.Bool(False)
-            most = dr.max(β)
-            active &= most != 0
-            survives = dr.minimum(most * dr.square(η), 0.95)
-            late = depth >= self.rr_depth
-            β[late] *= dr.rcp(survives)
-            active &= ~late | (sampler.next_1d() < survives)
+            β, alive = self._roulette(sampler, β, η, depth)
+            active &= alive
             depth += 1
             hit = scene.ray_intersect_preliminary(ray, coherent=False, reorder=False, active=active)
 
