@@ -9,9 +9,9 @@ import numpy as np
 from .base import Sampler
 from .gradient import Gradient
 
-# Share of the draws that a density of one look sends elsewhere than that of LOOKS looks. Measured
-# at the start of the scenes, at two sizes and two batches: `ours` 0.1 to 0.3, on caustic_failure
-# 0.8 to 1.
+# Share of the draws that a density of one look sends elsewhere than that of LOOKS looks. Single
+# measurements at the start of five scenes, at two sizes and two batches: `ours` 0.1 to 0.3; on
+# caustic_failure 0.8 to 1.
 LARGEST = 0.4
 LOOKS = 32
 _SINGLE = 4  # of them, each by itself against all
