@@ -15,10 +15,11 @@ from .problem import Problem
 from .targets import cached, digest
 from .unknowns import flat
 
-# An entry counts as seen from this share of the median sensitivity on. Texels that only light
-# the seen ones by interreflection lie far below it: no view pins them down, and an error there
-# says nothing about a method.
-_THRESHOLD = 0.01
+# An entry counts as seen from this share of a well seen one's sensitivity on. Texels that only
+# light the seen ones by interreflection, or that a view grazes, lie far below it: no view pins
+# them down, and an error there says nothing about a method. Well seen is a high quantile, not the
+# median: where most texels are grazed, the median is one of those.
+_THRESHOLD, _WELL_SEEN = 0.05, 0.9
 _LANES = 1 << 20
 _MOST = 1 << 24  # pixels visited; above this a stratified subset of them
 
@@ -32,7 +33,7 @@ def fill_in(problem: Problem, base: int) -> None:
     starts = [hashlib.blake2b(u.start.tobytes()).hexdigest() for u in problem.unknowns]
     masked = "" if problem.mask is None else problem.target_hash
     what = (problem.content_hash, problem.unknowns.keys, starts, masked, base)
-    key = digest("coverage", 3, *what, mi.__version__, _THRESHOLD)
+    key = digest("coverage", 4, *what, mi.__version__, _THRESHOLD, _WELL_SEEN)
     arrays = cached(f"coverage-{key}", lambda: _measure(problem, base))
     for index, unknown in enumerate(problem.unknowns):
         unknown.seen = arrays[f"seen{index}"].reshape(unknown.start.shape)
@@ -102,4 +103,4 @@ def _threshold(sensitivity: np.ndarray) -> np.ndarray:
     positive = finite[finite > 0]
     if positive.size == 0:
         return np.zeros(finite.shape, bool)
-    return finite > _THRESHOLD * np.median(positive)
+    return finite > _THRESHOLD * np.quantile(positive, _WELL_SEEN)
