@@ -54,21 +54,32 @@ def _verdict(ours: pandas.Series, rival: pandas.Series, measure: str = "paramete
 
 
 def _better(scene: str, *rivals: str) -> Callable[[Path], tuple[str, str]]:
-    """`ours` ends with less parameter error than each of ``rivals``."""
+    """`ours` ends with less error of parameters, and of the image, than each of ``rivals``."""
 
     def found(results: Path) -> tuple[str, str]:
-        ours = _row(results, scene, "ours")
-        words, verdicts = [f"`ours` {_range(ours)}"], []
-        for name in rivals:
-            rival = _row(results, scene, name)
-            words.append(f"`{name}` {_range(rival)}")
-            verdicts.append(f"`{name}`: {_verdict(ours, rival)}")
-        table = _table(results, scene)
-        best = table.loc[table["parameter_rmse"].idxmin()]
-        words.append(f"best: `{best['sampler']}` {best['parameter_rmse']:.4f}")
-        return f"{scene}: " + ", ".join(words), "; ".join(verdicts)
+        parts = [_compared(results, scene, rivals, "parameter_rmse", "parameters")]
+        if "image_rmse_low" in _table(results, scene):
+            parts.append(_compared(results, scene, rivals, "image_rmse", "image"))
+        words, verdicts = zip(*parts)
+        return f"{scene}: " + "; ".join(words), "; ".join(verdicts)
 
     return found
+
+
+def _compared(
+    results: Path, scene: str, rivals: tuple[str, ...], measure: str, what: str
+) -> tuple[str, str]:
+    """One measure's numbers and verdicts."""
+    ours = _row(results, scene, "ours")
+    words, verdicts = [f"`ours` {_range(ours, measure)}"], []
+    for name in rivals:
+        rival = _row(results, scene, name)
+        words.append(f"`{name}` {_range(rival, measure)}")
+        verdicts.append(f"`{name}` {_verdict(ours, rival, measure)}")
+    table = _table(results, scene)
+    best = table.loc[table[measure].idxmin()]
+    words.append(f"best: `{best['sampler']}` {best[measure]:.4f}")
+    return f"{what}: " + ", ".join(words), f"{what}: " + ", ".join(verdicts)
 
 
 def _variance(results: Path) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""All scenes in one Markdown table, a row each."""
+"""All scenes in one Markdown table, three rows each: both errors, and time."""
 
 from __future__ import annotations
 
@@ -8,37 +8,45 @@ import numpy as np
 import pandas
 
 _ALWAYS = ["uniform", "relevant", "gradient", "ours", "progress"]
-_SOONER = ["relevant", "gradient", "ours", "progress"]
 
 
 def write(tables: list[pandas.DataFrame], path: Path) -> None:
     """``tables``: of each scene, a row per sampler (``reproduce.table``)."""
     samplers = [*_ALWAYS, *sorted({s for t in tables for s in t["sampler"]} - set(_ALWAYS))]
-    head = ["scene", "seconds", *(f"`{s}`" for s in samplers)]
-    head.append(" / ".join(f"`{s}`" for s in _SOONER))
+    head = ["scene", "", *(f"`{s}`" for s in samplers)]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for table in tables:
         rows = table.set_index("sampler")
-        cells = [rows["scene"].iloc[0], f"{rows['seconds'].iloc[0]:g}"]
-        cells += [_error(rows, sampler) for sampler in samplers]
-        cells.append(" / ".join(_time(rows, sampler) for sampler in _SOONER))
-        lines.append("| " + " | ".join(cells) + " |")
+        scene = f"{rows['scene'].iloc[0]}, {rows['seconds'].iloc[0]:g} s"
+        for first, what, cell in (
+            (scene, "parameters", lambda s: _error(rows, s, "parameter_rmse")),
+            ("", "image", lambda s: _error(rows, s, "image_rmse")),
+            ("", "time", lambda s: _time(rows, s)),
+        ):
+            lines.append("| " + " | ".join([first, what, *map(cell, samplers)]) + " |")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _error(rows: pandas.DataFrame, sampler: str) -> str:
-    """Median final parameter error and its range; the least is bold, with what it overlaps."""
-    if sampler not in rows.index:
+def _error(rows: pandas.DataFrame, sampler: str, measure: str) -> str:
+    """Median final error and its range; the least is bold, with what it overlaps."""
+    if sampler not in rows.index or not np.isfinite(rows.loc[sampler, measure]):
         return ""
-    own, best = rows.loc[sampler], rows.loc[rows["parameter_rmse"].idxmin()]
-    digits = max(0, 2 - int(np.floor(np.log10(own["parameter_rmse"]))))
-    numbers = (own[f"parameter_rmse{end}"] for end in ("", "_low", "_high"))
+    own, best = rows.loc[sampler], rows.loc[rows[measure].idxmin()]
+    # An image error may be 0: its noise is taken off.
+    scale = own[measure] or own[f"{measure}_high"] or 1e-3
+    digits = max(0, 2 - int(np.floor(np.log10(scale))))
+    numbers = (own[f"{measure}{end}"] for end in ("", "_low", "_high"))
     median, low, high = (f"{number:.{digits}f}" for number in numbers)
     text = f"{median} [{low}, {high}]"
-    return f"**{text}**" if own["parameter_rmse_low"] <= best["parameter_rmse_high"] else text
+    return f"**{text}**" if own[f"{measure}_low"] <= best[f"{measure}_high"] else text
 
 
 def _time(rows: pandas.DataFrame, sampler: str) -> str:
-    if sampler not in rows.index or not np.isfinite(rows.loc[sampler, "time_to_uniform"]):
-        return "–"
-    return f"{rows.loc[sampler, 'time_to_uniform']:.2f}"
+    """Share of the budget after which the error stays at `uniform`'s final one; "–": it does not.
+    Without a range for `uniform` itself, whose median run it is."""
+    if sampler not in rows.index or sampler == "uniform":
+        return ""
+    names = ("time_to_uniform", "time_to_uniform_low", "time_to_uniform_high")
+    numbers = (rows.loc[sampler, name] for name in names)
+    median, low, high = (f"{n:.2f}" if np.isfinite(n) else "–" for n in numbers)
+    return f"{median} [{low}, {high}]"

@@ -37,7 +37,16 @@ def judged(tmp_path: Path, figure: str, scene: str) -> tuple[str, str]:
 )
 def test_better_means_that_the_seeds_ranges_lie_apart(ours, verdict, tmp_path):
     rows(tmp_path, "bowl", ours=(*ours, 0.5), uniform=(2, 1.5, 2.5, 0.5))
-    assert judged(tmp_path, "9", "bowl")[1] == f"`uniform`: {verdict}"
+    assert judged(tmp_path, "9", "bowl")[1] == f"parameters: `uniform` {verdict}"
+
+
+def test_the_image_is_judged_by_itself(tmp_path):
+    made = {"parameter_rmse": [1.0, 2.0], "image_rmse": [4.0, 3.0]}
+    for measure, values in list(made.items()):
+        made |= {f"{measure}_low": [0.9 * v for v in values], f"{measure}_high": values}
+    table = pandas.DataFrame({"sampler": ["ours", "uniform"], **made})
+    table.to_csv(tmp_path / "bowl.csv", index=False)
+    assert judged(tmp_path, "9", "bowl")[1] == "parameters: `uniform` yes; image: `uniform` no"
 
 
 def test_what_was_not_run_is_said(tmp_path):
