@@ -104,13 +104,13 @@ def one(scene: str, rounds: int, steps: int, more: list[str]) -> None:
     from _child import problem_of
 
     from isas_cli import backend
-    from isas_cli.compose import options
+    from isas_cli.compose import pixel_samplers
 
     backend.start()
     # What a path costs does not depend on how clean the targets are.
     overrides = [f"scene={scene}", "target.spp=1", *more]
     problem, cfg = problem_of(overrides)
-    sides = [Side(problem, cfg, name, overrides) for name in options("sampler")]
+    sides = [Side(problem, cfg, name, overrides) for name in pixel_samplers()]
     for number in range(-1, rounds):
         for side in sides:
             side.round(number + 1, steps)

@@ -76,6 +76,7 @@ _SUMMARIES = {
     "watch": "show how a run is going on",
     "scenes": "list the scenes, samplers and losses",
     "doctor": "say whether this machine can run it",
+    "landscape": "the loss along a run's unknowns, hard and blurred, and the way it took",
     "report": "write a run's plots and page anew",
 }
 
@@ -111,6 +112,12 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("scenes", help=_SUMMARIES["scenes"])
     doctor = commands.add_parser("doctor", help=_SUMMARIES["doctor"])
     doctor.add_argument("--variant", default="auto", help="Mitsuba variant (default: auto)")
+    landscape = commands.add_parser("landscape", help=_SUMMARIES["landscape"])
+    landscape.add_argument("folder", metavar="DIR", help="a run's folder")
+    landscape.add_argument(
+        "--along", nargs="+", metavar="KEY", help="one or two numbers (default: all, of few)"
+    )
+    landscape.add_argument("--spp", type=int, default=32, help="paths a pixel and point, twice")
     report = commands.add_parser("report", help=_SUMMARIES["report"])
     report.add_argument("folder", help="a run's folder")
     return parser
@@ -159,6 +166,10 @@ def _dispatch(arguments: list[str]) -> int:
         from .commands.watch import main as watch
 
         return watch(Path(parsed.folder), parsed.once)
+    if parsed.command == "landscape":
+        from .commands.landscape import main as landscape
+
+        return landscape(Path(parsed.folder), parsed.along, parsed.spp)
     if parsed.command == "report":
         from .report import write
 

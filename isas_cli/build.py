@@ -17,6 +17,7 @@ from . import backend, coverage, mesh_checks, scene_file, targets
 from .config import SceneConfig, TargetConfig
 from .errors import InputError, nearest
 from .pixels import Views
+from .poses import Poses
 from .problem import Problem
 from .unknowns import Unknowns, parse, textures
 
@@ -53,9 +54,10 @@ def problem(
     params = mi.traverse(loaded)
     content = _content_hash(loaded, integrator, params, description)
     photographs = scene.targets is not None
-    found = parse(params, scene.unknowns, truth_known=not photographs)
+    poses = Poses(scene.poses, params)
+    found = parse(params, scene.unknowns, not photographs, poses)
     # Traversed anew: reading a parameter marks it as a candidate for an update.
-    unknowns = Unknowns(mi.traverse(loaded), found)
+    unknowns = Unknowns(mi.traverse(loaded), found, poses)
     result = Problem(
         scene.name,
         loaded,

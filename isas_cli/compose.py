@@ -17,14 +17,17 @@ from omegaconf.errors import OmegaConfBaseException
 from . import config
 from .errors import InputError, nearest
 
-# scene.unknowns takes keys that no schema can list; '++' lets Hydra add them.
+# These take keys that no schema can list; '++' lets Hydra add them.
 _UNKNOWNS = "scene.unknowns="
+_NAMED = {_UNKNOWNS: config.UnknownConfig, "scene.poses=": config.PoseConfig}
 _GROUPS = ("scene", "sampler", "loss")
 # Taken as they stand, whatever letters a path has.
 _PATHS = ("scene.path", "hydra.run.dir", "hydra.sweep.dir")
 # The sampler that another goes around: a choice within a choice, as typed and as Hydra takes it.
 _BASE, _BASE_OF_HYDRA = "sampler.base", "sampler@sampler.base"
 _CHOICES = ("sampler", _BASE, "loss")
+# Samplers that bring a gradient of their own, and the one that chooses pixels for these.
+_OTHER_GRADIENTS = ("plateau", "mitsuba", "finite_differences", "differences")
 _LABELS = tuple(f"{choice}.{label}" for choice in _CHOICES for label in ("name", "_target_"))
 
 
@@ -40,8 +43,9 @@ def translate(overrides: Iterable[str]) -> list[str]:
 
 def _translate(override: str) -> str:
     bare = override.lstrip("+")
-    if bare.startswith(_UNKNOWNS):
-        return _translate_unknowns(bare)
+    for setting, entry in _NAMED.items():
+        if bare.startswith(setting):
+            return _translate_named(bare, setting, entry)
     key, equals, value = bare.partition("=")
     if key in _PATHS and value and value[0] not in "'\"":
         sweep = key == "scene.path" and "," in value and not Path(value).exists()
@@ -62,8 +66,9 @@ def _translate(override: str) -> str:
     return f"{_BASE_OF_HYDRA}={value}" if key == _BASE else bare
 
 
-def _translate_unknowns(override: str) -> str:
-    text = override[len(_UNKNOWNS) :]
+def _translate_named(override: str, setting: str, entry_type: type) -> str:
+    """``setting={name: entry, …}`` in JSON, each an ``entry_type``."""
+    text = override[len(setting) :]
     try:
         parsed = json.loads(text)
     except json.JSONDecodeError as error:
@@ -72,18 +77,19 @@ def _translate_unknowns(override: str) -> str:
         return "++" + override  # perhaps it is in Hydra's own notation
     entries = list(parsed.values()) if isinstance(parsed, dict) else []
     if not entries or not all(isinstance(entry, dict) for entry in entries):
-        raise InputError(
-            f'{override}: give {{"key": {{"start": 0.5}}}}: keys of the scene, each with a start '
-            "and, if wanted, a range and an lr"
-        )
-    fields = [f.name for f in dataclasses.fields(config.UnknownConfig)]
+        example = '{"key": {"start": 0.5}}: keys of the scene, each with a start and, if wanted, a '
+        example += "range and an lr"
+        if setting != _UNKNOWNS:
+            example = '{"name": {"kind": "rotation", "objects": ["id"]}}: names of your own'
+        raise InputError(f"{override}: give {example}")
+    fields = [f.name for f in dataclasses.fields(entry_type)]
     for key, entry in parsed.items():
         for name in entry:
             if name not in fields:
                 raise InputError(
-                    f"scene.unknowns['{key}'].{name}: no such entry; {nearest(name, fields)}"
+                    f"{setting[:-1]}['{key}'].{name}: no such entry; {nearest(name, fields)}"
                 )
-    return f"++{_UNKNOWNS}{_hydra(parsed)}"
+    return f"++{setting}{_hydra(parsed)}"
 
 
 def override(value) -> str:
@@ -128,6 +134,11 @@ def options(group: str) -> list[str]:
     return sorted(p.stem for p in (Path(config.folder()) / group).glob("*.yaml"))
 
 
+def pixel_samplers() -> list[str]:
+    """The samplers that choose pixels for path replay; the others take gradients otherwise."""
+    return [name for name in options("sampler") if name not in _OTHER_GRADIENTS]
+
+
 def explain(error: Exception, overrides: list[str]) -> str:
     """One line for what Hydra or OmegaConf refuse about ``overrides``."""
     text = str(error)
@@ -165,7 +176,8 @@ def explain(error: Exception, overrides: list[str]) -> str:
             cause = "must be a list: [A,B]"
         what = merging.group(1).lstrip("+")
         # As Hydra saw it, which is not as it was typed.
-        return f"{_UNKNOWNS[:-1] if what.startswith(_UNKNOWNS) else what}: {cause}"
+        named = next((setting for setting in _NAMED if what.startswith(setting)), None)
+        return f"{named[:-1] if named else what}: {cause}"
     return " ".join(text.split("\nSee ")[0].split())
 
 

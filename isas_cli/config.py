@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.resources
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Dict, List, Optional
 
 from hydra.core.config_store import ConfigStore
@@ -33,13 +33,79 @@ def _at_least(least: int, **values: Optional[int]) -> None:
 
 
 @dataclass
+class BlurConfig:
+    """Width of the Gaussian that ``sampler=plateau`` blurs an unknown with, in the unknown's unit:
+    ``start`` up to the share ``hold`` of the budget, then linearly to ``end``."""
+
+    start: float = 0.0
+    end: float = 0.0
+    hold: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("start", "end"):
+            value = getattr(self, name)
+            if not 0 < value < math.inf:
+                raise InputError(f"blur.{name}={value}: must be above 0, in the unknown's unit")
+        if not 0 <= self.hold < 1:
+            raise InputError(f"blur.hold={self.hold}: a share of the budget, in [0, 1)")
+
+
+@dataclass
 class UnknownConfig:
-    """One unknown: start value (number, list, image file or ``{of: other key}``), legal range, own
-    learning rate."""
+    """One unknown: start value (number, list, image file, ``{of: other key}`` or ``{uniform: [low,
+    high], seed: n}``), legal range, own learning rate, and the blur of ``sampler=plateau``."""
 
     start: Any = None
     range: Optional[List[float]] = None
     lr: Optional[float] = None
+    blur: Optional[BlurConfig] = None
+
+
+_BLURRING = ("plateau", "finite_differences")  # samplers that need every unknown's blur
+# Which kind of pose a setting is of.
+_POSE_KINDS = {"axis": "rotation", "origin": "rotation", "directions": "translation"}
+
+
+@dataclass
+class PoseConfig:
+    """A movement of ``objects`` (ids, or patterns of them), an unknown of a name of its own.
+
+    ``kind``: rotation, by one angle in degrees about ``axis`` through ``origin``; or translation,
+    by one length per entry of ``directions``, in scene units. ``at``: the value at which the scene
+    stands as it was loaded (None: 0). ``parts``: a mesh is as many equal runs of vertices, each
+    moved by itself (of several meshes: the first part of each alike, and so on).
+    """
+
+    kind: str = MISSING
+    objects: List[str] = MISSING
+    axis: List[float] = field(default_factory=lambda: [0.0, 1.0, 0.0])
+    origin: List[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    # OmegaConf would take no whole number for a float inside lists of lists.
+    directions: List[Any] = field(
+        default_factory=lambda: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    )
+    at: Optional[List[float]] = None
+    parts: int = 1
+
+    def __post_init__(self) -> None:
+        if self.kind not in (MISSING, "rotation", "translation"):
+            raise InputError(f"pose.kind={self.kind}: valid: rotation, translation")
+        _at_least(1, pose__parts=self.parts)
+        usual = {f.name: f.default_factory for f in fields(self) if f.name in _POSE_KINDS}
+        for name, kind in _POSE_KINDS.items():
+            if self.kind not in (MISSING, kind) and getattr(self, name) != usual[name]():
+                raise InputError(f"pose.{name}: a {self.kind} has no use for it; leave it out")
+        if not self.directions:
+            raise InputError("pose.directions=[]: at least one")
+        for name, vectors in (
+            ("axis", [self.axis]),
+            ("origin", [self.origin]),
+            ("directions", self.directions),
+        ):
+            for vector in vectors:
+                zero = name != "origin" and not any(vector)
+                if len(vector) != 3 or zero:
+                    raise InputError(f"pose.{name}: {list(vector)} is no x, y, z")
 
 
 @dataclass
@@ -55,6 +121,7 @@ class SceneConfig:
     max_depth: Optional[int] = None
     targets: Optional[List[str]] = None
     masks: Optional[List[str]] = None
+    poses: Dict[str, PoseConfig] = field(default_factory=dict)
     unknowns: Dict[str, UnknownConfig] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -160,6 +227,7 @@ class Config:
     overwrite: bool = False
     tracker: str = "none"
     profile: bool = False
+    report: bool = True
     budget: BudgetConfig = field(default_factory=BudgetConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
@@ -189,6 +257,12 @@ class Config:
                     f"estimator.derivative_sampling=true: '{key}' is no roughness; it draws for "
                     f"derivatives by {' or '.join(ROUGHNESSES)} alone: leave it out, or this "
                     "unknown"
+                )
+        for key, unknown in scene.unknowns.items():
+            if unknown.blur is None and self.sampler.get("name") in _BLURRING:
+                raise InputError(
+                    f"scene.unknowns['{key}'] has no blur, which sampler={self.sampler['name']} "
+                    "needs: give blur: {start: 0.5, end: 0.01}, widths of a Gaussian in its unit"
                 )
         if scene.targets is None and scene.masks is not None:
             raise InputError("scene.masks needs scene.targets: rendered targets have no masks")

@@ -27,8 +27,13 @@ _MOST = 1 << 24  # pixels visited; above this a stratified subset of them
 def fill_in(problem: Problem, base: int) -> None:
     """Set ``seen`` of every unknown, from the cache where possible.
 
-    Raises InputError for an unknown that no view sees: nothing could be learnt about it.
+    Raises InputError for an unknown that no view sees: nothing could be learnt about it. Where
+    objects move all entries count: what is hidden at the start need not stay so.
     """
+    if problem.unknowns.poses:
+        for unknown in problem.unknowns:
+            unknown.seen = np.ones(unknown.start.shape, bool)
+        return
     # What is seen depends on the start: a light that starts at zero shows nothing.
     starts = [hashlib.blake2b(u.start.tobytes()).hexdigest() for u in problem.unknowns]
     masked = "" if problem.mask is None else problem.target_hash

@@ -30,13 +30,22 @@ def plan(problem: "Problem") -> dict[str, str]:
         "paths": _depth(depth),
         "refraction": _transmission(shapes),
         "media": _media(shapes),
-        "moving silhouettes": "not differentiated: no unknown moves geometry",
+        "moving silhouettes": _moving(problem.unknowns.poses),
         "colour": "linear RGB, no spectra, no polarisation",
-        "derivatives": _derivatives(problem.integrator),
+        "derivatives": _derivatives(problem),
     }
 
 
-def _derivatives(integrator) -> str:
+def _moving(poses: list[str]) -> str:
+    if poses:
+        return f"{', '.join(poses)} move objects: compared at several places, or sampled"
+    return "not differentiated: no unknown moves geometry"
+
+
+def _derivatives(problem: "Problem") -> str:
+    integrator = problem.integrator
+    if problem.unknowns.poses:
+        return "not by path replay: as the sampler says"
     if isinstance(integrator, DerivativeSampling):
         return "by roughness, directions drawn for the derivative's two parts"
     if attached.handles(integrator):

@@ -10,8 +10,12 @@ import numpy as np
 
 from . import streams
 from .problem import Problem
+from .records import VALUE_PREFIX
 from .render import Renderer
 from .unknowns import as_numpy
+
+# An unknown of at most so many numbers is followed number by number.
+_FEW = 8
 
 
 class Evaluator:
@@ -70,7 +74,7 @@ class Evaluator:
         return halves
 
     def __call__(self, values: dict) -> dict[str, float]:
-        """``loss``, ``image_rmse``, ``parameter_rmse`` and ``parameter_rmse/<key>``."""
+        """``loss``, ``image_rmse``, ``parameter_rmse``, ``parameter_rmse/<key>``, and ``few``."""
         first, second = self._halves(values)
         weight = mi.Float(1)
         if self.problem.mask is not None:
@@ -84,7 +88,20 @@ class Evaluator:
             "loss": float(dr.sum(loss)[0]) / norm,
             "image_rmse": math.sqrt(max(0.0, float(dr.sum(squared)[0]) / norm)),
         }
-        return result | self.parameter_errors(values)
+        return result | self.parameter_errors(values) | self.few(values)
+
+    def few(self, values: dict) -> dict[str, float]:
+        """The numbers themselves of unknowns that have few: ``value/<key>``, or
+        ``value/<key>/<i>`` where there are several."""
+        found = {}
+        for key, value in values.items():
+            numbers = as_numpy(value).reshape(-1)
+            if numbers.size == 1:
+                found[f"{VALUE_PREFIX}{key}"] = float(numbers[0])
+            elif numbers.size <= _FEW:
+                names = (f"{VALUE_PREFIX}{key}/{i}" for i in range(numbers.size))
+                found |= dict(zip(names, map(float, numbers)))
+        return found
 
     def parameter_errors(self, values: dict) -> dict[str, float]:
         """RMSE over the entries that some view sees, per key, and over all keys together.
@@ -97,6 +114,8 @@ class Evaluator:
         errors = {}
         for unknown in self.problem.unknowns:
             difference = (as_numpy(values[unknown.key]) - unknown.truth)[unknown.seen]
+            if unknown.period:  # the shorter way round
+                difference -= unknown.period * np.round(difference / unknown.period)
             errors[f"parameter_rmse/{unknown.key}"] = float(np.sqrt(np.mean(difference**2)))
         together = math.sqrt(sum(e * e for e in errors.values()) / len(errors))
         return {"parameter_rmse": together} | errors

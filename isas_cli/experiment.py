@@ -167,4 +167,4 @@ def _announce(recorder: "Recorder", status: str, page: Path) -> None:
         say("interrupted: the record is complete up to here; go on with")
         say(f"  isas run resume={recorder.folder}")
     # The one line on standard output: where the result is.
-    print(f"report: {page}")
+    print(f"{'report' if recorder.typed.report else 'record'}: {page}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -14,7 +15,6 @@ from .adam import Stepper
 from .budget import Budget
 from .clock import Clock
 from .errors import NumericalError
-from .estimators.two_path import TwoPath
 from .evaluate import Evaluator
 from .problem import Problem
 from .samplers import reliability
@@ -30,6 +30,17 @@ _EVALUATION_POWER = 1.5
 _NONFINITE_LIMIT = 0.5
 # Iteration numbers of the rehearsal: out of reach of any run, so that no stream repeats.
 _REHEARSAL_BASE = 1 << 24
+
+
+class Estimator(Protocol):
+    """What estimates gradients: ``estimators``."""
+
+    @property
+    def paths_per_step(self) -> int: ...
+
+    def estimate(
+        self, values: dict, distribution, base: int, iteration: int, progress: float
+    ) -> dict: ...
 
 
 @dataclass
@@ -62,7 +73,7 @@ class Loop:
         stepper: Stepper,
         evaluator: Evaluator,
         budget: Budget,
-        estimator: TwoPath,
+        estimator: Estimator,
         seed: int,
         evaluations: int,
     ):
@@ -164,13 +175,14 @@ class Loop:
             scheduled = self.scheduled
             self._gradients = self._estimate(p.iteration)
             self.stepper.step(self._gradients, scheduled)
-        p.paths += self.estimator.paths_per_pixel * self.estimator.batch
+        p.paths += self.estimator.paths_per_step
         p.iteration += 1
 
     def _look(self, iteration: int) -> None:
         moments = None
         if self.sampler.needs_moments and self.stepper.taken:
             moments = self.stepper.moments(self.scheduled)
+        self.sampler.scheduled = self.scheduled
         found = self.sampler.look(self.stepper.values, self.seed, iteration, moments)
         self._weights = self.sampler.blended(self._weights, found)
         self._spread()
@@ -181,10 +193,8 @@ class Loop:
         dr.eval(self._distribution.cdf)
 
     def _estimate(self, iteration: int) -> dict:
-        unknowns = self.problem.unknowns
-        unknowns.attach(self.stepper.values)
-        self.estimator.accumulate(self._distribution, self.seed, iteration)
-        return unknowns.gradients()
+        where = self._distribution, self.seed, iteration
+        return self.estimator.estimate(self.stepper.values, *where, self.scheduled)
 
     def _count_evaluations(self) -> None:
         """How many evaluations are behind this progress, whether one stood for several that a

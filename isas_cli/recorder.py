@@ -164,7 +164,7 @@ class Recorder:
 
     def illustrate(self, given_up: Callable[[], bool] = lambda: False) -> Path:
         """Profile (of a run that is done), pictures and report, after ``close``. Returns the path
-        of the report's page.
+        of the report's page, or the folder where the configuration wants no report.
 
         ``given_up``: asked now and then; what is not made yet is left to a continuation.
         """
@@ -180,6 +180,8 @@ class Recorder:
                     make()
         self._summary(self._status, complete=not given_up())
         self.tracker.close()
+        if not self.typed.report:
+            return self.folder
         from .report import write
 
         self.display.phase("report")
@@ -212,7 +214,7 @@ class Recorder:
         lost = self.loop.lost + self.pictures.renderer.nonfinite
         if lost:
             warnings.append(f"{lost} paths of evaluations and pictures were not finite: left out")
-        if not self.loop.estimator.loss.linear:
+        if not self.loop.evaluator.loss.linear:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
         for entry in self._resumed:
             if entry.get("earlier_budget"):

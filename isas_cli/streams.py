@@ -23,6 +23,8 @@ PURPOSES = (
     "product_adjoint",
     "variance",
     "cost",
+    "offset",
+    "offset_look",
 )
 _SLOTS = 32  # purposes per iteration, a power of two above len(PURPOSES)
 

@@ -11,7 +11,9 @@ import mitsuba as mi
 import numpy as np
 
 from . import images
+from .config import BlurConfig
 from .errors import InputError, nearest
+from .poses import Poses
 
 # Ranges outside which a parameter means nothing (or gains energy), by the last word of its key.
 # Roughness stays above 0.03: below about that the principled lobe's derivative dies.
@@ -34,7 +36,9 @@ class Unknown:
     """One unknown. ``start`` and ``truth`` are float32 arrays of the parameter's shape
     (``truth`` is None for photographs); ``low``, ``high``: legal range, parameter's unit;
     ``lr``: its own learning rate, or None for the optimiser's; ``seen``: which entries some view
-    sees (bool, same shape), filled in by ``coverage``."""
+    sees (bool, same shape), filled in by ``coverage``; ``blur``: of ``sampler=plateau``, or None;
+    ``period``: after which a value means the same again (an angle's 360), or None; ``scale``: the
+    size, in the unknown's unit, of what it is added to in the scene."""
 
     key: str
     start: np.ndarray
@@ -43,6 +47,9 @@ class Unknown:
     high: float
     lr: float | None
     seen: np.ndarray | None = None
+    blur: BlurConfig | None = None
+    period: float | None = None
+    scale: float = 1.0
 
 
 def _owner(params: mi.SceneParameters, key: str):
@@ -126,8 +133,10 @@ def unflat(template, entries: mi.Float):
     return dr.unravel(type(template), entries)
 
 
-def _start(spec, key: str, params: mi.SceneParameters, truth_known: bool) -> np.ndarray:
-    current = _loaded(params, key)
+def _start(
+    spec, key: str, params: mi.SceneParameters, poses: Poses | None, truth_known: bool
+) -> np.ndarray:
+    current = _present(params, poses, key)
     if spec is None:
         if truth_known:
             raise InputError(
@@ -135,6 +144,8 @@ def _start(spec, key: str, params: mi.SceneParameters, truth_known: bool) -> np.
                 "value is the truth; give start: a number, a list, an image file or {of: key}"
             )
         return current
+    if isinstance(spec, Mapping) and "uniform" in spec:
+        return _random_start(spec, key, current.shape)
     if isinstance(spec, Mapping):
         return _start_of_another(spec, key, current.shape, params)
     if isinstance(spec, str):
@@ -156,13 +167,34 @@ def _start(spec, key: str, params: mi.SceneParameters, truth_known: bool) -> np.
         ) from None
 
 
+def _present(params: mi.SceneParameters, poses: Poses | None, key: str) -> np.ndarray:
+    """The value that the scene was loaded with."""
+    return poses.items[key].at if poses and key in poses else _loaded(params, key)
+
+
+def _random_start(spec: Mapping, key: str, shape: tuple[int, ...]) -> np.ndarray:
+    """``{uniform: [low, high], seed: n}``: every entry drawn by itself, for trials of starts."""
+    where = f"scene.unknowns['{key}'].start={dict(spec)}"
+    try:
+        low, high = map(float, spec["uniform"])
+        rng = np.random.default_rng(spec["seed"])
+        if set(spec) != {"uniform", "seed"} or not low < high:
+            raise ValueError
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{where}: give {{uniform: [low, high], seed: 1}}, low < high") from None
+    return rng.uniform(low, high, shape).astype(np.float32)
+
+
 def _start_of_another(
     spec: Mapping, key: str, shape: tuple[int, ...], params: mi.SceneParameters
 ) -> np.ndarray:
     """``{of: other}``: what the scene was loaded with as ``other``, which may be unknown itself."""
     where = f"scene.unknowns['{key}'].start"
     if list(spec) != ["of"]:
-        raise InputError(f"{where}={dict(spec)}: the only mapping is {{of: another key}}")
+        raise InputError(
+            f"{where}={dict(spec)}: a mapping is {{of: another key}} or "
+            "{uniform: [low, high], seed: 1}"
+        )
     other = spec["of"]
     valid = [k for k in params.keys() if k != key and _is_float(params[k])]
     if other not in valid:
@@ -177,6 +209,8 @@ def _start_of_another(
 
 
 def _range(spec, key: str, params: mi.SceneParameters) -> tuple[float, float]:
+    if spec is None and key not in params:  # a pose
+        return -np.inf, np.inf
     if spec is None:
         # A light's own numbers ('scale', 'data') have names that say nothing: none is negative.
         light = isinstance(_owner(params, key), mi.Emitter)
@@ -189,14 +223,16 @@ def _range(spec, key: str, params: mi.SceneParameters) -> tuple[float, float]:
     return float(spec[0]), float(spec[1])
 
 
-def parse(params: mi.SceneParameters, specs: dict, truth_known: bool) -> list[Unknown]:
+def parse(
+    params: mi.SceneParameters, specs: dict, truth_known: bool, poses: Poses | None = None
+) -> list[Unknown]:
     """Check the configured unknowns against the scene and read starts and truths.
 
-    ``specs``: key → object with ``start``, ``range``, ``lr`` (``config.Unknown``).
+    ``specs``: key → object with ``start``, ``range``, ``lr``, ``blur`` (``config.UnknownConfig``).
     Raises InputError for an unknown key (nearest and all differentiable ones listed), for one
     that moves geometry, an illegal range, a start outside it, or when there is no unknown.
     """
-    valid = differentiable_keys(params)
+    valid = [*(poses.items if poses else ()), *differentiable_keys(params)]
     if not valid:
         raise InputError("the scene has no differentiable parameter to recover")
     if not specs:
@@ -209,37 +245,48 @@ def parse(params: mi.SceneParameters, specs: dict, truth_known: bool) -> list[Un
             if key in params and _moves_geometry(params, key):
                 raise InputError(
                     f"scene.unknowns: '{key}' moves geometry, whose visibility path replay does "
-                    f"not differentiate; valid: {', '.join(valid)}"
+                    "not differentiate; move the object by scene.poses and sampler=plateau; "
+                    f"valid: {', '.join(valid)}"
                 )
             raise InputError(
                 f"scene.unknowns: '{key}' is no differentiable parameter; {nearest(key, valid)}"
             )
-        start = _start(spec.start, key, params, truth_known)
+        start = _start(spec.start, key, params, poses, truth_known)
         low, high = _range(spec.range, key, params)
         if not np.all(np.isfinite(start)) or start.min() < low or start.max() > high:
             raise InputError(
                 f"scene.unknowns['{key}'].start lies outside its range [{low:g}, {high:g}]"
             )
-        if _is_environment(params, key) and not start.any():
+        if key in params and _is_environment(params, key) and not start.any():
             raise InputError(
                 f"scene.unknowns['{key}'].start: a map that is zero everywhere cannot be sampled; "
                 "start above 0"
             )
         if spec.lr is not None and not spec.lr > 0:
             raise InputError(f"scene.unknowns['{key}'].lr={spec.lr}: must be above 0")
-        truth = _loaded(params, key) if truth_known else None
+        truth = _present(params, poses, key) if truth_known else None
         if truth is not None and (truth.min() < low or truth.max() > high):
             raise InputError(
                 f"scene.unknowns['{key}']: the scene's own value, the truth, is outside its range "
                 f"[{low:g}, {high:g}]; give a range that holds it"
             )
-        found.append(Unknown(key, start, truth, low, high, spec.lr))
+        found.append(Unknown(key, start, truth, low, high, spec.lr, blur=spec.blur))
+        if poses and key in poses:
+            found[-1].period = poses.items[key].period
+            found[-1].scale = poses.scale(key)
+    for name in poses.items if poses else ():
+        if name not in specs:
+            raise InputError(
+                f"scene.poses['{name}'] is not among scene.unknowns: give it a start there, or "
+                "leave it out"
+            )
     return found
 
 
 def textures(params: mi.SceneParameters, keys: list[str]) -> dict[str, mi.Texture]:
     """Of ``keys``, those of texels laid out on a surface, with the texture that holds them."""
-    owners = {key: _owner(params, key) for key in keys if dr.is_tensor_v(params[key])}
+    tensors = [key for key in keys if key in params and dr.is_tensor_v(params[key])]
+    owners = {key: _owner(params, key) for key in tensors}
     return {key: owner for key, owner in owners.items() if isinstance(owner, mi.Texture)}
 
 
@@ -248,16 +295,23 @@ class Unknowns:
 
     ``leaves``: key → Dr.Jit value that the scene currently uses; after ``attach`` these carry
     gradients, and estimators add to them. (Of an environment map: the value that the scene's own
-    is made from. Mitsuba makes it once more at each update, and only gradients at its origin stay.)
+    is made from. Mitsuba makes it once more at each update, and only gradients at its origin stay.
+    Likewise of a pose.)
     """
 
-    def __init__(self, params: mi.SceneParameters, items: list[Unknown]):
-        self.params, self.items = params, items
-        params.keep([u.key for u in items])
-        self._templates = {u.key: type(params[u.key])(params[u.key]) for u in items}
-        self._shapes = {u.key: params[u.key].shape for u in items if _is_environment(params, u.key)}
+    def __init__(
+        self, params: mi.SceneParameters, items: list[Unknown], poses: Poses | None = None
+    ):
+        self.params, self.items, self._poses = params, items, poses
+        present = {u.key: _present(params, poses, u.key) for u in items}
+        self.poses = [u.key for u in items if poses and u.key in poses]
+        own = [u.key for u in items if u.key not in self.poses]
+        params.keep([*own, *(poses.keys(self.poses) if self.poses else ())])
+        self._templates = {key: type(params[key])(params[key]) for key in own}
+        self._templates |= {key: mi.Float(0) for key in self.poses}
+        self._shapes = {key: params[key].shape for key in own if _is_environment(params, key)}
         self._around = {key: _wrapped(shape) for key, shape in self._shapes.items()}
-        self.leaves = self.values_of({u.key: _loaded(params, u.key) for u in items})
+        self.leaves = self.values_of(present)
 
     def __iter__(self):
         return iter(self.items)
@@ -294,15 +348,21 @@ class Unknowns:
         self._update(leaves)
 
     def _update(self, leaves: dict) -> None:
+        origins = self.leaves | leaves
         for key, leaf in leaves.items():
             if key in self._around:
                 entries = dr.gather(mi.Float, leaf.array, self._around[key])
                 self.params[key] = type(leaf)(entries, self._shapes[key])
-            else:
+            elif key not in self.poses:
                 self.params[key] = leaf
+        if self.poses:
+            placed = self._poses.placed({key: origins[key] for key in self.poses})
+            dr.eval(placed)
+            for key, value in placed.items():
+                self.params[key] = value
         self.params.update()
-        origins = self.leaves | leaves
-        self.leaves = {k: origins[k] if k in self._around else self.params[k] for k in self.keys}
+        derived = [*self._around, *self.poses]
+        self.leaves = {k: origins[k] if k in derived else self.params[k] for k in self.keys}
 
     def gradients(self) -> dict:
         """Gradients of the leaves, by key. Read after the frozen call, never returned from it."""

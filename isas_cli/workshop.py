@@ -10,12 +10,13 @@ from .adam import Stepper
 from .budget import Budget
 from .compose import instantiate
 from .config import Config
+from .errors import InputError
 from .estimators import derivative_sampling
-from .estimators.two_path import TwoPath
 from .evaluate import Evaluator
 from .optimise import Loop
 from .problem import Problem
 from .render import Renderer
+from .samplers.base import Sampler
 
 
 class Workshop:
@@ -59,9 +60,22 @@ class Workshop:
             return made
 
         measuring = named, typed.evaluation.pixels, typed.evaluation.spp, typed.seed
+        made = self._once("sampler", (chosen, *shared), sampler)
+        # Path replay is one for all samplers; other gradients have settings of their own.
+        usual = type(made).estimator is Sampler.estimator
+        settings = shared if usual else (chosen, *shared)
+        for name, wanted in (
+            ("profile", typed.profile),
+            ("estimator.derivative_sampling", special),
+        ):
+            if wanted and not usual:
+                raise InputError(
+                    f"{name}=true is about path replay, which sampler={cfg.sampler.name} does not "
+                    "use: leave it out"
+                )
         return Loop(
             problem,
-            self._once("sampler", (chosen, *shared), sampler),
+            made.looking,
             Stepper(self.problem.unknowns, typed.optimizer),
             self._once(
                 "evaluator",
@@ -69,7 +83,7 @@ class Workshop:
                 lambda: Evaluator(self.problem, loss, *measuring[1:], self.renderer),
             ),
             budget,
-            self._once("estimator", shared, lambda: TwoPath(problem, loss, batch, freeze)),
+            self._once("estimator", settings, lambda: made.estimator(problem, loss, batch, freeze)),
             typed.seed,
             typed.evaluation.count,
         )

@@ -7,8 +7,9 @@ import gc
 import mitsuba as mi
 import numpy as np
 
-from isas_cli.config import UnknownConfig
+from isas_cli.config import PoseConfig, UnknownConfig
 from isas_cli.pixels import Views
+from isas_cli.poses import Poses
 from isas_cli.problem import Problem
 from isas_cli.samplers.base import Stage1Settings
 from isas_cli.unknowns import Unknowns, parse
@@ -79,13 +80,22 @@ def dictionary(
     }
 
 
-def without_targets(description: dict, unknowns: dict[str, float]) -> Problem:
-    """``description``: Mitsuba's, whose values are the truth; ``unknowns``: key → start."""
+def without_targets(
+    description: dict,
+    unknowns: dict[str, float | UnknownConfig],
+    poses: dict[str, PoseConfig] | None = None,
+) -> Problem:
+    """``description``: Mitsuba's, whose values are the truth; ``unknowns``: key → start, or all
+    of its settings."""
     gc.collect()  # see build.problem
     scene = mi.load_dict(description, optimize=False)
     film = [tuple(int(x) for x in s.film().crop_size()) for s in scene.sensors()]
-    specs = {key: UnknownConfig(start=start) for key, start in unknowns.items()}
-    found = parse(mi.traverse(scene), specs, truth_known=True)
+    specs = {
+        key: given if isinstance(given, UnknownConfig) else UnknownConfig(start=given)
+        for key, given in unknowns.items()
+    }
+    moving = Poses(poses or {}, mi.traverse(scene))
+    found = parse(mi.traverse(scene), specs, True, moving)
     result = Problem(
         "test",
         scene,
@@ -93,7 +103,7 @@ def without_targets(description: dict, unknowns: dict[str, float]) -> Problem:
         scene.sensors_dr(),
         film,
         Views.of(film),
-        Unknowns(mi.traverse(scene), found),
+        Unknowns(mi.traverse(scene), found, moving),
         "test",
     )
     for unknown in result.unknowns:

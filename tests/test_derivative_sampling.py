@@ -11,7 +11,7 @@ from scenes_for_tests import dictionary, texture
 from scipy import stats
 
 from isas_cli import rays
-from isas_cli.compose import compose, options
+from isas_cli.compose import compose, pixel_samplers
 from isas_cli.errors import InputError
 from isas_cli.estimators import derivative_sampling, replay
 from isas_cli.experiment import checked
@@ -162,7 +162,7 @@ def test_emission_counted_twice_is_noticed(shared, seed, monkeypatch):
     assert shared.against_plain(drawn.uniform(REPEATS, seed)).p_value < LEVEL
 
 
-@pytest.mark.parametrize("name", options("sampler"))
+@pytest.mark.parametrize("name", pixel_samplers())
 def test_goes_with_every_pixel_sampler(name, shared, seed):
     made = shared.drawn.prepared(configured("sampler", name))
     outcome = shared.against_plain(shared.drawn.sampled(made, REPEATS, seed))

@@ -17,12 +17,13 @@ import drjit as dr
 import mitsuba as mi
 import psutil
 import pytest
+from poses_for_tests import blurred_problem
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
 from isas_cli import losses
 from isas_cli.adam import Stepper
 from isas_cli.budget import Budget
-from isas_cli.compose import compose, instantiate, options
+from isas_cli.compose import compose, instantiate, pixel_samplers, translate
 from isas_cli.config import OptimizerConfig
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.evaluate import Evaluator
@@ -121,7 +122,7 @@ def iterations_of(name: str):
     return running, iterate
 
 
-@pytest.mark.parametrize("name", options("sampler"))
+@pytest.mark.parametrize("name", pixel_samplers())
 def test_nothing_grows(name):
     running, iterate = iterations_of(name)
     assert growth(iterate) == []
@@ -129,7 +130,7 @@ def test_nothing_grows(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", options("sampler"))
+@pytest.mark.parametrize("name", pixel_samplers())
 def test_nothing_grows_over_2000_iterations(name):
     running, iterate = iterations_of(name)
     assert growth(iterate, 2000, 100) == []
@@ -204,3 +205,29 @@ def test_a_seed_that_is_a_literal_is_noticed():
 
     assert "new kernels" in growth(careless)
     running.problem.unknowns.write(running.stepper.values)
+
+
+@pytest.mark.parametrize("smooth, base", [("image", "uniform"), ("loss", "differences")])
+def test_nothing_grows_while_objects_move(smooth, base):
+    """The scene is updated three times a step, its acceleration structure built as often."""
+    p = blurred_problem()
+    settings = ["scene=cup", "sampler=plateau", f"sampler.smooth={smooth}", f"sampler.base={base}"]
+    sampler = instantiate(compose(translate(settings)).sampler, "sampler")
+    loss, batch = losses.L2(), 256
+    sampler.prepare(p, loss, batch)
+    looking = sampler.looking
+    if looking.refresh:
+        looking.refresh = BLOCK // 4
+    evaluator = Evaluator(p, loss, 50, 2, 1)
+    estimator = sampler.estimator(p, loss, batch)
+    stepper, budget = Stepper(p.unknowns, OptimizerConfig()), Budget(iterations=10_000)
+    running = Loop(p, looking, stepper, evaluator, budget, estimator, 1, 1)
+    running.rehearse()
+
+    def iterate(i: int) -> bool:
+        looks = looking.due(running.position.iteration)
+        running._iterate()
+        return looks
+
+    assert growth(iterate) == []
+    p.unknowns.write(running.stepper.values)

@@ -17,7 +17,7 @@ from isas_cli import losses, profiling, records
 from isas_cli.adam import Stepper
 from isas_cli.app import main
 from isas_cli.budget import Budget
-from isas_cli.compose import compose, instantiate, options
+from isas_cli.compose import compose, instantiate, pixel_samplers
 from isas_cli.config import OptimizerConfig
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.evaluate import Evaluator
@@ -58,7 +58,7 @@ def profiled(loop: Loop, freeze: bool = True) -> dict[str, profiling.Phase]:
 
 @pytest.mark.parametrize(
     "name, freeze",
-    [(name, True) for name in options("sampler")] + [("uniform", False), ("ours", False)],
+    [(name, True) for name in pixel_samplers()] + [("uniform", False), ("ours", False)],
 )
 def test_every_sampler_can_be_profiled(name, freeze):
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.6})

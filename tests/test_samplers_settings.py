@@ -13,7 +13,7 @@ from hard_scenes import assemble
 from scenes_for_tests import dictionary
 
 from isas_cli import losses
-from isas_cli.compose import compose, instantiate, options
+from isas_cli.compose import compose, instantiate, pixel_samplers
 from isas_cli.errors import InputError
 from isas_cli.estimators import replay
 from isas_cli.problem import Problem
@@ -29,7 +29,7 @@ OTHER = {
     "stage1.denoise": "high",
     "stage1.average": 0.9,
 }
-NAMES = options("sampler")
+NAMES = pixel_samplers()
 
 
 def used(name: str, setting: str) -> bool:

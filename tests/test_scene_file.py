@@ -4,6 +4,7 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
+import pandas
 import pytest
 
 from isas_cli import images, records, scene_file
@@ -64,6 +65,51 @@ def unknowns(key: str = KEY, start="0.5", more: str = "") -> str:
 
 def run(*arguments: str) -> int:
     return main(["run", *FEW, *arguments])
+
+
+POSE = '{"ball.x": {"kind": "translation", "objects": ["ball"], "directions": [[1, 0, 0]]}}'
+BLUR = ', "blur": {"start": 0.3, "end": 0.02, "hold": 0.2}'
+PLATEAU = ["sampler=plateau", "budget.iterations=200", "target.spp=256", "frames.views=0"]
+PLATEAU += ["scene.path=own/scene.xml", "hydra.run.dir=r", "optimizer.lr=0.05"]
+
+
+def test_an_object_is_moved_to_where_the_file_has_it(folder, capsys):
+    """A pose of one's own naming; the record follows its value, and the landscape shows the way."""
+    near = xml().replace('z="200"/>', 'z="0"/><float name="radius" value="0.4"/>')
+    (folder / "own" / "scene.xml").write_text(near)
+    arguments = [*PLATEAU, f"scene.poses={POSE}", unknowns("ball.x", "0.5", BLUR)]
+    assert run(*arguments) == 0, capsys.readouterr().err
+    history = records.load(folder / "r").history
+    assert history["parameter_rmse"].iloc[-1] < 0.1 * history["parameter_rmse"].iloc[0]
+    moved = history["value/ball.x"].to_numpy()
+    assert moved[0] == 0.5 and np.allclose(np.abs(moved), history["parameter_rmse"])
+    capsys.readouterr()
+    assert main(["landscape", "r", "--spp", "4"]) == 0, capsys.readouterr().err
+    assert capsys.readouterr().out.strip() == "r/plots/landscape.png"
+    drawn = pandas.read_csv(folder / "r" / "landscape.csv")
+    assert abs(drawn["ball.x"][drawn["hard"].idxmin()]) < 0.1
+    blurred = drawn.filter(like="blurred").iloc[:, 0]
+    assert drawn["ball.x"].is_monotonic_increasing and blurred.min() > drawn["hard"].min()
+    assert main(["landscape", "r", "--along", "bal.x"]) == 2
+    assert "did you mean 'ball.x'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "pose, blur, words",
+    [
+        (POSE.replace('["ball"]', '["bal"]'), BLUR, "did you mean 'ball'"),
+        (POSE.replace("kind", "knd"), BLUR, "scene.poses['ball.x'].knd: no such entry"),
+        (POSE.replace("translation", "slide"), BLUR, "valid: rotation, translation"),
+        (POSE, "", "['ball.x'] has no blur"),
+        (POSE, ', "blur": {"start": 0.3, "end": 0}', "blur.end=0"),
+        (POSE, ', "blur": {"start": 0.3}', "blur.end=0"),
+    ],
+)
+def test_poses_that_make_no_sense_are_refused(folder, capsys, pose, blur, words):
+    assert run(*PLATEAU, f"scene.poses={pose}", unknowns("ball.x", "0.5", blur)) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1, error
+    assert not (folder / "r").exists()
 
 
 def test_the_files_values_are_the_truth_and_are_recovered(folder, capsys):

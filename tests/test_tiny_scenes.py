@@ -6,7 +6,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from isas_cli import effects, experiment
 from isas_cli.budget import Budget
-from isas_cli.compose import compose, options, translate
+from isas_cli.compose import compose, options, pixel_samplers, translate
 from isas_cli.config import Config
 from isas_cli.display import Display
 from isas_cli.experiment import Phases
@@ -14,8 +14,9 @@ from isas_cli.optimise import Hooks
 from isas_cli.unknowns import as_numpy
 from isas_cli.workshop import Workshop
 
-SCENES = [name for name in options("scene") if name != "file"]
-SAMPLERS = options("sampler")
+MOVING = ["caustic", "cup", "global_illumination", "occlusion", "shadows", "sort"]
+SCENES = [name for name in options("scene") if name not in ("file", *MOVING)]
+SAMPLERS = pixel_samplers()
 ITERATIONS = 3
 SMALL = [
     "size=tiny",
@@ -125,14 +126,14 @@ DERIVATIVES = {
 }
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", [*SCENES, *MOVING])
 def test_choices_compose_together(scene):
     """Each sampler, each loss and each size with each scene, not all of their combinations: each
     of these groups is composed by itself, and a composition takes a tenth of a second."""
     sizes = OmegaConf.to_container(compose([f"scene={scene}"]).scene.sizes)
     assert list(sizes) == ["tiny", "default", "paper"]
     losses = options("loss")
-    for index, sampler in enumerate(SAMPLERS):
+    for index, sampler in enumerate(options("sampler")):
         loss, size = losses[index % len(losses)], list(sizes)[index // len(losses) % len(sizes)]
         chosen = f"scene={scene}", f"sampler={sampler}", f"loss={loss}", f"size={size}"
         cfg, typed, _ = configured(*chosen)

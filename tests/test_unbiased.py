@@ -20,7 +20,7 @@ from hard_scenes import SCENES, hard_problem
 from montecarlo import welch
 
 from isas_cli import rays, streams
-from isas_cli.compose import options
+from isas_cli.compose import pixel_samplers
 from isas_cli.estimators import attached, replay
 from isas_cli.pixels import PixelDistribution, Tiles
 from isas_cli.unknowns import flat
@@ -80,7 +80,7 @@ def sampler(name: str):
 
 
 @pytest.mark.parametrize("loss", LOSSES)
-@pytest.mark.parametrize("name", options("sampler"))
+@pytest.mark.parametrize("name", pixel_samplers())
 def test_every_sampler_is_unbiased(bench, name, loss, seed):
     made = bench.gradients(loss)
     rows = made.sampled(made.prepared(sampler(name)), REPEATS, seed)

@@ -11,7 +11,7 @@ from hard_scenes import assemble, hard_problem
 from montecarlo import welch, z_against
 
 from isas_cli import losses, streams
-from isas_cli.compose import options
+from isas_cli.compose import options, pixel_samplers
 from isas_cli.problem import Problem
 from isas_cli.render import Renderer
 
@@ -98,7 +98,7 @@ class Slope:
         return rows.sum(axis=1, keepdims=True)
 
 
-@pytest.mark.parametrize("name", options("sampler"))
+@pytest.mark.parametrize("name", pixel_samplers())
 def test_l1_is_the_gradient_of_fixed_noise_moved_by_its_mean(panel, name, seed):
     """E|μ(s) + n - T| with n = ⟨I⟩ - μ as it is at s: (1 - 2 P(⟨I⟩ < T)) dμ/ds, for any pmf."""
     rows = Slope(panel, losses.L1())(RADIANCE, seed, configured("sampler", name))

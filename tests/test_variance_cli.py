@@ -16,7 +16,7 @@ from scenes_for_tests import TEXTURE, problem
 
 from isas_cli import app, images
 from isas_cli.commands import variance as command
-from isas_cli.compose import options
+from isas_cli.compose import pixel_samplers
 from isas_cli.errors import InputError
 from isas_cli.unknowns import as_numpy
 from isas_cli.variance import table
@@ -127,7 +127,7 @@ def test_a_measurement_is_replaced_only_when_asked(made, capsys):
 
 def test_all_samplers_are_the_default_and_the_references_come_first():
     cfgs = command._configurations({}, ["scene=dodoco"])
-    assert sorted(cfgs) == options("sampler")
+    assert sorted(cfgs) == pixel_samplers()
     assert list(cfgs)[:2] == ["uniform", "gradient"]
     cfgs = command._configurations({"samplers": "[ours,uniform]"}, ["scene=dodoco"])
     assert list(cfgs) == ["uniform", "gradient", "ours"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from .. import interrupt
-from ..compose import compose, options, override, translate
+from ..compose import compose, options, override, pixel_samplers, translate
 from ..errors import InputError
 from . import one, race
 
@@ -64,11 +64,16 @@ def _own(arguments: list[str]) -> tuple[dict[str, str], list[str]]:
 def _configurations(own: dict[str, str], overrides: list[str]) -> dict:
     """What each sampler's configuration is, by its label; the references come first."""
     if "samplers" not in own and "contestants" not in own:
-        own = {**own, "samplers": f"[{','.join(options('sampler'))}]"}
+        own = {**own, "samplers": f"[{','.join(pixel_samplers())}]"}
     differences = race.differences(own)
     for difference in differences:
         if "sampler" not in difference:
             raise InputError("contestants: each needs its sampler: {sampler:ours,…}")
+        if difference["sampler"] in set(options("sampler")) - set(pixel_samplers()):
+            raise InputError(
+                f"sampler={difference['sampler']}: variances of path replay's gradient are shown, "
+                f"pixels drawn by {', '.join(pixel_samplers())}"
+            )
         for key in difference:
             if key.split(".")[0] != "sampler":
                 raise InputError(

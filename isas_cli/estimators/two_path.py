@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .. import rays, streams
+from ..errors import InputError
 from ..pixels import PixelDistribution
 from . import replay
 
@@ -37,7 +38,15 @@ class TwoPath:
 
     def __init__(self, problem: "Problem", loss, batch: int, freeze: bool = True, second_pass=None):
         """``second_pass(integrator, scene, stream, ray, adjoint)``: what is done along the second
-        path, for measurements; None for ``replay.backward``."""
+        path, for measurements; None for ``replay.backward``.
+
+        Raises InputError where an unknown moves objects."""
+        if problem.unknowns.poses:
+            raise InputError(
+                f"scene.unknowns: '{problem.unknowns.poses[0]}' moves objects, and path replay "
+                "does not differentiate visibility: take sampler=plateau (or the baselines "
+                "sampler=mitsuba and sampler=finite_differences)"
+            )
         self.problem, self.loss, self.batch = problem, loss, batch
         integrator = problem.integrator
 
@@ -64,8 +73,22 @@ class TwoPath:
         self._kernel = dr.freeze(kernel) if freeze else kernel
 
     @property
-    def paths_per_pixel(self) -> int:
-        return 1 + self.problem.paths_per_derivative
+    def paths_per_step(self) -> int:
+        """Light paths of one estimate."""
+        return (1 + self.problem.paths_per_derivative) * self.batch
+
+    def estimate(
+        self,
+        values: dict,
+        distribution: PixelDistribution,
+        base: int,
+        iteration: int,
+        progress: float,
+    ) -> dict:
+        """The gradient at ``values``, by key; the same at all ``progress`` of the budget."""
+        self.problem.unknowns.attach(values)
+        self.accumulate(distribution, base, iteration)
+        return self.problem.unknowns.gradients()
 
     def accumulate(self, distribution: PixelDistribution, base: int, iteration: int) -> None:
         """Add one estimate to the gradients of the unknowns' leaves (``Unknowns.attach`` first)."""

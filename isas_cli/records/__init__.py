@@ -6,13 +6,14 @@ written under a temporary name in its own folder, flushed to the disk and rename
 version, so that whoever reads at any moment, or after a kill, finds a whole file.
 """
 
-from .files import KEY_PREFIX, SCHEMA_VERSION, key_of, safe_name, write_atomically
+from .files import KEY_PREFIX, SCHEMA_VERSION, VALUE_PREFIX, key_of, safe_name, write_atomically
 from .reader import Run, load, load_checkpoint
 from .writer import RunWriter
 
 __all__ = [
     "KEY_PREFIX",
     "SCHEMA_VERSION",
+    "VALUE_PREFIX",
     "Run",
     "RunWriter",
     "key_of",

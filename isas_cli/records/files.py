@@ -20,7 +20,7 @@ from ..errors import InputError, IsasError
 SCHEMA_VERSION = 2
 READABLE = (1, 2)
 
-KEY_PREFIX = "parameter_rmse/"
+KEY_PREFIX, VALUE_PREFIX = "parameter_rmse/", "value/"
 BEFORE_KEYS = ["iteration", "seconds", "paths", "loss", "image_rmse", "parameter_rmse"]
 AFTER_KEYS = [
     "gradient_norm",

@@ -19,6 +19,7 @@ from .files import (
     BEFORE_KEYS,
     KEY_PREFIX,
     SCHEMA_VERSION,
+    VALUE_PREFIX,
     WHOLE_NUMBERS,
     scalar,
     write_atomically,
@@ -132,13 +133,19 @@ class RunWriter:
         """Adds a row to history.csv.
 
         row: the columns of the module's tables, `seconds` billed, `paths` light paths traced within
-        billed time; `parameter_rmse/<key>` may stand for any number of keys, the same in all rows.
+        billed time; `parameter_rmse/<key>` may stand for any number of keys, the same in all rows,
+        and so may `value/<key>`, an unknown of one number, and `value/<key>/<i>`, one of few.
         A missing or None value stays empty, which reads as NaN; the whole-number columns must be
         there. Raises ValueError for a column that is not known.
         """
         if not self._columns:
             keys = [name for name in row if name.startswith(KEY_PREFIX)]
             self._columns = BEFORE_KEYS + keys + AFTER_KEYS
+        # Also of a record that an older isas began.
+        for name in row:
+            if name.startswith(VALUE_PREFIX) and name not in self._columns:
+                self._columns.append(name)
+                self._rows = [[*earlier, ""] for earlier in self._rows]
         strange = sorted(set(row) - set(self._columns))
         if strange:
             raise ValueError(f"history.csv has no column {', '.join(strange)}")

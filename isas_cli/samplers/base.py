@@ -82,6 +82,10 @@ class Sampler:
         ("floor", "refresh", "resolution", "spp", "probes", "denoise", "average")
     )
     needs_moments: ClassVar[bool] = False
+    # Whether its pixels are for path replay.
+    replays: ClassVar[bool] = True
+    # Progress of the schedules at the next look, told by the loop.
+    scheduled: ClassVar[float] = 0.0
 
     floor: float = 0.05
     refresh: int = 50
@@ -115,6 +119,17 @@ class Sampler:
             return PixelDistribution.from_weights(cells.upsample(weights, tiles), tiles, floor)
 
         self._expand = dr.freeze(expand) if freeze else expand
+
+    def estimator(self, problem: Problem, loss, batch: int, freeze: bool = True):
+        """How the gradient is estimated from the drawn pixels: by path replay."""
+        from ..estimators.two_path import TwoPath
+
+        return TwoPath(problem, loss, batch, freeze)
+
+    @property
+    def looking(self) -> Sampler:
+        """What looks at the images and draws pixels: itself, or a sampler inside."""
+        return self
 
     def resolution(self, problem: Problem, batch: int) -> int:
         """Cells along the longer side of a view."""

@@ -57,6 +57,11 @@ class Multiresolution(Sampler):
                 "sampler.base=multiresolution: it goes around another sampler, such as "
                 "sampler.base=ours"
             )
+        if not self.base.replays:
+            raise InputError(
+                "sampler.base: multiresolution goes around a sampler that draws pixels for path "
+                "replay, such as sampler.base=ours"
+            )
         if not 0 <= self.levels <= 16:
             raise InputError(f"sampler.levels={self.levels}: must lie in [0, 16]")
         if not 0 < self.factor <= 1024:

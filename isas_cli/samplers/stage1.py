@@ -111,13 +111,13 @@ def random_signs(values: dict, seed: int, scale: dict | None = None) -> dict:
 def _residual_kernel(integrator, loss, samples: int):
     def kernel(scene, sensors, views, leaves, cells, targets, mask, seeds):
         with dr.suspend_grad():
-            _, pixel, stream, ray, weight = _spawned(sensors, views, cells, samples, seeds)
+            _, pixel, stream, ray, weight = spawned(sensors, views, cells, samples, seeds)
             radiance, _ = replay.primal(integrator, scene, stream, ray)
             target = dr.gather(mi.Color3f, targets, pixel)
             derivative = loss.derivative(radiance * weight, target)
             if mask is not None:
                 derivative *= dr.gather(mi.Float, mask, pixel)
-            return _moments(derivative, samples)
+            return cell_moments(derivative, samples)
 
     return kernel
 
@@ -125,8 +125,8 @@ def _residual_kernel(integrator, loss, samples: int):
 def _derivative_kernel(integrator, samples: int):
     def kernel(scene, sensors, views, leaves, cells, seeds):
         with dr.suspend_grad():
-            _, _, stream, ray, weight = _spawned(sensors, views, cells, samples, seeds)
-            return _moments(replay.forward(integrator, scene, stream, ray) * weight, samples)
+            _, _, stream, ray, weight = spawned(sensors, views, cells, samples, seeds)
+            return cell_moments(replay.forward(integrator, scene, stream, ray) * weight, samples)
 
     return kernel
 
@@ -134,7 +134,7 @@ def _derivative_kernel(integrator, samples: int):
 def _sensitivity_kernel(integrator, samples: int):
     def kernel(scene, sensors, views, leaves, cells, image, seeds):
         with dr.suspend_grad():
-            view, _, stream, ray, weight = _spawned(sensors, views, cells, samples, seeds)
+            view, _, stream, ray, weight = spawned(sensors, views, cells, samples, seeds)
             # A sample stands for all pixels of its cell, of which large films have more.
             pixels = dr.gather(mi.Float, cells.scale_x, view)
             pixels *= dr.gather(mi.Float, cells.scale_y, view) * (1.0 / samples)
@@ -155,14 +155,14 @@ def _curvature_kernel(loss, samples: int):
         if mask is not None:
             weight *= dr.gather(mi.Float, mask, pixel)
         zero = dr.zeros(mi.Float, cells.count * samples)
-        weight = mi.Color3f(*[_mean(weight[c] + zero, samples) for c in range(3)])
+        weight = mi.Color3f(*[cell_mean(weight[c] + zero, samples) for c in range(3)])
         dr.eval(weight)
         return weight
 
     return kernel
 
 
-def _spawned(sensors, views, cells: Cells, samples: int, seeds: list) -> tuple:
+def spawned(sensors, views, cells: Cells, samples: int, seeds: list) -> tuple:
     """A path for each sample of each cell: view, pixel, stream, ray, ray weight. Traced."""
     view, column, row = cells.place(views, samples, seeds[0])
     stream = rays.stream(seeds[1], cells.count * samples)
@@ -170,15 +170,15 @@ def _spawned(sensors, views, cells: Cells, samples: int, seeds: list) -> tuple:
     return view, views.index(view, column, row), stream, ray, weight
 
 
-def _mean(values: mi.Float, samples: int) -> mi.Float:
+def cell_mean(values: mi.Float, samples: int) -> mi.Float:
     return dr.block_reduce(dr.ReduceOp.Add, values, samples) * (1.0 / samples)
 
 
-def _moments(derivative: mi.Color3f, samples: int) -> tuple[mi.Color3f, mi.Color3f]:
+def cell_moments(derivative: mi.Color3f, samples: int) -> tuple[mi.Color3f, mi.Color3f]:
     """Mean over each cell of |derivative| and of its square. Evaluates."""
     dr.eval(derivative)
     size = dr.abs(derivative)
-    first = mi.Color3f(*[_mean(size[c], samples) for c in range(3)])
-    second = mi.Color3f(*[_mean(dr.square(size[c]), samples) for c in range(3)])
+    first = mi.Color3f(*[cell_mean(size[c], samples) for c in range(3)])
+    second = mi.Color3f(*[cell_mean(dr.square(size[c]), samples) for c in range(3)])
     dr.eval(first, second)
     return first, second

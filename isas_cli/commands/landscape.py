@@ -1,0 +1,114 @@
+"""`isas landscape`: the loss along a run's unknowns, hard and blurred, and the way it took."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas
+from omegaconf import DictConfig
+
+from .. import experiment, interrupt, records, resumption
+from ..budget import Budget
+from ..compose import instantiate
+from ..display import Display
+from ..errors import InputError, nearest
+from ..records import VALUE_PREFIX, write_atomically
+
+FILE = "landscape.csv"
+_POINTS = {1: 81, 2: 25}  # of an axis, by the number of axes
+# Beyond start, truth and all that the run visited, in widths of the first blur.
+_BEYOND = 1.0
+
+
+def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
+    """Measure and draw the landscape of the run in ``folder``; writes landscape.csv and
+    plots/landscape.png beside its record and prints the picture's path.
+
+    The other unknowns stay at the truth, or, where it is not known, where the run ended.
+    ``along``: one or two numbers, as history.csv names them without "value/"; None: all, where the
+    run has no more. Raises InputError for others, and for unknowns without a blur.
+    """
+    if spp < 1:
+        raise InputError(f"--spp {spp}: at least 1")
+    run = records.load(folder)
+    cfg, _ = resumption._configuration(folder, {})
+    names = [c[len(VALUE_PREFIX) :] for c in run.history.columns if c.startswith(VALUE_PREFIX)]
+    chosen = _chosen(along, names, folder)
+    typed, _ = experiment.checked(cfg)
+    experiment.started([cfg], typed)
+    with interrupt.prompt(), Display(Budget(iterations=1)) as display:
+        phases = experiment.Phases(display)
+        problem = experiment.built(typed, phases)
+        phases.begin("landscape")
+        found = _measured(problem, cfg, run, chosen, spp, phases)
+        phases.begin(None)
+    _write(found, Path(folder))
+    from ..report.landscape import draw
+
+    print(draw(Path(folder)))
+    return 0
+
+
+def _chosen(along: list[str] | None, names: list[str], folder: Path) -> list[str]:
+    valid = f"it has: {', '.join(names)}" if names else "it has no unknown of few numbers"
+    for name in along or []:
+        if name not in names:
+            raise InputError(f"{folder}: along {name}: {nearest(name, names)}")
+    chosen = along or names
+    if len(set(chosen)) != len(chosen) or len(chosen) not in (1, 2):
+        raise InputError(f"{folder}: a landscape is along one or two numbers: --along; {valid}")
+    return list(chosen)
+
+
+def _measured(problem, cfg: DictConfig, run, names: list[str], spp: int, phases):
+    from ..estimators.blur import Blur
+    from ..landscape import measure
+
+    blur = Blur(problem, "isas landscape")
+    at = blur.vector(problem.unknowns.truths() or _last(problem, run.folder))
+    start, end = (blur.widths(at, progress) for progress in (0.0, 1.0))
+    places = _places(problem)
+    entries = [places[name] for name in names]
+    axes = []
+    for name, entry in zip(names, entries):
+        visited = [*run.history[f"{VALUE_PREFIX}{name}"], at[entry]]
+        margin = _BEYOND * start[entry]
+        low, high = np.nanmin(visited) - margin, np.nanmax(visited) + margin
+        axes.append(np.linspace(low, high, _POINTS[len(names)]))
+    widths = [tuple(σ[entries]) for σ in (start, np.sqrt(start * end))]
+    loss = instantiate(cfg.loss, "loss")
+    smooth = cfg.sampler.get("smooth", "image")
+
+    def done(finished: int, total: int) -> None:
+        interrupt.check()
+        phases.display.phase(f"landscape {finished} of {total}")
+
+    return measure(problem, loss, at, entries, names, axes, widths, smooth, spp, cfg.seed, done)
+
+
+def _last(problem, folder: Path) -> dict:
+    """The values that the run ended with."""
+    arrays, _ = records.load_checkpoint(folder)
+    return problem.unknowns.values_of({k: arrays[f"value/{k}"] for k in problem.unknowns.keys})
+
+
+def _places(problem) -> dict[str, int]:
+    """Which entry of all unknowns' a name of history.csv is."""
+    places, offset = {}, 0
+    for unknown in problem.unknowns:
+        size = unknown.start.size
+        for i in range(size):
+            places[unknown.key if size == 1 else f"{unknown.key}/{i}"] = offset + i
+        offset += size
+    return places
+
+
+def _write(found, folder: Path) -> None:
+    grid = np.meshgrid(*found.axes, indexing="ij")
+    table = {name: values.ravel() for name, values in zip(found.names, grid)}
+    table["hard"] = found.hard.ravel()
+    for σ, values in zip(found.widths, found.blurred):
+        table["blurred " + " ".join(f"{width:.3g}" for width in σ)] = values.ravel()
+    frame = pandas.DataFrame(table)
+    write_atomically(folder / FILE, lambda path: frame.to_csv(path, index=False))

@@ -1,0 +1,141 @@
+"""Pairs of plain renderings at two places of parameter space, and what they differ by."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import rays
+from ..pixels import PixelDistribution
+from . import replay
+from .blur import Blur
+from .smoothing import Pair
+
+if TYPE_CHECKING:
+    from ..problem import Problem
+
+
+class Renderings:
+    """Drawn pixels and their radiance. Nothing is differentiated.
+
+    N = ``batch`` pixels j_i ~ p, the same for all renderings of a difference, one path each, or
+    two: Σ_j over all pixels is 1/N Σ_i (…)_{j_i} / p_{j_i}, unbiased where p > 0 wherever the sum
+    is not zero. The scene is updated outside the frozen kernels, and one launch traces one state
+    of it.
+    """
+
+    def __init__(self, problem: "Problem", loss, batch: int, blur: Blur, freeze: bool = True):
+        self.problem, self.blur = problem, blur
+        wrap = dr.freeze if freeze else (lambda f: f)
+        self._draw = wrap(_draw_kernel(batch))
+        self._trace = {n: wrap(_trace_kernel(problem.integrator, batch, n)) for n in (1, 2)}
+        self._images = wrap(_image_kernel(loss, batch))
+        self._losses = wrap(_loss_kernel(loss, batch))
+
+    def of_images(
+        self,
+        θ: np.ndarray,
+        pair: Pair,
+        other: np.ndarray,
+        distribution: PixelDistribution,
+        seeds: np.ndarray,
+    ) -> float:
+        """Estimates Σ_j ∂ℒ/∂I_j(P(θ + ``other``)) · (P(θ + ``plus``) - P(θ + ``minus``))_j.
+
+        ``seeds (4,)``: of pixels, and of the three renderings in this order. Without bias for
+        losses of linear derivative, if the first two renderings' seeds differ. Waits.
+        """
+        p = self.problem
+        drawn = self._drawn(distribution, seeds[0])
+        offsets = (other, pair.plus, pair.minus)
+        images = [self._traced(θ + o, drawn, s, 1) for o, s in zip(offsets, seeds[1:])]
+        return float(self._images(p.targets, p.mask, drawn[3:], images, p.share)[0])
+
+    def of_losses(
+        self, θ: np.ndarray, pair: Pair, distribution: PixelDistribution, seeds: np.ndarray
+    ) -> float:
+        """Estimates ℒ(P(θ + ``plus``)) - ℒ(P(θ + ``minus``)), each from two paths a pixel
+        (``loss.measured``): without bias where the loss is quadratic.
+
+        ``seeds (3,)``: of pixels, and of the two sides. Waits.
+        """
+        p = self.problem
+        drawn = self._drawn(distribution, seeds[0])
+        offsets = (pair.plus, pair.minus)
+        sides = [self._traced(θ + o, drawn, s, 2) for o, s in zip(offsets, seeds[1:])]
+        return float(self._losses(p.targets, p.mask, drawn[3:], sides, p.share)[0])
+
+    def _drawn(self, distribution: PixelDistribution, seed: int) -> tuple:
+        return self._draw(self.problem.views, distribution, dr.opaque(mi.UInt32, int(seed)))
+
+    def _traced(self, θ: np.ndarray, drawn: tuple, seed: int, paths: int) -> mi.Color3f:
+        """Radiance at ``θ``, ``(3, N paths)``: all first paths, then all second ones."""
+        p = self.problem
+        self.blur.write(θ)
+        seed = dr.opaque(mi.UInt32, int(seed))
+        place = drawn[:3]
+        return self._trace[paths](p.scene, p.sensors, p.views, p.unknowns.leaves, place, seed)
+
+
+def _draw_kernel(batch: int):
+    def kernel(views, distribution, seed):
+        view, column, row, probability = distribution.draw(batch, seed)
+        pixel = views.index(view, column, row)
+        dr.eval(view, column, row, pixel, probability)
+        return view, column, row, pixel, probability
+
+    return kernel
+
+
+def _trace_kernel(integrator, batch: int, paths: int):
+    def kernel(scene, sensors, views, leaves, place, seed):
+        with dr.suspend_grad():
+            if paths > 1:
+                lane = dr.tile(dr.arange(mi.UInt32, batch), paths)
+                place = [dr.gather(mi.UInt32, which, lane) for which in place]
+            stream = rays.stream(seed, batch * paths)
+            ray, weight = rays.spawn(sensors, views, *place, stream)
+            radiance, _ = replay.primal(integrator, scene, stream, ray)
+            radiance *= weight
+            dr.eval(radiance)
+            return radiance
+
+    return kernel
+
+
+def _image_kernel(loss, batch: int):
+    def kernel(targets, mask, drawn, images, share):
+        pixel, probability = drawn
+        middle, plus, minus = images
+        adjoint = loss.derivative(middle, dr.gather(mi.Color3f, targets, pixel))
+        return _summed(adjoint * (plus - minus), pixel, probability, mask, share, batch)
+
+    return kernel
+
+
+def _loss_kernel(loss, batch: int):
+    def kernel(targets, mask, drawn, sides, share):
+        pixel, probability = drawn
+        target = dr.gather(mi.Color3f, targets, pixel)
+        lane, both = dr.arange(mi.UInt32, batch), (0, batch)
+
+        def value(radiance):
+            a, b = (mi.Color3f(*[dr.gather(mi.Float, c, lane + n) for c in radiance]) for n in both)
+            return loss.measured(a, b, target)
+
+        plus, minus = (value(radiance) for radiance in sides)
+        return _summed(plus - minus, pixel, probability, mask, share, batch)
+
+    return kernel
+
+
+def _summed(values: mi.Color3f, pixel, probability, mask, share, batch: int) -> mi.Float:
+    """Σ_j w_j ``values``_j / (3 Σ w), estimated from the drawn pixels. Traced."""
+    if mask is not None:
+        values *= dr.gather(mi.Float, mask, pixel)
+    total = dr.sum(dr.sum(values) * share / (probability * batch))
+    dr.eval(total)
+    return total

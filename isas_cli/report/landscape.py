@@ -1,0 +1,64 @@
+"""plots/landscape.png of a run, from landscape.csv and history.csv."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pandas
+
+from .. import records
+from ..records import VALUE_PREFIX
+from .figures import COLOURS, STYLE, figure, save
+
+
+def draw(folder: Path) -> Path:
+    """Curves over one number, or maps over two, with the run's way on them. Returns the path."""
+    run = records.load(folder)
+    table = pandas.read_csv(folder / "landscape.csv")
+    names = [c for c in table.columns if f"{VALUE_PREFIX}{c}" in run.history.columns]
+    losses = [c for c in table.columns if c not in names]
+    way = run.history[[f"{VALUE_PREFIX}{name}" for name in names]].to_numpy()
+    path = folder / "plots" / "landscape.png"
+    with matplotlib.rc_context(STYLE):
+        (_curves if len(names) == 1 else _maps)(table, names, losses, way, path)
+    return path
+
+
+def _curves(table: pandas.DataFrame, names: list[str], losses: list[str], way, path: Path) -> None:
+    canvas = figure(7.5, 4.2)
+    axes = canvas.subplots()
+    place = table[names[0]].to_numpy()
+    for name, colour in zip(losses, COLOURS):
+        axes.plot(place, table[name], color=colour, label=_label(name))
+    widest = table[losses[1]].to_numpy()
+    axes.plot(way[:, 0], np.interp(way[:, 0], place, widest), "o-", color="black", label="run")
+    axes.plot(way[-1:, 0], np.interp(way[-1:, 0], place, widest), "*", color="black", ms=12)
+    axes.set_xlabel(names[0])
+    axes.set_ylabel("loss")
+    axes.legend()
+    save(canvas, path)
+
+
+def _maps(table: pandas.DataFrame, names: list[str], losses: list[str], way, path: Path) -> None:
+    canvas = figure(3.6 * len(losses) + 0.6, 3.8)
+    x, y = (np.unique(table[name]) for name in names)
+    row = canvas.subplots(1, len(losses), sharey=True)
+    top = max(table["hard"].max(), 1e-12)  # noise may leave an image of nothing below 0
+    for axes, name in zip(row, losses):
+        values = table[name].to_numpy().reshape(len(x), len(y)).T
+        shown = axes.contourf(x, y, values, levels=np.linspace(0, top, 21), cmap="viridis")
+        axes.plot(way[:, 0], way[:, 1], ".-", color="white", lw=1)
+        axes.plot(*way[0], "o", color="white")
+        axes.plot(*way[-1], "*", color="white", ms=12)
+        axes.set_title(_label(name))
+        axes.set_xlabel(names[0])
+    row[0].set_ylabel(names[1])
+    canvas.colorbar(shown, ax=row, label="loss")
+    save(canvas, path)
+
+
+def _label(name: str) -> str:
+    kind, _, widths = name.partition(" ")
+    return f"blurred, σ = {', '.join(widths.split())}" if widths else kind

@@ -1,0 +1,141 @@
+"""Gradients other than path replay's: which, and where they look."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from ..errors import InputError
+from ..estimators.blur import Blur
+from .base import Sampler
+from .differences import Differences
+from .gradient import Gradient
+from .uniform import Uniform
+
+
+def _choice(name: str, value: str, valid: tuple[str, ...]) -> None:
+    if value not in valid:
+        raise InputError(f"sampler.{name}={value}: valid: {', '.join(valid)}")
+
+
+@dataclass
+class Other(Sampler):
+    """Base of gradients other than path replay's. Where they look is another's business: ``base``
+    draws the pixels."""
+
+    uses: ClassVar[frozenset[str]] = frozenset()
+    replays: ClassVar[bool] = False
+
+    base: Sampler = field(default_factory=Uniform)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if type(self.base) not in (Uniform, Gradient, Differences):
+            name = type(self.base).__name__.lower()
+            raise InputError(
+                f"sampler.base={name}: it looks at derivatives of the paths, which are not taken "
+                "here; valid: uniform, gradient, differences"
+            )
+
+    @property
+    def looking(self) -> Sampler:
+        return self.base
+
+    def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
+        self.base.prepare(problem, loss, batch, freeze)
+
+
+@dataclass
+class Plateau(Other):
+    """Plateau-reduced gradients (PRDPT): of the objective blurred over the unknowns.
+
+    ``gradient``: kernel (∂κP, Eq. 9: plain renderings, the kernel's derivative) or renderer (κ∂P,
+    Eq. 8: Mitsuba's derivative at blurred values). ``smooth``: image (the paper's equation) or loss
+    (its public code); ``scheme``: joint or separate; ``pairs``: of renderings, a step; ``common``:
+    the same random numbers for both of a pair. See ``estimators.plateau``. ``indirect``: as in
+    ``Mitsuba``.
+    """
+
+    gradient: str = "kernel"
+    smooth: str = "image"
+    scheme: str = "joint"
+    pairs: int = 1
+    common: bool = True
+    indirect: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _choice("gradient", self.gradient, ("kernel", "renderer"))
+        _choice("smooth", self.smooth, ("image", "loss"))
+        _choice("scheme", self.scheme, ("joint", "separate"))
+        if self.pairs < 1:
+            raise InputError(f"sampler.pairs={self.pairs}: at least 1")
+        if self.gradient == "renderer":
+            for name, usual in (("scheme", "joint"), ("common", True)):
+                if getattr(self, name) != usual:
+                    raise InputError(
+                        f"sampler.{name}={getattr(self, name)}: the renderer's derivative has no "
+                        "pairs; leave it out, or take sampler.gradient=kernel"
+                    )
+            _whole_images(self.base, "sampler.gradient=renderer")
+        elif not self.indirect:
+            raise InputError(
+                "sampler.indirect=False: of silhouettes, which only sampler.gradient=renderer "
+                "differentiates; leave it out"
+            )
+
+    def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
+        if isinstance(self.base, Differences):
+            self.base.follow(Blur(problem, "sampler=plateau"), self.smooth)
+        super().prepare(problem, loss, batch, freeze)
+
+    def estimator(self, problem, loss, batch: int, freeze: bool = True):
+        if self.gradient == "renderer":
+            from ..estimators.stock import Stock
+
+            return Stock(problem, loss, batch, self.smooth, self.pairs, self.indirect)
+        from ..estimators.plateau import Plateau as Estimator
+
+        settings = self.smooth, self.scheme, self.pairs, self.common
+        return Estimator(problem, loss, batch, *settings, freeze)
+
+
+@dataclass
+class Mitsuba(Other):
+    """Mitsuba's own derivative of whole images, as its users take it: ``prb``, and where an unknown
+    moves objects ``prb_projective``. A baseline. ``indirect``: moving silhouettes seen by way of
+    other surfaces too (shadows, reflections), whose derivative is dear."""
+
+    indirect: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _whole_images(self.base, "sampler=mitsuba")
+
+    def estimator(self, problem, loss, batch: int, freeze: bool = True):
+        from ..estimators.stock import Stock
+
+        return Stock(problem, loss, batch, indirect=self.indirect)
+
+
+@dataclass
+class FiniteDifferences(Other):
+    """Central differences of the loss along each unknown, with common random numbers. A baseline.
+    ``step``: in widths of the unknown's last blur."""
+
+    step: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.step > 0:
+            raise InputError(f"sampler.step={self.step}: must be above 0")
+
+    def estimator(self, problem, loss, batch: int, freeze: bool = True):
+        from ..estimators.finite_differences import FiniteDifferences as Estimator
+
+        return Estimator(problem, loss, batch, self.step, freeze)
+
+
+def _whole_images(base: Sampler, where: str) -> None:
+    if type(base) is not Uniform:
+        raise InputError(f"{where} renders whole images: sampler.base must be uniform")
