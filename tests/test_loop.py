@@ -161,7 +161,7 @@ def test_photographs_have_an_image_error_and_no_parameter_error():
         unknown.truth = None
     evaluator = Evaluator(p, losses.L2(), 10_000, 2, 1)
     row = evaluator(truths)
-    assert set(row) == {"loss", "image_rmse"}
+    assert set(row) == {"loss", "image_rmse", f"value/{ROUGHNESS}"}
     wrong = evaluator(p.unknowns.values_of({ROUGHNESS: np.array([0.9], np.float32)}))
     assert wrong["image_rmse"] == pytest.approx(np.sqrt(wrong["loss"]), rel=1e-4)
     assert wrong["image_rmse"] > 2 * row["image_rmse"]

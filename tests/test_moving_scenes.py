@@ -75,7 +75,7 @@ def test_a_hidden_ball_is_found():
     workshop = workshop_of("scene=occlusion", *settings)
     errors = {}
     for name in ("plateau", "mitsuba"):
-        iterations = "budget.iterations=300" if name == "plateau" else "budget.iterations=30"
+        iterations = "budget.iterations=300" if name == "plateau" else "budget.iterations=10"
         chosen = configured("scene=occlusion", *GRADIENTS[name], *settings, iterations)
         loop = workshop.loop(*chosen)
         loop.rehearse()
