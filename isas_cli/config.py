@@ -63,7 +63,12 @@ class UnknownConfig:
 
 _BLURRING = ("plateau", "finite_differences")  # samplers that need every unknown's blur
 # Which kind of pose a setting is of.
-_POSE_KINDS = {"axis": "rotation", "origin": "rotation", "directions": "translation"}
+_POSE_KINDS = {
+    "axis": "rotation",
+    "origin": "rotation",
+    "period": "rotation",
+    "directions": "translation",
+}
 
 
 @dataclass
@@ -73,7 +78,8 @@ class PoseConfig:
     ``kind``: rotation, by one angle in degrees about ``axis`` through ``origin``; or translation,
     by one length per entry of ``directions``, in scene units. ``at``: the value at which the scene
     stands as it was loaded (None: 0). ``parts``: a mesh is as many equal runs of vertices, each
-    moved by itself (of several meshes: the first part of each alike, and so on).
+    moved by itself (of several meshes: the first part of each alike, and so on). ``period``: the
+    degrees after which a turned object looks the same, by which errors are counted.
     """
 
     kind: str = MISSING
@@ -86,12 +92,16 @@ class PoseConfig:
     )
     at: Optional[List[float]] = None
     parts: int = 1
+    period: float = 360.0
 
     def __post_init__(self) -> None:
+        if not 0 < self.period <= 360:
+            raise InputError(f"pose.period={self.period}: degrees, above 0, at most 360")
         if self.kind not in (MISSING, "rotation", "translation"):
             raise InputError(f"pose.kind={self.kind}: valid: rotation, translation")
         _at_least(1, pose__parts=self.parts)
         usual = {f.name: f.default_factory for f in fields(self) if f.name in _POSE_KINDS}
+        usual["period"] = lambda: 360.0
         for name, kind in _POSE_KINDS.items():
             if self.kind not in (MISSING, kind) and getattr(self, name) != usual[name]():
                 raise InputError(f"pose.{name}: a {self.kind} has no use for it; leave it out")

@@ -89,7 +89,7 @@ class Pose:
     @property
     def period(self) -> float | None:
         """After which a value means the same again."""
-        return 360.0 if self.spec.kind == "rotation" else None
+        return self.spec.period if self.spec.kind == "rotation" else None
 
     def move(self, item: _Object, θ: mi.Float) -> _Object:
         """``item`` after this movement. Traced, differentiable by ``θ (size,)``."""

@@ -8,7 +8,7 @@ never the wall's color or light itself."
 
 Ours: the Cornell box of this project with a tall white box in it; the inset shows the box's two
 visible sides and floor around it. Unknown are the lamp's place in the ceiling (x, z), the left
-wall's colour and the box's angle, six numbers.
+wall's colour and the box's angle, six numbers. The box is square: its angle is compared modulo 90°.
 
 What differs: room, lamp and camera are ours.
 

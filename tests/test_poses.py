@@ -172,6 +172,8 @@ def test_derivatives_flow_on_to_the_pose(kind, value):
         ({"axis": [1, 0, 0]}, "pose.axis: a translation has no use for it"),
         ({"kind": "rotation", "directions": [[1, 0, 0]]}, "pose.directions: a rotation has no use"),
         ({"directions": [[1, 0]]}, "pose.directions"),
+        ({"period": 90.0}, "pose.period: a translation has no use for it"),
+        ({"kind": "rotation", "period": 0.0}, "pose.period=0.0: degrees"),
         ({"parts": 0}, "pose.parts=0: at least 1"),
         ({"parts": 5}, "48 vertices, no multiple"),
         ({"parts": 2, "objects": ["ball"]}, "'ball' is no mesh"),
@@ -197,6 +199,12 @@ def test_patterns_name_several_objects():
     assert poses.items["x.place"].ids == ["ball", "box"]
     with pytest.raises(InputError, match="has a parameter of this name"):
         Poses({"ball.to_world": SHIFT}, params)
+
+
+def test_a_square_box_is_compared_modulo_a_quarter_turn():
+    spec = PoseConfig(kind="rotation", objects=["box"], period=90.0)
+    p = moved({"box.turn": spec}, {"box.turn": 10.0})
+    assert p.unknowns.items[0].period == 90.0
 
 
 def test_an_angle_is_compared_the_shorter_way_round():
