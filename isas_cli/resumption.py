@@ -74,7 +74,7 @@ def prepare(folder: Path, changes: dict) -> Continuation:
     run = records.load(folder)
     if manifest.alive(run.manifest):
         raise InputError(f"{folder} is still being written: its process has not ended")
-    cfg, before = _configuration(folder, changes)
+    cfg, before = configuration(folder, changes)
     arrays, state = records.load_checkpoint(folder)
     budget = _budget(cfg)
     spent = (sum(state["billed"].values()), state["iteration"], state["paths"])
@@ -97,7 +97,7 @@ def _budget(cfg: DictConfig) -> Budget:
     return Budget(cfg.budget.seconds, cfg.budget.iterations, cfg.budget.paths)
 
 
-def _configuration(folder: Path, changes: dict) -> tuple[DictConfig, Budget]:
+def configuration(folder: Path, changes: dict) -> tuple[DictConfig, Budget]:
     """The configuration as changed, and the budget before that."""
     try:
         cfg = OmegaConf.merge(OmegaConf.structured(Config), OmegaConf.load(folder / "config.yaml"))
