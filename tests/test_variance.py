@@ -241,8 +241,10 @@ def test_rounds_turn_and_an_interrupted_one_is_left_out(small):
     done = made.run(contestants, 200, lambda rounds: seen.append(sum(rounds)), lambda: next(asked))
     assert not done and seen == [4] and order == [UNIFORM, "same", "same"]
     table = rows(contestants, [4], Results(64, None))
-    # The same pmf and the same random numbers: the same estimates to the bit.
-    assert table[1]["ratio_to_uniform"] == 1 and table[0]["repeats"] == 4
+    # The same pmf and the same random numbers: the same estimates, but for the order in which
+    # threads add to a gradient.
+    assert table[1]["ratio_to_uniform"] == pytest.approx(1, rel=1e-5)
+    assert table[0]["repeats"] == 4
 
 
 def _alike(p) -> PixelDistribution:
