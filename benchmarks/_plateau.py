@@ -61,10 +61,10 @@ TASKS = {
 
 def configured(task: str, method: str, trial: int, factor: float, seconds: float):
     """The configuration of one run: its start drawn by ``trial``, all rates times ``factor``."""
-    from isas_cli.compose import compose
+    from isas_cli.compose import compose, translate
 
     settings = [f"scene={task}", f"budget.seconds={seconds}", f"seed={trial}", *COMMON]
-    cfg = compose([*settings, *METHODS[method], f"name=trial{trial}"])
+    cfg = compose(translate([*settings, *METHODS[method], f"name=trial{trial}"]))
     rng = np.random.default_rng(1000 + trial)
     for key, unknown in cfg.scene.unknowns.items():
         unknown.lr = float(unknown.lr * factor)

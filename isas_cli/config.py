@@ -35,11 +35,14 @@ def _at_least(least: int, **values: Optional[int]) -> None:
 @dataclass
 class BlurConfig:
     """Width of the Gaussian that ``sampler=plateau`` blurs an unknown with, in the unknown's unit:
-    ``start`` up to the share ``hold`` of the budget, then linearly to ``end``."""
+    ``start`` up to the share ``hold`` of the budget, then linearly to ``end``. ``reach``: of a
+    translation, how far from its middle a part is felt in the images, scene units (None:
+    everywhere); see ``estimators.locality``."""
 
     start: float = 0.0
     end: float = 0.0
     hold: float = 0.0
+    reach: Optional[float] = None
 
     def __post_init__(self) -> None:
         for name in ("start", "end"):
@@ -48,6 +51,8 @@ class BlurConfig:
                 raise InputError(f"blur.{name}={value}: must be above 0, in the unknown's unit")
         if not 0 <= self.hold < 1:
             raise InputError(f"blur.hold={self.hold}: a share of the budget, in [0, 1)")
+        if self.reach is not None and not 0 < self.reach < math.inf:
+            raise InputError(f"blur.reach={self.reach}: must be above 0, in scene units")
 
 
 @dataclass

@@ -171,6 +171,21 @@ class Poses:
             found.append(float(np.abs(np.array(numbers)).max()))
         return max(found)
 
+    def middles(self, name: str, where: str) -> np.ndarray:
+        """Where the parts of the pose ``name`` are as they were loaded, ``(parts, 3)``, of the one
+        object that it alone moves; raises InputError, naming ``where``, if there are more."""
+        pose = self.items[name]
+        if pose.spec.kind != "translation":
+            raise InputError(f"{where}: what turns stays where it is; only for a translation")
+        others = [other for other in self.items.values() if set(other.ids) & set(pose.ids)]
+        if len(pose.ids) > 1 or len(others) > 1:
+            raise InputError(f"{where}: only for a pose of one object that nothing else moves")
+        rest = self._rest[pose.ids[0]]
+        if rest.points is not None:
+            return np.array(rest.points).T.reshape(pose.parts, -1, 3).mean(axis=1)
+        place = rest.to_world.translation() if rest.position is None else rest.position
+        return np.array(place).reshape(1, 3)
+
     def placed(self, values: dict) -> dict:
         """The scene's parameters, by key, for the poses of ``values`` (others: at rest). Traced."""
         moved: dict[str, _Object] = {}

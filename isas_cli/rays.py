@@ -23,16 +23,27 @@ def spawn(
     square, whatever filter the scene's film names, so pixels are independent and one path
     belongs to one pixel. Traced.
     """
+    return through(sensors, views, view, column, row, sampler.next_2d(), sampler.next_2d())
+
+
+def through(
+    sensors: mi.SensorPtr,
+    views: Views,
+    view: mi.UInt32,
+    column: mi.UInt32,
+    row: mi.UInt32,
+    within: mi.Point2f,
+    aperture: mi.Point2f,
+) -> tuple[mi.RayDifferential3f, mi.Color3f]:
+    """The ray through the point ``within`` [0, 1)² of each pixel, and its sensor weight. Traced."""
     width = dr.gather(mi.UInt32, views.width, view)
     height = dr.gather(mi.UInt32, views.height, view)
-    jitter = sampler.next_2d()
     position = mi.Point2f(
-        (mi.Float(column) + jitter.x) / mi.Float(width),
-        (mi.Float(row) + jitter.y) / mi.Float(height),
+        (mi.Float(column) + within.x) / mi.Float(width),
+        (mi.Float(row) + within.y) / mi.Float(height),
     )
     sensor = dr.gather(mi.SensorPtr, sensors, view)
-    ray, weight = sensor.sample_ray_differential(0.0, 0.0, position, sampler.next_2d())
-    return ray, weight
+    return sensor.sample_ray_differential(0.0, 0.0, position, aperture)
 
 
 def stream(seed: mi.UInt32, count: int) -> mi.Sampler:

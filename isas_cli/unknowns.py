@@ -13,7 +13,7 @@ import numpy as np
 from . import images
 from .config import BlurConfig
 from .errors import InputError, nearest
-from .poses import Poses
+from .poses import Pose, Poses
 
 # Ranges outside which a parameter means nothing (or gains energy), by the last word of its key.
 # Roughness stays above 0.03: below about that the principled lobe's derivative dies.
@@ -312,6 +312,13 @@ class Unknowns:
         self._shapes = {key: params[key].shape for key in own if _is_environment(params, key)}
         self._around = {key: _wrapped(shape) for key, shape in self._shapes.items()}
         self.leaves = self.values_of(present)
+
+    def place(self, key: str, where: str) -> tuple[Pose, np.ndarray]:
+        """The translation ``key`` and where its parts were loaded (``Poses.middles``); raises
+        InputError, naming ``where``, if it is none."""
+        if key not in self.poses:
+            raise InputError(f"{where}: only for what a pose moves")
+        return self._poses.items[key], self._poses.middles(key, where)
 
     def __iter__(self):
         return iter(self.items)

@@ -21,7 +21,7 @@ from typing import Any
 from isas_cli.scenes.cameras import orbit
 from isas_cli.scenes.stage import camera, ground, matt
 
-LAMP, LAMP_RADIUS, RADIANCE = [-1.2, 5.0, -0.8], 0.8, 30.0
+LAMP, LAMP_RADIUS, RADIANCE = [-1.5, 12.0, -1.5], 3.0, 14.0
 
 
 def build(width: int) -> dict[str, Any]:
@@ -33,8 +33,8 @@ def build(width: int) -> dict[str, Any]:
         "ground": ground(4.0, matt(0.6)),
         "ball": {
             "type": "sphere",
-            "center": [0.0, 0.75, 0.0],
-            "radius": 0.45,
+            "center": [0.0, 1.0, 0.0],
+            "radius": 0.6,
             "bsdf": {"type": "dielectric", "int_ior": 1.504},
         },
         "lamp": {
@@ -43,5 +43,5 @@ def build(width: int) -> dict[str, Any]:
             "radius": LAMP_RADIUS,
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": RADIANCE}},
         },
-        "sensor_000": camera(orbit((0.1, 0.2, 0.1), 4.2, 0.0, 48.0), (0.1, 0.2, 0.1), 38.0, width),
+        "sensor_000": camera(orbit((0.0, 0.35, 0.2), 4.2, 0.0, 48.0), (0.0, 0.35, 0.2), 38.0, width),
     }

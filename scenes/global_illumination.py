@@ -6,9 +6,10 @@ also to rotate the large box to an orientation where the wall's reflected light 
 The optimization only sees an inset of the scene and hence only ever sees the scattered light, but
 never the wall's color or light itself."
 
-Ours: the Cornell box of this project with a tall white box in it; the inset shows the box's two
-visible sides and floor around it. Unknown are the lamp's place in the ceiling (x, z), the left
-wall's colour and the box's angle, six numbers. The box is square: its angle is compared modulo 90°.
+Ours: the Cornell box of this project with a tall white box in it; the inset shows two sides of the
+box. At the truth one looks to the left wall, away from the lamp, and shows its colour. Unknown are
+the lamp's place in the ceiling (x, z), the wall's colour and the box's angle, six numbers. The box
+is square: its angle is compared modulo 90°.
 
 What differs: room, lamp and camera are ours.
 
@@ -23,15 +24,16 @@ from typing import Any
 import numpy as np
 from isas_cli.scenes import meshes
 from isas_cli.scenes.cornell import cornell_box
-from isas_cli.scenes.stage import boxes, camera, matt
+from isas_cli.scenes.stage import boxes, camera, matt, turned
 
 MIDDLE = [-0.25, 0.55, -0.15]
+TURNED = 50.0  # degrees, at the truth, against a side that faces the camera
 
 
 def build(width: int) -> dict[str, Any]:
     """The scene at the truth; unknown: the poses `lamp.place` and `box.angle` and
     `left.bsdf.base_color.value`."""
-    box = boxes(np.array([MIDDLE]), (0.27, 0.55, 0.27))
+    box = turned(boxes(np.array([MIDDLE]), (0.27, 0.55, 0.27)), -TURNED, MIDDLE)
     return {
         "type": "scene",
         "integrator": {"type": "prb", "max_depth": 4},

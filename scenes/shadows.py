@@ -7,7 +7,9 @@ plane. Our goal is to optimize the hidden object's position", two coordinates, f
 Ours: a ball of radius 0.25 between a point light and a ground with a photographed texture; its
 position across the view and its height are unknown. The shadows of start and truth do not overlap.
 
-What differs: texture, places and camera are ours.
+What differs: texture, places and camera are ours. Our lamp stands beside the plane in which the ball
+moves: were it in it, both unknowns would move the shadow along one line, and of height and distance
+together only the shadow's size would tell.
 
 Depth 2: direct light alone. Light that the ball throws back onto the ground is not simulated; the
 targets lack it too.
@@ -21,8 +23,8 @@ from isas_cli.scenes import library
 from isas_cli.scenes.cameras import orbit
 from isas_cli.scenes.stage import camera, ground, matt
 
-BALL, RADIUS = [-1.8, 1.4, 0.0], 0.25
-LAMP, INTENSITY = [-4.0, 4.0, 0.0], 50.0
+BALL, RADIUS = [-1.6, 1.3, -0.6], 0.25
+LAMP, INTENSITY = [-3.5, 4.5, -1.8], 50.0
 
 
 def build(width: int, texture: int) -> dict[str, Any]:

@@ -83,3 +83,15 @@ def boxes(middles: np.ndarray, half: tuple[float, float, float]) -> Surface:
         texcoords=np.zeros((0, 2), np.float32),
         normals=np.tile(np.asarray(normals, np.float32), (count, 1)),
     )
+
+
+def turned(surface: Surface, degrees: float, origin: list[float]) -> Surface:
+    """The surface turned about the vertical axis through `origin`."""
+    angle = np.deg2rad(degrees)
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    return replace(
+        surface,
+        vertices=((surface.vertices - origin) @ turn.T + origin).astype(np.float32),
+        normals=(surface.normals @ turn.T).astype(np.float32),
+    )

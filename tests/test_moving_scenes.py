@@ -18,8 +18,8 @@ GRADIENTS = {
     "plateau": ["sampler=plateau"],
     "drawn": ["sampler=plateau", "sampler.base=differences"],
     "loss": ["sampler=plateau", "sampler.smooth=loss", "sampler.base=gradient"],
-    "renderer": ["sampler=plateau", "sampler.gradient=renderer", "sampler.indirect=false"],
-    "mitsuba": ["sampler=mitsuba", "sampler.indirect=false"],
+    "renderer": ["sampler=plateau", "sampler.gradient=renderer", "sampler.silhouettes=direct"],
+    "mitsuba": ["sampler=mitsuba", "sampler.silhouettes=direct"],
     "finite_differences": ["sampler=finite_differences"],
 }
 
@@ -94,7 +94,7 @@ def test_a_hidden_ball_is_found():
         (["sampler.gradient=neither"], "sampler.gradient=neither: valid: kernel, renderer"),
         (["sampler.gradient=renderer", "sampler.common=false"], "sampler.common=False"),
         (["sampler.gradient=renderer", "sampler.base=gradient"], "must be uniform"),
-        (["sampler.indirect=false"], "sampler.indirect=False: of silhouettes"),
+        (["sampler.silhouettes=direct"], "sampler.silhouettes=direct: only"),
         (["sampler.pairs=0"], "sampler.pairs=0: at least 1"),
         (["sampler.smooth=time"], "sampler.smooth=time: valid: image, loss"),
     ],

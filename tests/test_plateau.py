@@ -152,7 +152,7 @@ def test_mitsubas_derivative_blurred(smooth):
     """κ∂P, by prb_projective, of a ball that glows: no silhouette is seen by way of others, which
     would take seconds a step."""
     p = blurred_problem(glows=True)
-    found = rows(Stock(p, losses.L2(), 2 * BATCH, smooth, indirect=False), p, 100)
+    found = rows(Stock(p, losses.L2(), 2 * BATCH, smooth, silhouettes="direct"), p, 100)
     assert p_value(found, references_of(p)[smooth]) > LEVEL
 
 
@@ -160,7 +160,7 @@ def test_mitsubas_own_derivative():
     """Unblurred, of place and radiance, against differences over so small a step that they change
     no more: the mean image is smooth in both."""
     p = blurred_problem(glows=True)
-    found = rows(Stock(p, losses.L2(), 2 * BATCH, indirect=False), p, 100)
+    found = rows(Stock(p, losses.L2(), 2 * BATCH, silhouettes="direct"), p, 100)
     exact = rows(FiniteDifferences(p, losses.L2(), 64 * BATCH, 0.01), p, 60)
     assert p_value(found, exact) > LEVEL
     assert np.all(np.abs(exact.mean(axis=0)) > 5 * exact.std(axis=0) / math.sqrt(len(exact)))
@@ -169,7 +169,7 @@ def test_mitsubas_own_derivative():
 def test_mitsubas_derivative_of_all_views():
     """A first camera that looks away: the second's gradient arrives."""
     p = blurred_problem(glows=True, blind=True)
-    found = rows(Stock(p, losses.L2(), 4 * BATCH, indirect=False), p, 4)
+    found = rows(Stock(p, losses.L2(), 4 * BATCH, silhouettes="direct"), p, 4)
     assert np.all(np.abs(found.mean(axis=0)) > 1e-4)
 
 
@@ -177,7 +177,7 @@ def test_kernel_and_renderer_agree_at_the_end_of_a_range():
     """The radiance near 1, where it is clamped."""
     p = blurred_problem(at=(AT[0], 0.9), widths=(0.05, 0.3), glows=True)
     by_kernel = rows(made(p, smooth="loss", scheme="separate"), p, 600)
-    by_renderer = rows(Stock(p, losses.L2(), 2 * BATCH, "loss", indirect=False), p, 200)
+    by_renderer = rows(Stock(p, losses.L2(), 2 * BATCH, "loss", silhouettes="direct"), p, 200)
     test = stats.ttest_ind(by_kernel[:, 1], by_renderer[:, 1], equal_var=False)
     print(by_kernel.mean(axis=0), by_renderer.mean(axis=0), test.pvalue)
     assert test.pvalue > LEVEL
@@ -255,7 +255,7 @@ def test_mitsubas_own_derivative_does_not_see_over_a_plateau():
     """The ball outside the view: no derivative, while the blurred objective has a slope. (Upwards:
     a ball that comes into view at a wrong place is worse than none.)"""
     p = blurred_problem(at=(-2.6, AT[1]), widths=(0.8, 0.1), glows=True)
-    stock = rows(Stock(p, losses.L2(), BATCH, indirect=False), p, 8)
+    stock = rows(Stock(p, losses.L2(), BATCH, silhouettes="direct"), p, 8)
     plateau = rows(made(p, smooth="loss"), p, 800)
     assert np.abs(stock[:, 0]).max() < 1e-6
     mean, error = plateau[:, 0].mean(), plateau[:, 0].std() / math.sqrt(len(plateau))

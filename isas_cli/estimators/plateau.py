@@ -90,7 +90,7 @@ class Plateau:
             total += pair.weight * self._difference(θ, σ, pair, distribution, rng)
         return self.blur.values(total / self.pairs)
 
-    def _difference(self, θ, σ, pair, distribution, rng) -> float:
+    def _difference(self, θ, σ, pair, distribution, rng) -> float | np.ndarray:
         seeds = rng.integers(1 << 32, size=4)
         if self.common:
             seeds[-1] = seeds[-2]

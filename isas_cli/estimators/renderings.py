@@ -12,6 +12,7 @@ from .. import rays
 from ..pixels import PixelDistribution
 from . import replay
 from .blur import Blur
+from .locality import Locality
 from .smoothing import Pair
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ class Renderings:
         self._trace = {n: wrap(_trace_kernel(problem.integrator, batch, n)) for n in (1, 2)}
         self._images = wrap(_image_kernel(loss, batch))
         self._losses = wrap(_loss_kernel(loss, batch))
+        self._locality = Locality(problem, blur, batch, freeze)
 
     def of_images(
         self,
@@ -42,8 +44,9 @@ class Renderings:
         other: np.ndarray,
         distribution: PixelDistribution,
         seeds: np.ndarray,
-    ) -> float:
-        """Estimates Σ_j ∂ℒ/∂I_j(P(θ + ``other``)) · (P(θ + ``plus``) - P(θ + ``minus``))_j.
+    ) -> float | np.ndarray:
+        """Estimates Σ_j ∂ℒ/∂I_j(P(θ + ``other``)) · (P(θ + ``plus``) - P(θ + ``minus``))_j; where
+        unknowns have a reach, for every entry, ``(D,)`` (``Locality``).
 
         ``seeds (4,)``: of pixels, and of the three renderings in this order. Without bias for
         losses of linear derivative, if the first two renderings' seeds differ. Waits.
@@ -52,13 +55,15 @@ class Renderings:
         drawn = self._drawn(distribution, seeds[0])
         offsets = (other, pair.plus, pair.minus)
         images = [self._traced(θ + o, drawn, s, 1) for o, s in zip(offsets, seeds[1:])]
-        return float(self._images(p.targets, p.mask, drawn[3:], images, p.share)[0])
+        terms = self._images(p.targets, p.mask, drawn[3:], images, p.share)
+        return self._total(θ, pair, drawn, terms)
 
     def of_losses(
         self, θ: np.ndarray, pair: Pair, distribution: PixelDistribution, seeds: np.ndarray
-    ) -> float:
+    ) -> float | np.ndarray:
         """Estimates ℒ(P(θ + ``plus``)) - ℒ(P(θ + ``minus``)), each from two paths a pixel
-        (``loss.measured``): without bias where the loss is quadratic.
+        (``loss.measured``): without bias where the loss is quadratic. As a number or for every
+        entry, as ``of_images``.
 
         ``seeds (3,)``: of pixels, and of the two sides. Waits.
         """
@@ -66,7 +71,13 @@ class Renderings:
         drawn = self._drawn(distribution, seeds[0])
         offsets = (pair.plus, pair.minus)
         sides = [self._traced(θ + o, drawn, s, 2) for o, s in zip(offsets, seeds[1:])]
-        return float(self._losses(p.targets, p.mask, drawn[3:], sides, p.share)[0])
+        terms = self._losses(p.targets, p.mask, drawn[3:], sides, p.share)
+        return self._total(θ, pair, drawn, terms)
+
+    def _total(self, θ, pair: Pair, drawn: tuple, terms: mi.Float) -> float | np.ndarray:
+        if self._locality:
+            return self._locality.differences(θ, pair, drawn[:3], terms)
+        return float(dr.sum(terms)[0])
 
     def _drawn(self, distribution: PixelDistribution, seed: int) -> tuple:
         return self._draw(self.problem.views, distribution, dr.opaque(mi.UInt32, int(seed)))
@@ -111,7 +122,7 @@ def _image_kernel(loss, batch: int):
         pixel, probability = drawn
         middle, plus, minus = images
         adjoint = loss.derivative(middle, dr.gather(mi.Color3f, targets, pixel))
-        return _summed(adjoint * (plus - minus), pixel, probability, mask, share, batch)
+        return _terms(adjoint * (plus - minus), pixel, probability, mask, share, batch)
 
     return kernel
 
@@ -127,15 +138,15 @@ def _loss_kernel(loss, batch: int):
             return loss.measured(a, b, target)
 
         plus, minus = (value(radiance) for radiance in sides)
-        return _summed(plus - minus, pixel, probability, mask, share, batch)
+        return _terms(plus - minus, pixel, probability, mask, share, batch)
 
     return kernel
 
 
-def _summed(values: mi.Color3f, pixel, probability, mask, share, batch: int) -> mi.Float:
-    """Σ_j w_j ``values``_j / (3 Σ w), estimated from the drawn pixels. Traced."""
+def _terms(values: mi.Color3f, pixel, probability, mask, share, batch: int) -> mi.Float:
+    """Of every drawn pixel: their sum estimates Σ_j w_j ``values``_j / (3 Σ w). Evaluates."""
     if mask is not None:
         values *= dr.gather(mi.Float, mask, pixel)
-    total = dr.sum(dr.sum(values) * share / (probability * batch))
-    dr.eval(total)
-    return total
+    terms = dr.sum(values) * share / (probability * batch)
+    dr.eval(terms)
+    return terms

@@ -17,6 +17,14 @@ from .blur import Blur
 if TYPE_CHECKING:
     from ..problem import Problem
 
+# What ``silhouettes`` says to the projective integrator.
+SILHOUETTES = {
+    "octree": {"guiding": "octree"},
+    "grid": {"guiding": "grid"},
+    "uniform": {"guiding": "none"},
+    "direct": {"sppi": 0},
+}
+
 
 class Stock:
     """dℒ/dθ by ``mi.render`` and ``dr.backward``: with ``prb``, or, where an unknown moves objects,
@@ -33,9 +41,11 @@ class Stock:
     Outside an unknown's range the derivative is 0, as values are clamped there.
 
     Bias: none where the integrator has none. ``prb_projective`` does not differentiate through
-    ideally specular surfaces (glass, mirrors) that move, and its indirect silhouettes are guided by
-    a structure built anew each step; ``indirect=False`` leaves them out, which biases shadows and
-    reflections of what moves. Nothing is frozen: projective integrators cannot be.
+    ideally specular surfaces (glass, mirrors) that move. ``silhouettes``: how those are sampled
+    that are seen by way of other surfaces (shadows, reflections): guided by an ``octree``
+    (Mitsuba's default) or a ``grid``, both built anew each step, ``uniform``, or not at all
+    (``direct``: those alone that the camera sees, which is biased where others move). Nothing is
+    frozen: projective integrators cannot be.
     """
 
     def __init__(
@@ -45,18 +55,13 @@ class Stock:
         batch: int,
         smooth: str | None = None,
         samples: int = 1,
-        indirect: bool = True,
+        silhouettes: str = "grid",
     ):
         self.problem, self.loss, self.batch = problem, loss, batch
         self.smooth, self.samples = smooth, samples
         self.blur = Blur(problem, "sampler=plateau") if smooth else None
-        if not indirect and not problem.unknowns.poses:
-            raise InputError(
-                "sampler.indirect=false: no unknown moves objects, so there are no moving "
-                "silhouettes; leave it out"
-            )
         _check_films(problem)
-        self.integrator = _integrator(problem, indirect)
+        self.integrator = _integrator(problem, silhouettes)
         self.spp = max(1, batch // problem.views.total)
         self._primal = mi.load_dict({"type": "path", **_settings(problem)})
 
@@ -173,9 +178,9 @@ def _settings(problem: "Problem") -> dict:
     return {"max_depth": _depth(problem), "hide_emitters": problem.integrator.hide_emitters}
 
 
-def _integrator(problem: "Problem", indirect: bool) -> mi.Integrator:
+def _integrator(problem: "Problem", silhouettes: str) -> mi.Integrator:
     settings = _settings(problem)
     if not problem.unknowns.poses:
         return mi.load_dict({"type": "prb", **settings})
-    settings |= {} if indirect else {"sppi": 0}
+    settings |= SILHOUETTES[silhouettes]
     return mi.load_dict({"type": "prb_projective", **settings})

@@ -12,6 +12,9 @@ from .differences import Differences
 from .gradient import Gradient
 from .uniform import Uniform
 
+# Of moving silhouettes that are not seen directly: see ``estimators.stock``.
+SILHOUETTES = ("octree", "grid", "uniform", "direct")
+
 
 def _choice(name: str, value: str, valid: tuple[str, ...]) -> None:
     if value not in valid:
@@ -52,7 +55,7 @@ class Plateau(Other):
     ``gradient``: kernel (∂κP, Eq. 9: plain renderings, the kernel's derivative) or renderer (κ∂P,
     Eq. 8: Mitsuba's derivative at blurred values). ``smooth``: image (the paper's equation) or loss
     (its public code); ``scheme``: joint or separate; ``pairs``: of renderings, a step; ``common``:
-    the same random numbers for both of a pair. See ``estimators.plateau``. ``indirect``: as in
+    the same random numbers for both of a pair. See ``estimators.plateau``. ``silhouettes``: as in
     ``Mitsuba``.
     """
 
@@ -61,10 +64,11 @@ class Plateau(Other):
     scheme: str = "joint"
     pairs: int = 1
     common: bool = True
-    indirect: bool = True
+    silhouettes: str = "grid"
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        _choice("silhouettes", self.silhouettes, SILHOUETTES)
         _choice("gradient", self.gradient, ("kernel", "renderer"))
         _choice("smooth", self.smooth, ("image", "loss"))
         _choice("scheme", self.scheme, ("joint", "separate"))
@@ -78,10 +82,10 @@ class Plateau(Other):
                         "pairs; leave it out, or take sampler.gradient=kernel"
                     )
             _whole_images(self.base, "sampler.gradient=renderer")
-        elif not self.indirect:
+        elif self.silhouettes != "grid":
             raise InputError(
-                "sampler.indirect=False: of silhouettes, which only sampler.gradient=renderer "
-                "differentiates; leave it out"
+                f"sampler.silhouettes={self.silhouettes}: only sampler.gradient=renderer "
+                "differentiates silhouettes; leave it out"
             )
 
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
@@ -93,7 +97,7 @@ class Plateau(Other):
         if self.gradient == "renderer":
             from ..estimators.stock import Stock
 
-            return Stock(problem, loss, batch, self.smooth, self.pairs, self.indirect)
+            return Stock(problem, loss, batch, self.smooth, self.pairs, self.silhouettes)
         from ..estimators.plateau import Plateau as Estimator
 
         settings = self.smooth, self.scheme, self.pairs, self.common
@@ -103,19 +107,21 @@ class Plateau(Other):
 @dataclass
 class Mitsuba(Other):
     """Mitsuba's own derivative of whole images, as its users take it: ``prb``, and where an unknown
-    moves objects ``prb_projective``. A baseline. ``indirect``: moving silhouettes seen by way of
-    other surfaces too (shadows, reflections), whose derivative is dear."""
+    moves objects ``prb_projective``. A baseline. ``silhouettes``: how those are sampled that are
+    seen by way of other surfaces (shadows, reflections): octree (Mitsuba's default, by far the
+    dearest), grid, uniform, or direct: not at all."""
 
-    indirect: bool = True
+    silhouettes: str = "grid"
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        _choice("silhouettes", self.silhouettes, SILHOUETTES)
         _whole_images(self.base, "sampler=mitsuba")
 
     def estimator(self, problem, loss, batch: int, freeze: bool = True):
         from ..estimators.stock import Stock
 
-        return Stock(problem, loss, batch, indirect=self.indirect)
+        return Stock(problem, loss, batch, silhouettes=self.silhouettes)
 
 
 @dataclass
