@@ -221,8 +221,12 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, help="budget of each run, instead of the scene's")
     parser.add_argument("--folder", type=Path, help="where the runs go (default: a new folder)")
     chosen = parser.parse_args()
-    if chosen.scenes == ["plateau"]:
+    if "plateau" in chosen.scenes:
+        if chosen.scenes != ["plateau"] or chosen.seeds != parser.get_default("seeds"):
+            parser.error("plateau: by itself, and its starts are not seeds: see _plateau.py --help")
         sys.argv = [sys.argv[0]]
+        sys.argv += ["--seconds", str(chosen.seconds)] if chosen.seconds else []
+        sys.argv += ["--folder", str(chosen.folder)] if chosen.folder else []
         _plateau.main()
         return
     strange = [scene for scene in chosen.scenes if scene not in SCENES]

@@ -37,7 +37,7 @@ class BlurConfig:
     """Width of the Gaussian that ``sampler=plateau`` blurs an unknown with, in the unknown's unit:
     ``start`` up to the share ``hold`` of the budget, then linearly to ``end``. ``reach``: of a
     translation, how far from its middle a part is felt in the images, scene units (None:
-    everywhere); see ``estimators.locality``."""
+    everywhere), for gradients from plain renderings; see ``estimators.locality``."""
 
     start: float = 0.0
     end: float = 0.0

@@ -176,7 +176,7 @@ class Poses:
         object that it alone moves; raises InputError, naming ``where``, if there are more."""
         pose = self.items[name]
         if pose.spec.kind != "translation":
-            raise InputError(f"{where}: what turns stays where it is; only for a translation")
+            raise InputError(f"{where}: only for a translation")
         others = [other for other in self.items.values() if set(other.ids) & set(pose.ids)]
         if len(pose.ids) > 1 or len(others) > 1:
             raise InputError(f"{where}: only for a pose of one object that nothing else moves")

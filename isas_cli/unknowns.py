@@ -313,6 +313,11 @@ class Unknowns:
         self._around = {key: _wrapped(shape) for key, shape in self._shapes.items()}
         self.leaves = self.values_of(present)
 
+    @property
+    def moved(self) -> set[str]:
+        """Ids of the objects that poses among the unknowns move."""
+        return {id for key in self.poses for id in self._poses.items[key].ids}
+
     def place(self, key: str, where: str) -> tuple[Pose, np.ndarray]:
         """The translation ``key`` and where its parts were loaded (``Poses.middles``); raises
         InputError, naming ``where``, if it is none."""

@@ -17,10 +17,11 @@ import pytest
 from isas_cli import app, manifest, records
 from isas_cli.errors import InputError
 
-SMALL = [
-    *("scene=pottery", "size=tiny", "threads=1", "estimator.batch=2048", "frames.views=1"),
+TINY = [
+    *("size=tiny", "threads=1", "estimator.batch=2048", "frames.views=1"),
     *("frames.spp=2", "frames.snapshots=2", "evaluation.pixels=512"),
 ]
+SMALL = ["scene=pottery", *TINY]
 # The command with checkpoints every few iterations instead of every few seconds.
 PROGRAM = (
     "import sys\n"
@@ -53,10 +54,18 @@ def stop_after(folder: Path, rows: int, process: subprocess.Popen, number: int) 
     finish(process)
 
 
-@pytest.mark.parametrize("sampler, number", [("ours", signal.SIGKILL), ("balanced", signal.SIGINT)])
-def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(tmp_path, sampler, number):
+@pytest.mark.parametrize(
+    "chosen, number",
+    [
+        (["scene=pottery", "sampler=ours"], signal.SIGKILL),
+        (["scene=pottery", "sampler=balanced"], signal.SIGINT),
+        (["scene=occlusion", "sampler=plateau", "sampler.base=differences"], signal.SIGKILL),
+    ],
+    ids=("ours", "balanced", "plateau"),
+)
+def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(tmp_path, chosen, number):
     whole, cut = tmp_path / "whole", tmp_path / "cut"
-    common = ["run", *SMALL, f"sampler={sampler}", "budget.iterations=300"]
+    common = ["run", *chosen, *TINY, "budget.iterations=300"]
     first = start(*common, f"hydra.run.dir={whole}")
     finish(first)
     assert first.returncode == 0

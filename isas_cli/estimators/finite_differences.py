@@ -22,7 +22,7 @@ class FiniteDifferences:
 
     Both sides with the same random numbers, each ℒ from two independent renderings. Unbiased for
     the difference quotient of a quadratic loss: the derivative up to O(h²) where ℒ is smooth, 0 on
-    a plateau. Four paths per drawn pixel and entry.
+    a plateau. Four paths per drawn pixel and entry. A ``reach`` counts here too (``Locality``).
     """
 
     def __init__(self, problem: "Problem", loss, batch: int, step: float, freeze: bool = True):

@@ -10,12 +10,15 @@ import mitsuba as mi
 import numpy as np
 
 from .. import rays
+from ..errors import InputError
 from .blur import Blur
 from .smoothing import Pair
 
 if TYPE_CHECKING:
     from ..poses import Pose
     from ..problem import Problem
+
+_MOST_LANES = 1 << 28  # a few gigabytes
 
 
 @dataclass(frozen=True)
@@ -36,28 +39,29 @@ class _Local:
 class Locality:
     """What each entry's slope is estimated from.
 
-    A pair (θ + τ, θ - τ) moves all parts at once; a part's slope, estimated from the whole image,
-    has all other parts' differences as noise. A pixel that part k reaches from neither side's place
-    has the same value whichever of ± τ_k it is given, and ± are equally likely: what it adds to
-    part k's estimate is 0 in the mean. Such pixels are left out of it, which changes the variance
-    (by about the number of parts that do not touch each other) and not the mean, if the part's
-    influence ends at its ``reach``: pixels whose camera ray passes farther from the part's middle
-    than that, at θ + τ and at θ - τ, are taken to be unreached. Shadows and light thrown on others
-    are influence as well. Too short a reach is a bias, too long a one is noise.
+    A pair (θ + τ, θ - τ) of the scheme ``joint`` moves all parts at once; a part's slope, estimated
+    from the whole image, has all other parts' differences as noise. A pixel is left out of part k's
+    estimate if its camera ray passes farther than ``reach`` from the part's middle at θ + τ and at
+    θ - τ. This lowers the variance (by about the number of parts that do not touch each other) and
+    keeps the mean if the part's influence ends at its reach: turn the sign of all of τ_k and of no
+    other part's offset. The offset is as likely as before; which pixels are left out stays, as both
+    sides' places are asked; what those show stays, as they see the part from neither place; and the
+    weight of every entry of the part changes its sign. So what they add is 0 in the mean. (With
+    ``separate`` nothing but the part differs between the sides, and little is won.) It holds for
+    images and for losses, and for any pmf of the pixels that does not depend on this τ.
+
+    Shadows, light that the part throws on others and light that it keeps from them are influence as
+    well; and ``reach`` has to hold half a pixel more, as a pixel is judged by the ray through its
+    middle. Too short a reach is a bias, too long a one is noise. It costs parts × ``batch`` lanes.
     """
 
     def __init__(self, problem: "Problem", blur: Blur, batch: int, freeze: bool = True):
         self.problem, self.blur = problem, blur
-        self._items = list(_items(problem, blur))
+        self._items = list(_items(problem, blur, batch))
         wrap = dr.freeze if freeze else (lambda f: f)
         self._kernels = [wrap(_kernel(batch, item.pose.parts, item.reach)) for item in self._items]
 
-    def __bool__(self) -> bool:
-        return bool(self._items)
-
-    def differences(
-        self, θ: np.ndarray, pair: Pair, place: tuple, terms: mi.Float
-    ) -> float | np.ndarray:
+    def differences(self, θ: np.ndarray, pair: Pair, place: tuple, terms: mi.Float) -> np.ndarray:
         """Σ of ``terms (N,)`` over the drawn pixels, for every entry, ``(D,)``: of unknowns with a
         reach over those near its part. ``place``: view, column, row of each term. Waits."""
         p = self.problem
@@ -71,12 +75,21 @@ class Locality:
         return found
 
 
-def _items(problem: "Problem", blur: Blur):
+def _items(problem: "Problem", blur: Blur, batch: int):
     first = 0
     for unknown in problem.unknowns:
         if unknown.blur.reach is not None:
             where = f"scene.unknowns['{unknown.key}'].blur.reach={unknown.blur.reach:g}"
             pose, middles = problem.unknowns.place(unknown.key, where)
+            if problem.unknowns.moved & {sensor.id() for sensor in problem.scene.sensors()}:
+                # Near on one side of a pair would not be near on the other.
+                raise InputError(f"{where}: only where no pose moves a camera")
+            lanes = pose.parts * batch
+            if lanes > _MOST_LANES:
+                raise InputError(
+                    f"{where}: {pose.parts} parts times estimator.batch={batch} are more than "
+                    f"{_MOST_LANES} sums at once; take a smaller batch"
+                )
             yield _Local(pose, first, middles, unknown.blur.reach)
         first += unknown.start.size
 
@@ -84,9 +97,9 @@ def _items(problem: "Problem", blur: Blur):
 def _kernel(batch: int, parts: int, reach: float):
     def kernel(sensors, views, place, terms, middles):
         ray, _ = rays.through(sensors, views, *place, mi.Point2f(0.5), mi.Point2f(0.5))
-        lane = dr.arange(mi.UInt32, parts * batch)
-        part = lane // dr.opaque(mi.UInt32, batch)
-        pixel = lane - part * batch
+        # Part after part, so that sums are over blocks.
+        part = dr.repeat(dr.arange(mi.UInt32, parts), batch)
+        pixel = dr.tile(dr.arange(mi.UInt32, batch), parts)
         origin = dr.gather(mi.Point3f, ray.o, pixel)
         direction = dr.gather(mi.Vector3f, ray.d, pixel)
 
@@ -96,7 +109,8 @@ def _kernel(batch: int, parts: int, reach: float):
 
         value = dr.gather(mi.Float, terms, pixel)
         value = dr.select(near(middles[0]) | near(middles[1]), value, 0)
-        sums = dr.block_sum(value, batch)
+        # Not by atomic additions, whose order would change the last bits.
+        sums = dr.block_sum(value, batch, mode="evaluated")
         dr.eval(sums)
         return sums
 

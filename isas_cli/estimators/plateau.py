@@ -43,6 +43,7 @@ class Plateau:
     ``scheme``: joint (one pair for all D entries) or separate (one for each), both unbiased for
     the Gaussian of all entries; ``pairs`` of either per step. ``common``: both of a pair follow
     the same random numbers, so that what τ does not change cancels: less variance, the same mean.
+    An unknown with a ``reach`` is estimated from the pixels near its parts (``Locality``).
     Pixels from any distribution (``Renderings``), ``batch`` for each pair; three paths a pixel and
     pair in image space, four in loss space.
 
@@ -90,7 +91,7 @@ class Plateau:
             total += pair.weight * self._difference(θ, σ, pair, distribution, rng)
         return self.blur.values(total / self.pairs)
 
-    def _difference(self, θ, σ, pair, distribution, rng) -> float | np.ndarray:
+    def _difference(self, θ, σ, pair, distribution, rng) -> np.ndarray:
         seeds = rng.integers(1 << 32, size=4)
         if self.common:
             seeds[-1] = seeds[-2]

@@ -44,9 +44,9 @@ class Renderings:
         other: np.ndarray,
         distribution: PixelDistribution,
         seeds: np.ndarray,
-    ) -> float | np.ndarray:
-        """Estimates Σ_j ∂ℒ/∂I_j(P(θ + ``other``)) · (P(θ + ``plus``) - P(θ + ``minus``))_j; where
-        unknowns have a reach, for every entry, ``(D,)`` (``Locality``).
+    ) -> np.ndarray:
+        """Estimates Σ_j ∂ℒ/∂I_j(P(θ + ``other``)) · (P(θ + ``plus``) - P(θ + ``minus``))_j, for
+        every entry of the unknowns, ``(D,)``: the same for all that have no reach (``Locality``).
 
         ``seeds (4,)``: of pixels, and of the three renderings in this order. Without bias for
         losses of linear derivative, if the first two renderings' seeds differ. Waits.
@@ -56,14 +56,13 @@ class Renderings:
         offsets = (other, pair.plus, pair.minus)
         images = [self._traced(θ + o, drawn, s, 1) for o, s in zip(offsets, seeds[1:])]
         terms = self._images(p.targets, p.mask, drawn[3:], images, p.share)
-        return self._total(θ, pair, drawn, terms)
+        return self._locality.differences(θ, pair, drawn[:3], terms)
 
     def of_losses(
         self, θ: np.ndarray, pair: Pair, distribution: PixelDistribution, seeds: np.ndarray
-    ) -> float | np.ndarray:
+    ) -> np.ndarray:
         """Estimates ℒ(P(θ + ``plus``)) - ℒ(P(θ + ``minus``)), each from two paths a pixel
-        (``loss.measured``): without bias where the loss is quadratic. As a number or for every
-        entry, as ``of_images``.
+        (``loss.measured``): without bias where the loss is quadratic. ``(D,)``, as ``of_images``.
 
         ``seeds (3,)``: of pixels, and of the two sides. Waits.
         """
@@ -72,12 +71,7 @@ class Renderings:
         offsets = (pair.plus, pair.minus)
         sides = [self._traced(θ + o, drawn, s, 2) for o, s in zip(offsets, seeds[1:])]
         terms = self._losses(p.targets, p.mask, drawn[3:], sides, p.share)
-        return self._total(θ, pair, drawn, terms)
-
-    def _total(self, θ, pair: Pair, drawn: tuple, terms: mi.Float) -> float | np.ndarray:
-        if self._locality:
-            return self._locality.differences(θ, pair, drawn[:3], terms)
-        return float(dr.sum(terms)[0])
+        return self._locality.differences(θ, pair, drawn[:3], terms)
 
     def _drawn(self, distribution: PixelDistribution, seed: int) -> tuple:
         return self._draw(self.problem.views, distribution, dr.opaque(mi.UInt32, int(seed)))

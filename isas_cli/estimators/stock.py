@@ -43,9 +43,10 @@ class Stock:
     Bias: none where the integrator has none. ``prb_projective`` does not differentiate through
     ideally specular surfaces (glass, mirrors) that move. ``silhouettes``: how those are sampled
     that are seen by way of other surfaces (shadows, reflections): guided by an ``octree``
-    (Mitsuba's default) or a ``grid``, both built anew each step, ``uniform``, or not at all
-    (``direct``: those alone that the camera sees, which is biased where others move). Nothing is
-    frozen: projective integrators cannot be.
+    (Mitsuba's default) or a ``grid``, both built anew each step and far dearer than all the rest
+    of it, ``uniform``, or not at all (``direct``: those alone that the camera sees, which is biased
+    where others move). What enters or leaves the image at its border is not differentiated.
+    Nothing is frozen: projective integrators cannot be.
     """
 
     def __init__(
@@ -55,7 +56,7 @@ class Stock:
         batch: int,
         smooth: str | None = None,
         samples: int = 1,
-        silhouettes: str = "grid",
+        silhouettes: str = "uniform",
     ):
         self.problem, self.loss, self.batch = problem, loss, batch
         self.smooth, self.samples = smooth, samples

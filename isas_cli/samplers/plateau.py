@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 from ..errors import InputError
 from ..estimators.blur import Blur
+from ..estimators.stock import SILHOUETTES, Stock
 from .base import Sampler
 from .differences import Differences
 from .gradient import Gradient
 from .uniform import Uniform
 
-# Of moving silhouettes that are not seen directly: see ``estimators.stock``.
-SILHOUETTES = ("octree", "grid", "uniform", "direct")
 
-
-def _choice(name: str, value: str, valid: tuple[str, ...]) -> None:
+def _choice(name: str, value: str, valid: Iterable[str]) -> None:
     if value not in valid:
         raise InputError(f"sampler.{name}={value}: valid: {', '.join(valid)}")
 
@@ -64,7 +63,7 @@ class Plateau(Other):
     scheme: str = "joint"
     pairs: int = 1
     common: bool = True
-    silhouettes: str = "grid"
+    silhouettes: str = "uniform"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -82,7 +81,7 @@ class Plateau(Other):
                         "pairs; leave it out, or take sampler.gradient=kernel"
                     )
             _whole_images(self.base, "sampler.gradient=renderer")
-        elif self.silhouettes != "grid":
+        elif self.silhouettes != "uniform":
             raise InputError(
                 f"sampler.silhouettes={self.silhouettes}: only sampler.gradient=renderer "
                 "differentiates silhouettes; leave it out"
@@ -95,8 +94,6 @@ class Plateau(Other):
 
     def estimator(self, problem, loss, batch: int, freeze: bool = True):
         if self.gradient == "renderer":
-            from ..estimators.stock import Stock
-
             return Stock(problem, loss, batch, self.smooth, self.pairs, self.silhouettes)
         from ..estimators.plateau import Plateau as Estimator
 
@@ -106,12 +103,12 @@ class Plateau(Other):
 
 @dataclass
 class Mitsuba(Other):
-    """Mitsuba's own derivative of whole images, as its users take it: ``prb``, and where an unknown
-    moves objects ``prb_projective``. A baseline. ``silhouettes``: how those are sampled that are
+    """Mitsuba's own derivative of whole images: ``prb``, and where an unknown moves objects
+    ``prb_projective``. A baseline. ``silhouettes``: how those are sampled that are
     seen by way of other surfaces (shadows, reflections): octree (Mitsuba's default, by far the
     dearest), grid, uniform, or direct: not at all."""
 
-    silhouettes: str = "grid"
+    silhouettes: str = "uniform"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -119,8 +116,6 @@ class Mitsuba(Other):
         _whole_images(self.base, "sampler=mitsuba")
 
     def estimator(self, problem, loss, batch: int, freeze: bool = True):
-        from ..estimators.stock import Stock
-
         return Stock(problem, loss, batch, silhouettes=self.silhouettes)
 
 

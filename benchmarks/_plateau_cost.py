@@ -1,0 +1,89 @@
+"""What one gradient of PRDPT's tasks costs, by method: `plateau_cost.py`, in a process per task.
+
+usage: _plateau_cost.py ROUNDS STEPS METHODS OVERRIDES…
+
+Prints, per round and method, one JSON line: seconds of a step, the median of STEPS, and its paths.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import sys
+import time
+
+from isas_cli import backend
+
+SIDES = {
+    "plateau": ["sampler=plateau"],
+    "plateau_drawn": ["sampler=plateau", "sampler.base=differences"],
+    "finite_differences": ["sampler=finite_differences"],
+    "direct": ["sampler=mitsuba", "sampler.silhouettes=direct"],
+    "uniform": ["sampler=mitsuba", "sampler.silhouettes=uniform"],
+    "grid": ["sampler=mitsuba", "sampler.silhouettes=grid"],
+    "octree": ["sampler=mitsuba", "sampler.silhouettes=octree"],
+}
+
+
+def loops(sides: list[str], overrides: list[str]) -> dict:
+    """A loop per side, all on one problem."""
+    from isas_cli import experiment
+    from isas_cli.compose import compose, translate
+    from isas_cli.display import RaceDisplay
+    from isas_cli.workshop import Workshop
+
+    cfgs = {side: compose(translate([*overrides, *SIDES[side]])) for side in sides}
+    checked = {side: experiment.checked(cfg) for side, cfg in cfgs.items()}
+    with RaceDisplay(1) as display:
+        problem = experiment.built(checked[sides[0]][0], experiment.Phases(display))
+    workshop = Workshop(problem)
+    return {side: workshop.loop(cfgs[side], *checked[side]) for side in sides}
+
+
+def step(loop, number: int) -> float:
+    """Seconds of one gradient at the start's values; all waits are in it."""
+    import drjit as dr
+
+    values = loop.problem.unknowns.starts()
+    dr.sync_thread()
+    begun = time.perf_counter()
+    # A run's widths half way.
+    loop.estimator.estimate(values, loop._distribution, 0, number, 0.5)
+    dr.sync_thread()
+    return time.perf_counter() - begun
+
+
+def look(loop) -> float:
+    """Seconds of one look at the images, for each step until the next."""
+    import drjit as dr
+
+    if not loop.sampler.refresh:
+        return 0.0
+    dr.sync_thread()
+    begun = time.perf_counter()
+    loop._look(0)
+    dr.sync_thread()
+    return (time.perf_counter() - begun) / loop.sampler.refresh
+
+
+def main() -> None:
+    rounds, steps, sides = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3].split(",")
+    backend.start()
+    every = loops(sides, sys.argv[4:])
+    for loop in every.values():
+        loop._look(0)
+        for number in range(2):
+            step(loop, number)
+    for number in range(rounds):
+        turn = number % len(sides)
+        for side in sides[turn:] + sides[:turn]:
+            first = 100 + number * steps
+            found = [step(every[side], first + i) for i in range(steps)]
+            seconds = statistics.median(found) + look(every[side])
+            paths = every[side].estimator.paths_per_step
+            row = {"round": number, "side": side, "seconds": seconds, "paths": paths}
+            print(json.dumps(row), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,246 @@
+"""Tables and curves of PRDPT's six tasks, from the records of `_plateau.py`'s races.
+
+Per task results/plateau_<task>.csv (a row per method: medians and quartiles over the starts),
+plateau_<task>_runs.csv (a row per run) and plateau_<task>_curves.csv (error against billed time);
+of all tasks measured so far plateau.md, beside the paper's table 1, and plateau_errors.png.
+
+    python benchmarks/_plateau_table.py FOLDER TASK…    (anew, from the races in FOLDER)
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import pandas
+from scipy.optimize import linear_sum_assignment
+
+RESULTS = Path(__file__).parent / "results"
+TASKS = ("cup", "shadows", "occlusion", "global_illumination", "sort", "caustic")
+# Mean squared errors of image and parameters by its method and of parameters by Mitsuba's
+# derivative; seconds an iteration of both. PRDPT table 1; "–" there is NaN here.
+PAPER = {
+    "cup": (4.92e-6, 4.18e-7, 7.5e-2, 0.10, 1.12),
+    "shadows": (1.74e-5, 1.81e-3, 5.06, 0.04, 0.64),
+    "occlusion": (2.34e-4, 3.29e-3, np.nan, 0.09, 0.37),
+    "global_illumination": (5.07e-5, 8.71e-4, np.nan, 0.15, 0.44),
+    "sort": (3.81e-3, 4.19e-1, np.nan, 2.23, 2.88),
+    "caustic": (1.89e-5, 9.76e-5, 8.50, 0.08, 1.02),
+}
+QUARTILES = {"_low": 0.25, "": 0.5, "_high": 0.75}
+GRID = np.linspace(0, 1, 26)  # of the budget
+
+
+def sorted_cubes(folder: Path) -> dict:
+    """Of sort: how many places hold a cube of their colour (at most half a side away, each cube at
+    one place only), and the squared distance to a place, per coordinate, when every cube has that
+    place of its colour which makes it least in all."""
+    from isas_cli.scenes import sort
+
+    from isas_cli import records
+
+    arrays, _ = records.load_checkpoint(folder)
+    places = sort.places().reshape(3, 25, 2)
+    cubes = places + arrays["value/cubes.place"].reshape(3, 25, 2)
+    apart = np.linalg.norm(places[:, :, None] - cubes[:, None], axis=-1)
+    near = apart < sort.SIDE / 2
+    squares = [group[linear_sum_assignment(group)] for group in apart**2]
+    return {
+        "filled": sum(int(group[linear_sum_assignment(~group)].sum()) for group in near),
+        "sorted_mse": float(np.mean(squares)) / 2,
+    }
+
+
+def shares(history: pandas.DataFrame) -> pandas.DataFrame:
+    """Errors over those at the start, of every unknown by itself: units do not mix."""
+    columns = [name for name in history if name.startswith("parameter_rmse/")]
+    found = history[columns] / history[columns].iloc[0]
+    return found.rename(columns=lambda name: name.partition("/")[2])
+
+
+def together(found: pandas.DataFrame) -> np.ndarray:
+    """One number for all unknowns: the root mean square of their shares."""
+    return np.sqrt(np.square(found).mean(axis=1)).to_numpy()
+
+
+def finished(folder: Path) -> tuple[pandas.DataFrame, np.ndarray]:
+    """A row per run: method, trial, errors at start and end, iterations, billed seconds; and the
+    shares of the start's error on ``GRID``, ``(runs, 26)``: of the parameters', and for sort, whose
+    cubes may be at each other's places, of the image's."""
+    from isas_cli import records
+
+    rows, curves = [], []
+    for path in sorted(folder.rglob("summary.json")):
+        run = records.load(path.parent)
+        if run.summary["status"] != "done":
+            raise SystemExit(f"{path.parent}: {run.summary['status']}; see its summary.json")
+        history, (first, last) = run.history, run.history.iloc[[0, -1]].to_dict("records")
+        method, factor, trial = path.parent.name.rsplit("_", 2)
+        each = shares(history)
+        is_sort = run.config["scene"]["name"] == "sort"
+        own = sorted_cubes(path.parent) if is_sort else {}
+        share = together(each)
+        # An evaluation stands until the next; the last is due at the end of the budget.
+        last_before = np.searchsorted(history["seconds"] / last["seconds"], GRID, side="right") - 1
+        image = history["image_rmse"].to_numpy()
+        curves.append((image / image[0] if is_sort else share)[last_before])
+        row = {"method": method, "factor": float(factor), "trial": int(trial)}
+        row |= {"iterations": int(last["iteration"]), "seconds": last["seconds"]}
+        row |= {"start_mse": first["parameter_rmse"] ** 2, "image_mse": last["image_rmse"] ** 2}
+        row |= {"parameter_mse": last["parameter_rmse"] ** 2}
+        row |= {"share_of_start": share[-1]}
+        row |= {f"share/{key}": value for key, value in each.iloc[-1].items()}
+        rows.append(row | own)
+    return pandas.DataFrame(rows), np.array(curves)
+
+
+def times(found: pandas.DataFrame, curves: np.ndarray) -> np.ndarray:
+    """Of every run, the share of the budget from which on it stays at or below what `plateau` has
+    at the end from the same start; infinite where it does not."""
+    final = {
+        t: curve[-1]
+        for m, t, curve in zip(found["method"], found["trial"], curves)
+        if m == "plateau"
+    }
+    reached = np.full(len(found), np.inf)
+    for i, trial in enumerate(found["trial"]):
+        above = np.flatnonzero(curves[i] > final[trial])
+        first = above[-1] + 1 if len(above) else 0
+        reached[i] = GRID[first] if first < len(GRID) else np.inf
+    return reached
+
+
+def table(task: str, found: pandas.DataFrame) -> pandas.DataFrame:
+    """A row per method: medians and quartiles over the starts."""
+    rows = []
+    measures = ["image_mse", "parameter_mse", "share_of_start", "time"]
+    measures += ["filled", "sorted_mse"]
+    for method, own in found.groupby("method", sort=False):
+        row = {"task": task, "method": method, "factor": own["factor"].iloc[0], "starts": len(own)}
+        for name in (name for name in measures if name in own):
+            for suffix, level in QUARTILES.items():
+                # An order statistic: a time may be infinite.
+                row[name + suffix] = np.quantile(own[name], level, method="nearest")
+        row["within_1_percent"] = int((own["share_of_start"] < 0.01).sum())
+        row["within_5_percent"] = int((own["share_of_start"] < 0.05).sum())
+        row["iterations"] = own["iterations"].median()
+        row["seconds_per_iteration"] = (own["seconds"] / own["iterations"]).median()
+        row["seconds"] = own["seconds"].median()
+        rows.append(row)
+    return pandas.DataFrame(rows)
+
+
+def write(task: str, folder: Path) -> pandas.DataFrame:
+    """The task's three files, and those of all tasks. Returns the row per method."""
+    found, curves = finished(folder)
+    found["time"] = times(found, curves)
+    found.to_csv(RESULTS / f"plateau_{task}_runs.csv", index=False, float_format="%.4g")
+    wide = pandas.DataFrame(curves, columns=[f"{share:.2f}" for share in GRID])
+    wide.insert(0, "method", found["method"])
+    rows = []
+    for level in QUARTILES.values():
+        middle = wide.groupby("method", sort=False).quantile(level).reset_index()
+        middle.insert(1, "quartile", level)
+        rows.append(middle)
+    pandas.concat(rows).to_csv(
+        RESULTS / f"plateau_{task}_curves.csv", index=False, float_format="%.4g"
+    )
+    made = table(task, found)
+    made.to_csv(RESULTS / f"plateau_{task}.csv", index=False, float_format="%.4g")
+    measured = {t: RESULTS / f"plateau_{t}.csv" for t in TASKS}
+    tables = {t: pandas.read_csv(path) for t, path in measured.items() if path.exists()}
+    (RESULTS / "plateau.md").write_text(markdown(tables))
+    draw(list(tables))
+    return made
+
+
+def _number(row, name: str, form: str) -> str:
+    if name not in row or pandas.isna(row[name]):
+        return ""
+    found = (row[name], row[name + "_low"], row[name + "_high"])
+    middle, low, high = ("–" if np.isinf(x) else format(x, form) for x in found)
+    return f"{middle} [{low}, {high}]"
+
+
+def markdown(tables: dict[str, pandas.DataFrame]) -> str:
+    """A row per task and method; then the paper's table 1 beside ours."""
+    head = ["task", "method", "starts", "image MSE", "share of the start's error", "below 1 %"]
+    head += ["budget until `plateau`'s error", "iterations", "time an iteration / `plateau`'s"]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for task, rows in tables.items():
+        own = rows.set_index("method")["seconds_per_iteration"]["plateau"]
+        is_sort = "filled" in rows
+        for number, row in enumerate(rows.to_dict("records")):
+            below = f"{row['within_1_percent']} of {row['starts']}"
+            cells = [
+                f"{task}, {row['seconds']:.0f} s" if number == 0 else "",
+                f"`{row['method']}`",
+                str(row["starts"]),
+                _number(row, "image_mse", ".1e"),
+                "" if is_sort else _number(row, "share_of_start", ".3f"),
+                _number(row, "filled", ".0f") + " of 75 in place" if is_sort else below,
+                "" if is_sort else _number(row, "time", ".2f"),
+                f"{row['iterations']:.0f}",
+                f"{row['seconds_per_iteration'] / own:.1f}",
+            ]
+            lines.append("| " + " | ".join(cells) + " |")
+    head = ["task", "image MSE, paper's ∂κP", "ours", "parameter MSE, paper's ∂κP", "ours"]
+    head += ["paper's Mitsuba", "ours", "time of Mitsuba's iteration / ∂κP's, paper", "ours"]
+    lines += ["", "| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for task, rows in tables.items():
+        ours, mitsuba = (rows.set_index("method").loc[m] for m in ("plateau", "mitsuba"))
+        image, error, theirs, seconds, automatic = PAPER[task]
+        ratio = mitsuba["seconds_per_iteration"] / ours["seconds_per_iteration"]
+        cells = [task, f"{image:.1e}", f"{ours['image_mse']:.1e}"]
+        # A cube at the place of another of its colour is not wrong.
+        which = "sorted_mse" if task == "sort" else "parameter_mse"
+        cells += [f"{error:.1e}", f"{ours[which]:.1e}"]
+        cells += ["–" if np.isnan(theirs) else f"{theirs:.1e}", f"{mitsuba[which]:.1e}"]
+        cells += [f"{automatic / seconds:.1f}", f"{ratio:.1f}"]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def draw(tasks: list[str]) -> None:
+    """results/plateau_errors.png: the share of the start's error against the share of the budget,
+    median and quartiles over the starts."""
+    import matplotlib
+
+    from isas_cli.report.figures import COLOURS, STYLE, figure, save
+
+    with matplotlib.rc_context(STYLE):
+        canvas = figure(11, 3.2 * ((len(tasks) + 2) // 3))
+        panels = canvas.subplots((len(tasks) + 2) // 3, 3, squeeze=False).ravel()
+        colours: dict[str, str] = {}
+        for axes, task in zip(panels, tasks):
+            curves = pandas.read_csv(RESULTS / f"plateau_{task}_curves.csv")
+            for method, own in curves.groupby("method", sort=False):
+                colour = colours.setdefault(method, COLOURS[len(colours) % len(COLOURS)])
+                low, middle, high = (
+                    own[own["quartile"] == level].iloc[0, 2:].to_numpy(float)
+                    for level in QUARTILES.values()
+                )
+                axes.plot(GRID, middle, color=colour, label=method)
+                axes.fill_between(GRID, low, high, color=colour, alpha=0.15, lw=0)
+            title = "sort (image)" if task == "sort" else task
+            axes.set(yscale="log", title=title, xlabel="share of the budget")
+            axes.axhline(0.01, color="grey", lw=0.8, ls=":")
+        panels[0].set_ylabel("error / error at the start")
+        panels[0].legend(fontsize=7)
+        for axes in panels[len(tasks) :]:
+            axes.set_axis_off()
+        save(canvas, RESULTS / "plateau_errors.png")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="of the races")
+    parser.add_argument("tasks", nargs="+", choices=TASKS)
+    chosen = parser.parse_args()
+    for task in chosen.tasks:
+        print(write(task, chosen.folder / task / "starts").to_string(index=False))
+
+
+if __name__ == "__main__":
+    main()

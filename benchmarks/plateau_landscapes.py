@@ -1,0 +1,56 @@
+"""The losses along the unknowns of PRDPT's tasks, hard and blurred, with the way that a run took.
+
+As the paper's Fig. 2. Per task one run of `sampler=plateau` at a smaller batch, and then
+`isas landscape`. Not of sort, which has 150 unknowns. Writes results/plateau_landscape_<task>.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image
+
+RESULTS = Path(__file__).parent / "results"
+# Iterations of the run, and along which numbers.
+TASKS = {
+    "cup": (300, ["cup.angle"]),
+    "shadows": (1000, ["ball.place/0", "ball.place/1"]),
+    "occlusion": (300, ["red.depth"]),
+    "global_illumination": (800, ["lamp.place/0", "lamp.place/1"]),
+    "caustic": (1500, ["lamp.place/0", "lamp.place/1"]),
+}
+
+
+def isas(*arguments: str) -> None:
+    subprocess.run([sys.executable, "-m", "isas_cli", *arguments], check=True)
+
+
+def draw(task: str, folder: Path) -> None:
+    iterations, along = TASKS[task]
+    run = [f"scene={task}", "sampler=plateau", f"budget.iterations={iterations}"]
+    run += ["estimator.batch=16384", "evaluation.count=40", "frames.views=0"]
+    isas("run", *run, "frames.snapshots=0", "report=false", f"hydra.run.dir={folder}")
+    isas("landscape", str(folder), "--along", *along)
+    plot = Image.open(folder / "plots" / "landscape.png").convert("RGB").quantize(64)
+    plot.save(RESULTS / f"plateau_landscape_{task}.png", optimize=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}")
+    chosen = parser.parse_args()
+    strange = [task for task in chosen.tasks if task not in TASKS]
+    if strange:
+        parser.error(f"{strange[0]}: no such task; valid: {', '.join(TASKS)}")
+    RESULTS.mkdir(exist_ok=True)
+    for task in chosen.tasks or TASKS:
+        with tempfile.TemporaryDirectory(prefix="isas-landscape-") as root:
+            draw(task, Path(root) / task)
+
+
+if __name__ == "__main__":
+    main()
