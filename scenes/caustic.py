@@ -43,5 +43,7 @@ def build(width: int) -> dict[str, Any]:
             "radius": LAMP_RADIUS,
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": RADIANCE}},
         },
-        "sensor_000": camera(orbit((0.0, 0.35, 0.2), 4.2, 0.0, 48.0), (0.0, 0.35, 0.2), 38.0, width),
+        "sensor_000": camera(
+            orbit((0.0, 0.35, 0.2), 4.2, 0.0, 48.0), (0.0, 0.35, 0.2), 38.0, width
+        ),
     }

@@ -7,9 +7,9 @@ plane. Our goal is to optimize the hidden object's position", two coordinates, f
 Ours: a ball of radius 0.25 between a point light and a ground with a photographed texture; its
 position across the view and its height are unknown. The shadows of start and truth do not overlap.
 
-What differs: texture, places and camera are ours. Our lamp stands beside the plane in which the ball
-moves: were it in it, both unknowns would move the shadow along one line, and of height and distance
-together only the shadow's size would tell.
+What differs: texture, places and camera are ours. Our lamp stands beside the plane in which the
+ball moves: were it in it, both unknowns would move the shadow along one line, and of height and
+distance together only the shadow's size would tell.
 
 Depth 2: direct light alone. Light that the ball throws back onto the ground is not simulated; the
 targets lack it too.

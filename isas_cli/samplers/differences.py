@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import drjit as dr
@@ -13,7 +13,7 @@ from .. import streams
 from ..errors import InputError
 from ..estimators import replay, smoothing
 from ..estimators.blur import Blur
-from .base import Sampler
+from .base import Sampler, Stage1Settings
 from .gradient import Gradient
 from .stage1 import cell_mean, cell_moments, spawned
 
@@ -36,6 +36,9 @@ class Differences(Gradient):
 
     uses = Sampler.uses
     replays: ClassVar[bool] = False
+
+    # One offset shows where that one's pair differs; averages over many, where pairs do.
+    stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(probes=8, average=0.7))
 
     def follow(self, blur: Blur, smooth: str) -> None:
         """What is blurred how: before ``prepare``."""
