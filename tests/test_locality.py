@@ -98,7 +98,7 @@ def whole() -> dict[str, np.ndarray]:
 def test_pixels_that_a_part_does_not_reach_add_nothing_in_the_mean(whole, smooth):
     near = rows(0.4, smooth=smooth)
     assert p_value(near, whole[smooth]) > LEVEL
-    # Places across, of which all three have a slope worth the name.
+    # Of the places across at least one has a slope that is seen well.
     across = near[:, 0:6:2]
     assert np.abs(across.mean(axis=0) / (across.std(axis=0) / np.sqrt(len(near)))).max() > 8
 
