@@ -1,10 +1,17 @@
 """PRDPT's six tasks: every method from many starts, at equal billed time.
 
-Per task: a search for each method's rate (a factor on all of the task's learning rates) from a
-start of its own, then all starts at the best; the runs from one start take turns. A method's
-iterations differ, as the budget is billed time: both are in the table. The paper gives all methods
-the same number of iterations. Variants of the plateau-reduced gradient have five starts, all others
-twenty, sort five of each.
+Per task a search for each method's rate, a factor on all of the task's rates: three factors from
+one more start (the same for all methods), and where the smallest or the largest of them is best,
+two farther ones beside it, once. Then all starts at the best. Runs from one start take turns in one
+process. Where a method finds no slope, the factor that moves least may look best; the tables of the
+search are kept.
+
+The budget is billed time, so that methods differ in iterations: both are in the table. The paper
+gives all the same number of iterations. Variants have five starts, the others twenty, sort five of
+each. Widths, pixels, paths and the schedule of the rates were chosen for the plateau-reduced
+gradient, on other starts. All methods that draw pixels have the same of them and as many paths of
+each (3 renderings a step, 4 with smooth=loss, 4 per entry of the unknowns by finite differences);
+Mitsuba's render whole images, at least one path a pixel.
 
 Writes results/plateau_<task>_rates.csv, the search, and the tables (`_plateau_table.py`).
 
@@ -28,7 +35,7 @@ import numpy as np
 import pandas
 
 RESULTS = _plateau_table.RESULTS
-COMMON = ["evaluation.count=12", "report=false", "frames.views=0", "frames.snapshots=0"]
+COMMON = ["evaluation.count=20", "report=false", "frames.views=0", "frames.snapshots=0"]
 COMMON += ["evaluation.pixels=4096", "evaluation.spp=16"]
 METHODS = {
     "plateau": ["sampler=plateau"],
@@ -37,36 +44,62 @@ METHODS = {
     "plateau_renderer": ["sampler=plateau", "sampler.gradient=renderer"],
     "mitsuba": ["sampler=mitsuba"],
     "finite_differences": ["sampler=finite_differences"],
+    # Steps between the first and the last width, for whom those are no use.
+    "finite_differences_wide": ["sampler=finite_differences"],
 }
 FACTORS = (0.3, 1.0, 3.0)
-VARIANTS = ("plateau_loss", "plateau_renderer")
+BEYOND = {0.3: (0.03, 0.1), 3.0: (10.0, 30.0)}  # where an end of the factors is best
+RENDERED = ("mitsuba", "plateau_renderer")  # whole images, by Mitsuba
+VARIANTS = ("plateau_loss", "plateau_renderer", "finite_differences_wide")
 FEW = 5  # starts of variants, and of sort
 SEARCH = 101  # the trial that rates are chosen on, none of the starts
 
 
 @dataclass(frozen=True)
 class Task:
-    """``seconds``: the budget of a run; ``spread``: key → half the width of the interval around
-    the configured start that starts are drawn from, per entry; None: the scene's own random start,
-    with another seed; ``batch``: pixels of one rendering; ``spp``: of the targets."""
+    """``seconds``: the budget of a run.
+
+    ``spread``: key → half the width of the interval around the configured start that starts are
+    drawn from, per entry; None: the scene's own random start, with another seed.
+    ``pixels`` drawn a step, ``spp`` paths of each in one rendering; ``target_spp``: of the targets.
+    ``schedule`` of the rates, and the share ``final`` of them that is left.
+    ``step`` of `finite_differences_wide`, in last widths.
+    """
 
     seconds: float
     spread: dict[str, float] | None
-    batch: int = 16384
-    spp: int = 1024
+    pixels: int = 2048
+    spp: int = 4
+    target_spp: int = 8192
+    schedule: str = "cosine"
+    final: float = 0.01
+    step: float = 10
     methods: tuple[str, ...] = tuple(METHODS)
 
 
 TASKS = {
-    "occlusion": Task(3, {"red.depth": 0.5}),
-    "shadows": Task(5, {"ball.place": 0.15}),
-    "cup": Task(6, {"cup.angle": 9.0}),
-    "global_illumination": Task(
-        15, {"lamp.place": 0.1, "box.angle": 5.0, "left.bsdf.base_color.value": 0.1}, batch=8192
+    "occlusion": Task(4, {"red.depth": 0.5}),
+    "shadows": Task(8, {"ball.place": 0.15}, pixels=1024, spp=8, step=7),
+    "cup": Task(7, {"cup.angle": 9.0}, step=17),
+    "caustic": Task(10, {"lamp.place": 0.4}, pixels=4096, spp=8, step=3),
+    "sort": Task(
+        30,
+        None,
+        pixels=4096,
+        spp=2,
+        target_spp=1024,
+        schedule="exponential",
+        final=0.02,
+        # No finite differences: 150 unknowns, 300 renderings a step.
+        methods=("plateau", "plateau_drawn", "mitsuba"),
     ),
-    # No finite differences: 150 unknowns, 300 renderings a step.
-    "sort": Task(30, None, batch=8192, methods=("plateau", "plateau_drawn", "mitsuba")),
-    "caustic": Task(15, {"lamp.place": 0.4}, spp=8192),
+    "global_illumination": Task(
+        15,
+        {"lamp.place": 0.1, "box.angle": 5.0, "left.bsdf.base_color.value": 0.1},
+        pixels=1024,
+        spp=8,
+        step=4,
+    ),
 }
 
 
@@ -77,7 +110,14 @@ def composed(task: str, method: str, seconds: float):
 
     own = TASKS[task]
     settings = [f"scene={task}", f"budget.seconds={seconds}", *COMMON]
-    settings += [f"estimator.batch={own.batch}", f"target.spp={own.spp}"]
+    settings += [f"optimizer.schedule={own.schedule}", f"optimizer.final={own.final}"]
+    settings += [f"target.spp={own.target_spp}"]
+    if method in RENDERED:
+        settings += [f"estimator.batch={own.pixels * own.spp}"]
+    else:
+        settings += [f"estimator.batch={own.pixels}", f"sampler.spp={own.spp}"]
+    if method == "finite_differences_wide":
+        settings += [f"sampler.step={own.step}"]
     return compose(translate([*settings, *METHODS[method]]))
 
 
@@ -85,9 +125,10 @@ def configured(task: str, method: str, trial: int, factor: float, seconds: float
     """The configuration of one run: its start drawn by ``trial``, all rates times ``factor``."""
     own, cfg = TASKS[task], copy.deepcopy(composed(task, method, seconds))
     cfg.name, cfg.seed = f"trial{trial}", trial
+    # Not the unknowns' own rates: they are the scene's, and another scene would be built.
+    cfg.optimizer.factor = float(factor)
     rng = np.random.default_rng(1000 + trial)
     for key, unknown in cfg.scene.unknowns.items():
-        unknown.lr = float(unknown.lr * factor)
         if own.spread is None:
             unknown.start.seed = trial
             continue
@@ -131,20 +172,37 @@ def race(folder: Path, *arguments) -> None:
     unfinished.rename(folder)
 
 
+def searched(task: str, root: Path, seconds: float) -> dict[str, float]:
+    """Each method's best factor."""
+    methods = TASKS[task].methods
+    judged = "sorted_mse" if task == "sort" else "share_of_start"
+
+    def raced(name: str, wanted: list) -> pandas.DataFrame:
+        race(root / task / name, task, wanted, seconds)
+        return _plateau_table.finished(root / task / name)[0]
+
+    def best(found: pandas.DataFrame) -> dict[str, float]:
+        return found.loc[found.groupby("method")[judged].idxmin()].set_index("method")["factor"]
+
+    found = raced("rates", [(m, f, SEARCH) for m in methods for f in FACTORS])
+    chosen = dict(best(found))
+    # With the end itself once more: what fewer runs side by side get done differs.
+    if ends := [method for method in methods if chosen[method] in BEYOND]:
+        farther = [(m, f, SEARCH) for m in ends for f in (chosen[m], *BEYOND[chosen[m]])]
+        more = raced("rates_beyond", farther)
+        chosen |= dict(best(more))
+        found = pandas.concat([found, more], ignore_index=True)
+    found.to_csv(RESULTS / f"plateau_{task}_rates.csv", index=False, float_format="%.4g")
+    return chosen
+
+
 def compared(task: str, root: Path, chosen: argparse.Namespace) -> pandas.DataFrame:
     """Both races of a task and what is kept of them."""
     seconds = chosen.seconds or TASKS[task].seconds
     methods = TASKS[task].methods
     few = min(chosen.starts, FEW)
     starts = {m: few if task == "sort" or m in VARIANTS else chosen.starts for m in methods}
-
-    rates = root / task / "rates"
-    race(rates, task, [(m, f, SEARCH) for m in methods for f in FACTORS], seconds)
-    search, _ = _plateau_table.finished(rates)
-    search.to_csv(RESULTS / f"plateau_{task}_rates.csv", index=False, float_format="%.4g")
-    judged = "sorted_mse" if task == "sort" else "share_of_start"
-    best = search.loc[search.groupby("method")[judged].idxmin()]
-    rate = dict(zip(best["method"], best["factor"]))
+    rate = searched(task, root, seconds)
     for trial in range(1, 1 + chosen.starts):
         wanted = [(m, rate[m], trial) for m in methods if trial <= starts[m]]
         if wanted:

@@ -25,19 +25,20 @@ SIDES = {
 }
 
 
-def loops(sides: list[str], overrides: list[str]) -> dict:
-    """A loop per side, all on one problem."""
+def loops(overrides: dict[str, list[str]]) -> dict:
+    """A loop per side, all on one problem, that of the first."""
     from isas_cli import experiment
     from isas_cli.compose import compose, translate
     from isas_cli.display import RaceDisplay
     from isas_cli.workshop import Workshop
 
-    cfgs = {side: compose(translate([*overrides, *SIDES[side]])) for side in sides}
+    cfgs = {side: compose(translate(own)) for side, own in overrides.items()}
     checked = {side: experiment.checked(cfg) for side, cfg in cfgs.items()}
     with RaceDisplay(1) as display:
-        problem = experiment.built(checked[sides[0]][0], experiment.Phases(display))
+        first = next(iter(checked.values()))[0]
+        problem = experiment.built(first, experiment.Phases(display))
     workshop = Workshop(problem)
-    return {side: workshop.loop(cfgs[side], *checked[side]) for side in sides}
+    return {side: workshop.loop(cfgs[side], *checked[side]) for side in cfgs}
 
 
 def step(loop, number: int) -> float:
@@ -69,7 +70,7 @@ def look(loop) -> float:
 def main() -> None:
     rounds, steps, sides = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3].split(",")
     backend.start()
-    every = loops(sides, sys.argv[4:])
+    every = loops({side: [*sys.argv[4:], *SIDES[side]] for side in sides})
     for loop in every.values():
         loop._look(0)
         for number in range(2):

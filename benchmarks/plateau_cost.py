@@ -22,9 +22,9 @@ from pathlib import Path
 
 import pandas
 from _plateau_cost import SIDES
+from _plateau_table import TASKS
 
 HERE = Path(__file__).parent
-TASKS = ("cup", "shadows", "occlusion", "global_illumination", "sort", "caustic")
 
 
 def measure(task: str, rounds: int, steps: int, sides: list[str], more: list[str]) -> list[dict]:

@@ -27,7 +27,8 @@ class Stepper:
 
     def __init__(self, unknowns: Unknowns, settings: OptimizerConfig):
         self.unknowns, self.settings = unknowns, settings
-        self.factor = factor(settings.schedule, settings.final)
+        scheduled = factor(settings.schedule, settings.final)
+        self.factor = lambda progress: settings.factor * scheduled(progress)
         self.scale = {key: 1.0 for key in unknowns.keys}
         self.restart(unknowns.starts())
 

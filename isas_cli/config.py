@@ -14,7 +14,7 @@ from .errors import InputError
 from .schedule import factor
 
 # Dr.Jit counts the lanes of a kernel in 32 bits.
-_MOST_LANES = 2**31
+MOST_LANES = 2**31
 # Parameters of a lobe that `estimator.derivative_sampling` draws directions for.
 ROUGHNESSES = ("roughness", "alpha")
 
@@ -35,13 +35,16 @@ def _at_least(least: int, **values: Optional[int]) -> None:
 @dataclass
 class BlurConfig:
     """Width of the Gaussian that ``sampler=plateau`` blurs an unknown with, in the unknown's unit:
-    ``start`` up to the share ``hold`` of the budget, then linearly to ``end``. ``reach``: of a
+    ``start`` up to the share ``hold`` of the budget, then linearly to ``end``, which it is from the
+    share ``until`` on: the blurred objective's minimum lies elsewhere than the sharp one's, and a
+    learning rate that falls as fast as the width would not arrive. ``reach``: of a
     translation, how far from its middle a part is felt in the images, scene units (None:
     everywhere), for gradients from plain renderings; see ``estimators.locality``."""
 
     start: float = 0.0
     end: float = 0.0
     hold: float = 0.0
+    until: float = 1.0
     reach: Optional[float] = None
 
     def __post_init__(self) -> None:
@@ -51,6 +54,10 @@ class BlurConfig:
                 raise InputError(f"blur.{name}={value}: must be above 0, in the unknown's unit")
         if not 0 <= self.hold < 1:
             raise InputError(f"blur.hold={self.hold}: a share of the budget, in [0, 1)")
+        if not self.hold < self.until <= 1:
+            raise InputError(
+                f"blur.until={self.until}: a share of the budget, above hold={self.hold}, at most 1"
+            )
         if self.reach is not None and not 0 < self.reach < math.inf:
             raise InputError(f"blur.reach={self.reach}: must be above 0, in scene units")
 
@@ -166,10 +173,12 @@ class BudgetConfig:
 
 @dataclass
 class OptimizerConfig:
-    """Adam. ``schedule``: constant, cosine or exponential over the budget, down to ``final`` of
-    ``lr``; ``mask_updates``: leave entries alone whose gradient is exactly zero."""
+    """Adam. ``lr``: of unknowns without a rate of their own; ``factor``: on all rates, those too;
+    ``schedule``: constant, cosine or exponential over the budget, down to ``final`` of the rates;
+    ``mask_updates``: leave entries alone whose gradient is exactly zero."""
 
     lr: float = 0.02
+    factor: float = 1.0
     schedule: str = "exponential"
     final: float = 0.02
     beta_1: float = 0.9
@@ -177,8 +186,11 @@ class OptimizerConfig:
     mask_updates: bool = True
 
     def __post_init__(self) -> None:
-        if not (self.lr > 0 and math.isfinite(self.lr)):
-            raise InputError(f"optimizer.lr={self.lr}: must be a finite number above 0")
+        for name in ("lr", "factor"):
+            if not (getattr(self, name) > 0 and math.isfinite(getattr(self, name))):
+                raise InputError(
+                    f"optimizer.{name}={getattr(self, name)}: must be a finite number above 0"
+                )
         for name in ("beta_1", "beta_2"):
             if not 0 <= getattr(self, name) < 1:
                 raise InputError(f"optimizer.{name}={getattr(self, name)}: must lie in [0, 1)")
@@ -196,8 +208,8 @@ class EstimatorConfig:
 
     def __post_init__(self) -> None:
         _at_least(1, estimator__batch=self.batch)
-        if self.batch > _MOST_LANES:
-            raise InputError(f"estimator.batch={self.batch}: at most {_MOST_LANES}")
+        if self.batch > MOST_LANES:
+            raise InputError(f"estimator.batch={self.batch}: at most {MOST_LANES}")
 
 
 @dataclass

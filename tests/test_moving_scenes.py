@@ -1,6 +1,8 @@
 """Every scene whose objects move, with every gradient that can move them: three iterations at the
 size `tiny`, as configured; and one that is solved."""
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 import pytest
 from test_tiny_scenes import ITERATIONS, MOVING, SMALL, configured
@@ -8,7 +10,8 @@ from test_tiny_scenes import ITERATIONS, MOVING, SMALL, configured
 from isas_cli import experiment
 from isas_cli.compose import pixel_samplers
 from isas_cli.display import Display
-from isas_cli.errors import InputError
+from isas_cli.errors import InputError, NumericalError
+from isas_cli.estimators import replay
 from isas_cli.experiment import Phases
 from isas_cli.optimise import Hooks
 from isas_cli.unknowns import as_numpy
@@ -61,6 +64,61 @@ def test_three_iterations(workshop, name):
             assert np.abs(found - unknown.start).max() > 1e-4, f"{unknown.key} has not moved"
 
 
+@pytest.mark.parametrize("spp", (1, 2))
+@pytest.mark.parametrize("share, status", ((0.1, "done"), (1.0, "refused")))
+def test_a_path_that_is_not_a_number_costs_its_step(monkeypatch, share, status, spp):
+    """Now and then: the step is left out and counted. Every time: the run says so and stops, with
+    its values as they were."""
+    whole = replay.primal
+
+    def broken(integrator, scene, sampler, ray):
+        radiance, state = whole(integrator, scene, sampler, ray)
+        first = dr.arange(mi.UInt32, dr.width(ray.o)) == 0
+        return dr.select(first & (sampler.next_1d() < share), np.nan, radiance), state
+
+    settings = [*SMALL, "budget.iterations=40", f"sampler.spp={spp}"]
+    workshop = workshop_of("scene=occlusion", *settings[:-1])
+    loop = workshop.loop(*configured("scene=occlusion", "sampler=plateau", *settings))
+    monkeypatch.setattr(replay, "primal", broken)
+    values, bad = [], []
+
+    def watched(loop, progress):
+        values.append(float(loop.stepper.values["red.depth"][0]))
+        bad.append(int(loop.stepper.nonfinite[0]))
+
+    if status == "refused":
+        with pytest.raises(NumericalError, match="were not finite"):
+            loop.run(Hooks(stepped=watched))
+        start = float(workshop.problem.unknowns.starts()["red.depth"][0])
+        assert np.all(np.array(values) == start)
+        return
+    assert loop.run(Hooks(stepped=watched)) == "done"
+    left_out = np.diff(bad) > 0
+    print(left_out.sum(), "steps left out")
+    assert 0 < left_out.sum() < 30
+    moved = np.diff(values) != 0
+    assert not moved[left_out].any() and moved[~left_out].all()
+
+
+@pytest.mark.parametrize(
+    "sampler",
+    (["plateau"], ["plateau", "sampler.smooth=loss"], ["finite_differences"]),
+    ids=("image", "loss", "finite_differences"),
+)
+def test_paths_of_a_pixel_are_a_setting(sampler):
+    workshop = workshop_of("scene=occlusion", *SMALL)
+    paths = []
+    for spp in (1, 3):
+        chosen = configured(
+            "scene=occlusion", f"sampler={sampler[0]}", *sampler[1:], *SMALL, f"sampler.spp={spp}"
+        )
+        loop = workshop.loop(*chosen)
+        loop.rehearse()
+        assert loop.run(Hooks()) == "done" and loop.position.iteration == ITERATIONS
+        paths.append(loop.estimator.paths_per_step)
+    assert paths[1] == 3 * paths[0]
+
+
 def test_path_replay_refuses_what_moves():
     workshop = workshop_of("scene=shadows", *SMALL)
     for sampler in pixel_samplers():
@@ -96,6 +154,9 @@ def test_a_hidden_ball_is_found():
         (["sampler.gradient=renderer", "sampler.base=gradient"], "must be uniform"),
         (["sampler.silhouettes=direct"], "sampler.silhouettes=direct: only"),
         (["sampler.pairs=0"], "sampler.pairs=0: at least 1"),
+        (["sampler.spp=0"], "sampler.spp=0: at least 1"),
+        (["sampler=finite_differences", "sampler.spp=0"], "sampler.spp=0: at least 1"),
+        (["sampler.gradient=renderer", "sampler.spp=4"], "sampler.spp=4: the renderer's"),
         (["sampler.smooth=time"], "sampler.smooth=time: valid: image, loss"),
     ],
 )

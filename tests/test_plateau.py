@@ -13,8 +13,10 @@ from scipy import stats
 
 from isas_cli import losses
 from isas_cli.errors import InputError
+from isas_cli.estimators import renderings
 from isas_cli.estimators.finite_differences import FiniteDifferences
 from isas_cli.estimators.plateau import Plateau
+from isas_cli.estimators.renderings import Renderings
 from isas_cli.estimators.stock import Stock
 from isas_cli.pixels import PixelDistribution, Tiles
 from isas_cli.render import Renderer
@@ -114,6 +116,46 @@ def test_unbiased_for_the_objective_it_names(problem, references, smooth, scheme
 def test_several_pairs_and_independent_random_numbers(problem, references):
     found = rows(made(problem, smooth="image", pairs=3, common=False), problem, 300)
     assert p_value(found, references["image"]) > LEVEL
+
+
+@pytest.mark.parametrize("smooth", ("image", "loss"))
+def test_several_paths_a_pixel(problem, references, smooth):
+    fewer = Plateau(problem, losses.L2(), BATCH // 4, smooth, spp=4)
+    assert fewer.paths_per_step == made(problem, smooth=smooth).paths_per_step
+    assert p_value(rows(fewer, problem, 600), references[smooth]) > LEVEL
+
+
+def test_paths_of_another_pixel_are_noticed(problem, references, monkeypatch):
+    def shifted(radiance, lanes):
+        lanes = dr.minimum(lanes + 1, dr.width(radiance) - 1)
+        return mi.Color3f(*[dr.gather(mi.Float, channel, lanes) for channel in radiance])
+
+    monkeypatch.setattr(renderings, "_part", shifted)
+    estimator = Plateau(problem, losses.L2(), BATCH // 4, "image", spp=4)
+    assert p_value(rows(estimator, problem, 600), references["image"]) < LEVEL
+
+
+def test_one_rendering_for_both_of_a_side_is_noticed(problem, references, monkeypatch):
+    """Its paths' variance, which depends on θ, would be descended along."""
+    whole = Renderings._traced
+
+    def same(self, *arguments):
+        return whole(self, *arguments)[:1] * 2
+
+    monkeypatch.setattr(Renderings, "_traced", same)
+    estimator = Plateau(problem, losses.L2(), BATCH // 2, "loss", spp=2)
+    assert p_value(rows(estimator, problem, 600), references["loss"]) < LEVEL
+
+
+def test_several_paths_of_fewer_pixels_lower_the_variance():
+    """Of narrow blurs near the truth, where noise times noise outweighs the rest."""
+    p = blurred_problem(at=(0.2, 0.7), widths=(0.03, 0.02))
+    several, single = (
+        rows(Plateau(p, losses.L2(), BATCH // n, "image", common=False, spp=n), p, 300)
+        for n in (6, 1)
+    )
+    print("variance, single over several", single.var(axis=0) / several.var(axis=0))
+    assert np.all(single.var(axis=0) > 1.5 * several.var(axis=0))
 
 
 @pytest.mark.parametrize("smooth", ("image", "loss"))
@@ -226,9 +268,12 @@ def test_narrow_blurs_stay_finite(problem):
     assert test.pvalue > LEVEL
 
 
-def test_central_differences_are_those_of_the_loss(problem):
+@pytest.mark.parametrize("spp", (1, 3))
+def test_central_differences_are_those_of_the_loss(problem, spp):
     """Against renderings of the whole images at both ends."""
-    found = rows(FiniteDifferences(problem, losses.L2(), BATCH, 0.5), problem, 200)
+    estimator = FiniteDifferences(problem, losses.L2(), BATCH // spp, 0.5, spp=spp)
+    assert estimator.paths_per_step == 4 * 2 * BATCH
+    found = rows(estimator, problem, 200)
     renderer = Renderer(problem)
     target = np.array(problem.targets).reshape(-1, 3)
     expected = []

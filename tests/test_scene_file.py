@@ -103,6 +103,7 @@ def test_an_object_is_moved_to_where_the_file_has_it(folder, capsys):
         (POSE, "", "['ball.x'] has no blur"),
         (POSE, ', "blur": {"start": 0.3, "end": 0}', "blur.end=0"),
         (POSE, ', "blur": {"start": 0.3}', "blur.end=0"),
+        (POSE, ', "blur": {"start": 0.3, "end": 0.1, "hold": 0.5, "until": 0.5}', "blur.until=0.5"),
     ],
 )
 def test_poses_that_make_no_sense_are_refused(folder, capsys, pose, blur, words):

@@ -168,10 +168,12 @@ def test_the_blurred_value_is_the_smoothed_one():
 
 
 @pytest.mark.parametrize(
-    "progress, expected", [(0, 3.0), (0.25, 3.0), (0.625, 1.6), (1.0, 0.2), (1.5, 0.2)]
+    "until, progress, expected",
+    [(1.0, 0, 3.0), (1.0, 0.25, 3.0), (1.0, 0.625, 1.6), (1.0, 1.0, 0.2), (1.0, 1.5, 0.2)]
+    + [(0.5, 0.25, 3.0), (0.5, 0.375, 1.6), (0.5, 0.5, 0.2), (0.5, 0.7, 0.2)],
 )
-def test_the_width_holds_then_falls_linearly(progress, expected):
-    assert smoothing.width(3.0, 0.2, 0.25, progress) == pytest.approx(expected)
+def test_the_width_holds_then_falls_linearly(until, progress, expected):
+    assert smoothing.width(3.0, 0.2, 0.25, until, progress) == pytest.approx(expected)
 
 
 def test_the_width_does_not_fall_below_what_the_scene_resolves():

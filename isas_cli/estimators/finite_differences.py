@@ -22,19 +22,22 @@ class FiniteDifferences:
 
     Both sides with the same random numbers, each ℒ from two independent renderings. Unbiased for
     the difference quotient of a quadratic loss: the derivative up to O(h²) where ℒ is smooth, 0 on
-    a plateau. Four paths per drawn pixel and entry. A ``reach`` counts here too (``Locality``).
+    a plateau. Four renderings of ``spp`` paths per drawn pixel and entry. A ``reach`` counts here
+    too (``Locality``).
     """
 
-    def __init__(self, problem: "Problem", loss, batch: int, step: float, freeze: bool = True):
-        self.batch = batch
+    def __init__(
+        self, problem: "Problem", loss, batch: int, step: float, freeze: bool = True, spp: int = 1
+    ):
+        self.batch, self.spp = batch, spp
         self.blur = Blur(problem, "sampler=finite_differences")
         self.step = step
-        self._renderings = Renderings(problem, loss, batch, self.blur, freeze)
+        self._renderings = Renderings(problem, loss, batch, self.blur, freeze, spp)
 
     @property
     def paths_per_step(self) -> int:
         """Light paths of one estimate."""
-        return 4 * self.batch * self.blur.size
+        return 4 * self.batch * self.spp * self.blur.size
 
     def estimate(
         self,

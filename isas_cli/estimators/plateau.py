@@ -38,14 +38,14 @@ class Plateau:
 
       Each ℒ from two independent renderings A, B as (A - T)(B - T), so that the paths' variance,
       which depends on θ too, is not descended along. Unbiased for L2 and relative L2; where a loss
-      is not quadratic, of the loss of a mean of two paths.
+      is not quadratic, of the loss of a mean of two renderings.
 
     ``scheme``: joint (one pair for all D entries) or separate (one for each), both unbiased for
     the Gaussian of all entries; ``pairs`` of either per step. ``common``: both of a pair follow
     the same random numbers, so that what τ does not change cancels: less variance, the same mean.
     An unknown with a ``reach`` is estimated from the pixels near its parts (``Locality``).
-    Pixels from any distribution (``Renderings``), ``batch`` for each pair; three paths a pixel and
-    pair in image space, four in loss space.
+    Pixels from any distribution (``Renderings``), ``batch`` for each pair, ``spp`` paths a pixel
+    and rendering; three renderings a pair in image space, four in loss space.
 
     ``values``, offsets and sums are on the host, in double precision.
     """
@@ -60,17 +60,19 @@ class Plateau:
         pairs: int = 1,
         common: bool = True,
         freeze: bool = True,
+        spp: int = 1,
     ):
         self.batch, self.smooth, self.pairs, self.common = batch, smooth, pairs, common
         self.blur = Blur(problem, "sampler=plateau")
         self._scheme = SCHEMES[scheme]
-        self._renderings = Renderings(problem, loss, batch, self.blur, freeze)
-        self._differences = pairs * (self.blur.size if scheme == "separate" else 1)
+        self._renderings = Renderings(problem, loss, batch, self.blur, freeze, spp)
+        differences = pairs * (self.blur.size if scheme == "separate" else 1)
+        self._paths = batch * spp * differences
 
     @property
     def paths_per_step(self) -> int:
         """Light paths of one estimate."""
-        return (3 if self.smooth == "image" else 4) * self.batch * self._differences
+        return (3 if self.smooth == "image" else 4) * self._paths
 
     def estimate(
         self,

@@ -22,17 +22,29 @@ if TYPE_CHECKING:
 class Renderings:
     """Drawn pixels and their radiance. Nothing is differentiated.
 
-    N = ``batch`` pixels j_i ~ p, the same for all renderings of a difference, one path each, or
-    two: Σ_j over all pixels is 1/N Σ_i (…)_{j_i} / p_{j_i}, unbiased where p > 0 wherever the sum
-    is not zero. The scene is updated outside the frozen kernels, and one launch traces one state
-    of it.
+    N = ``batch`` pixels j_i ~ p, the same for all renderings of a difference: Σ_j over all pixels
+    is 1/N Σ_i (…)_{j_i} / p_{j_i}, unbiased where p > 0 wherever the sum is not zero. A rendering
+    is the mean of ``spp`` paths a pixel. Where noise times noise outweighs the rest (beside the
+    truth, where the residual has no mean, with narrow blurs), the variance falls with spp² N: for
+    the same number of paths fewer pixels with more paths each are better
+    (benchmarks/plateau_variance.py).
+
+    The scene is updated outside the frozen kernels, and one launch traces one state of it.
     """
 
-    def __init__(self, problem: "Problem", loss, batch: int, blur: Blur, freeze: bool = True):
+    def __init__(
+        self,
+        problem: "Problem",
+        loss,
+        batch: int,
+        blur: Blur,
+        freeze: bool = True,
+        spp: int = 1,
+    ):
         self.problem, self.blur = problem, blur
         wrap = dr.freeze if freeze else (lambda f: f)
         self._draw = wrap(_draw_kernel(batch))
-        self._trace = {n: wrap(_trace_kernel(problem.integrator, batch, n)) for n in (1, 2)}
+        self._trace = {n: wrap(_trace_kernel(problem.integrator, batch, n, spp)) for n in (1, 2)}
         self._images = wrap(_image_kernel(loss, batch))
         self._losses = wrap(_loss_kernel(loss, batch))
         self._locality = Locality(problem, blur, batch, freeze)
@@ -54,14 +66,14 @@ class Renderings:
         p = self.problem
         drawn = self._drawn(distribution, seeds[0])
         offsets = (other, pair.plus, pair.minus)
-        images = [self._traced(θ + o, drawn, s, 1) for o, s in zip(offsets, seeds[1:])]
+        images = [self._traced(θ + o, drawn, s, 1)[0] for o, s in zip(offsets, seeds[1:])]
         terms = self._images(p.targets, p.mask, drawn[3:], images, p.share)
         return self._locality.differences(θ, pair, drawn[:3], terms)
 
     def of_losses(
         self, θ: np.ndarray, pair: Pair, distribution: PixelDistribution, seeds: np.ndarray
     ) -> np.ndarray:
-        """Estimates ℒ(P(θ + ``plus``)) - ℒ(P(θ + ``minus``)), each from two paths a pixel
+        """Estimates ℒ(P(θ + ``plus``)) - ℒ(P(θ + ``minus``)), each from two renderings
         (``loss.measured``): without bias where the loss is quadratic. ``(D,)``, as ``of_images``.
 
         ``seeds (3,)``: of pixels, and of the two sides. Waits.
@@ -76,13 +88,13 @@ class Renderings:
     def _drawn(self, distribution: PixelDistribution, seed: int) -> tuple:
         return self._draw(self.problem.views, distribution, dr.opaque(mi.UInt32, int(seed)))
 
-    def _traced(self, θ: np.ndarray, drawn: tuple, seed: int, paths: int) -> mi.Color3f:
-        """Radiance at ``θ``, ``(3, N paths)``: all first paths, then all second ones."""
+    def _traced(self, θ: np.ndarray, drawn: tuple, seed: int, count: int) -> list:
+        """``count`` independent renderings of the drawn pixels at ``θ``, ``(3, N)`` each."""
         p = self.problem
         self.blur.write(θ)
         seed = dr.opaque(mi.UInt32, int(seed))
         place = drawn[:3]
-        return self._trace[paths](p.scene, p.sensors, p.views, p.unknowns.leaves, place, seed)
+        return self._trace[count](p.scene, p.sensors, p.views, p.unknowns.leaves, place, seed)
 
 
 def _draw_kernel(batch: int):
@@ -95,20 +107,35 @@ def _draw_kernel(batch: int):
     return kernel
 
 
-def _trace_kernel(integrator, batch: int, paths: int):
+def _trace_kernel(integrator, batch: int, count: int, spp: int):
+    """All first paths of the first rendering, pixel by pixel, then all second ones, and so on."""
+    paths = count * spp
+
     def kernel(scene, sensors, views, leaves, place, seed):
         with dr.suspend_grad():
+            lane = dr.arange(mi.UInt32, batch)
             if paths > 1:
-                lane = dr.tile(dr.arange(mi.UInt32, batch), paths)
-                place = [dr.gather(mi.UInt32, which, lane) for which in place]
+                drawn = dr.tile(lane, paths)
+                place = [dr.gather(mi.UInt32, which, drawn) for which in place]
             stream = rays.stream(seed, batch * paths)
             ray, weight = rays.spawn(sensors, views, *place, stream)
             radiance, _ = replay.primal(integrator, scene, stream, ray)
             radiance *= weight
             dr.eval(radiance)
-            return radiance
+            if paths == 1:
+                return [radiance]
+            means = []
+            for first in range(0, paths, spp):
+                found = [_part(radiance, lane + n * batch) for n in range(first, first + spp)]
+                means.append(sum(found[1:], start=found[0]) / spp)
+            dr.eval(means)
+            return means
 
     return kernel
+
+
+def _part(radiance: mi.Color3f, lanes: mi.UInt32) -> mi.Color3f:
+    return mi.Color3f(*[dr.gather(mi.Float, channel, lanes) for channel in radiance])
 
 
 def _image_kernel(loss, batch: int):
@@ -125,13 +152,7 @@ def _loss_kernel(loss, batch: int):
     def kernel(targets, mask, drawn, sides, share):
         pixel, probability = drawn
         target = dr.gather(mi.Color3f, targets, pixel)
-        lane, both = dr.arange(mi.UInt32, batch), (0, batch)
-
-        def value(radiance):
-            a, b = (mi.Color3f(*[dr.gather(mi.Float, c, lane + n) for c in radiance]) for n in both)
-            return loss.measured(a, b, target)
-
-        plus, minus = (value(radiance) for radiance in sides)
+        plus, minus = (loss.measured(a, b, target) for a, b in sides)
         return _terms(plus - minus, pixel, probability, mask, share, batch)
 
     return kernel

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from ..config import MOST_LANES
 from ..errors import InputError
 from ..estimators.blur import Blur
 from ..estimators.stock import SILHOUETTES, Stock
@@ -27,6 +28,7 @@ class Other(Sampler):
 
     uses: ClassVar[frozenset[str]] = frozenset()
     replays: ClassVar[bool] = False
+    spp: ClassVar[int] = 1  # paths of a drawn pixel in a rendering, where there is no setting
 
     base: Sampler = field(default_factory=Uniform)
 
@@ -44,7 +46,13 @@ class Other(Sampler):
         return self.base
 
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
-        self.base.prepare(problem, loss, batch, freeze)
+        if 2 * batch * self.spp > MOST_LANES:
+            raise InputError(
+                f"sampler.spp={self.spp} times estimator.batch={batch}: at most {MOST_LANES // 2} "
+                "paths a rendering"
+            )
+        # By paths, as a look's cost is to be that of a few steps.
+        self.base.prepare(problem, loss, batch * self.spp, freeze)
 
 
 @dataclass
@@ -53,15 +61,16 @@ class Plateau(Other):
 
     ``gradient``: kernel (∂κP, Eq. 9: plain renderings, the kernel's derivative) or renderer (κ∂P,
     Eq. 8: Mitsuba's derivative at blurred values). ``smooth``: image (the paper's equation) or loss
-    (its public code); ``scheme``: joint or separate; ``pairs``: of renderings, a step; ``common``:
-    the same random numbers for both of a pair. See ``estimators.plateau``. ``silhouettes``: as in
-    ``Mitsuba``.
+    (its public code); ``scheme``: joint or separate; ``pairs``: of renderings, a step; ``spp``:
+    paths of each drawn pixel in each rendering; ``common``: the same random numbers for both of a
+    pair. See ``estimators.plateau``. ``silhouettes``: as in ``Mitsuba``.
     """
 
     gradient: str = "kernel"
     smooth: str = "image"
     scheme: str = "joint"
     pairs: int = 1
+    spp: int = 1
     common: bool = True
     silhouettes: str = "uniform"
 
@@ -71,14 +80,14 @@ class Plateau(Other):
         _choice("gradient", self.gradient, ("kernel", "renderer"))
         _choice("smooth", self.smooth, ("image", "loss"))
         _choice("scheme", self.scheme, ("joint", "separate"))
-        if self.pairs < 1:
-            raise InputError(f"sampler.pairs={self.pairs}: at least 1")
+        _at_least_one(self, "pairs", "spp")
         if self.gradient == "renderer":
-            for name, usual in (("scheme", "joint"), ("common", True)):
+            for name, usual in (("scheme", "joint"), ("common", True), ("spp", 1)):
                 if getattr(self, name) != usual:
                     raise InputError(
                         f"sampler.{name}={getattr(self, name)}: the renderer's derivative has no "
-                        "pairs; leave it out, or take sampler.gradient=kernel"
+                        "pairs of drawn pixels; leave it out (paths a pixel follow from "
+                        "estimator.batch), or take sampler.gradient=kernel"
                     )
             _whole_images(self.base, "sampler.gradient=renderer")
         elif self.silhouettes != "uniform":
@@ -98,7 +107,7 @@ class Plateau(Other):
         from ..estimators.plateau import Plateau as Estimator
 
         settings = self.smooth, self.scheme, self.pairs, self.common
-        return Estimator(problem, loss, batch, *settings, freeze)
+        return Estimator(problem, loss, batch, *settings, freeze, spp=self.spp)
 
 
 @dataclass
@@ -122,19 +131,28 @@ class Mitsuba(Other):
 @dataclass
 class FiniteDifferences(Other):
     """Central differences of the loss along each unknown, with common random numbers. A baseline.
-    ``step``: in widths of the unknown's last blur."""
+    ``step``: in widths of the unknown's last blur; ``spp``: paths of each drawn pixel in each
+    rendering."""
 
     step: float = 1.0
+    spp: int = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.step > 0:
             raise InputError(f"sampler.step={self.step}: must be above 0")
+        _at_least_one(self, "spp")
 
     def estimator(self, problem, loss, batch: int, freeze: bool = True):
         from ..estimators.finite_differences import FiniteDifferences as Estimator
 
-        return Estimator(problem, loss, batch, self.step, freeze)
+        return Estimator(problem, loss, batch, self.step, freeze, spp=self.spp)
+
+
+def _at_least_one(sampler: Sampler, *names: str) -> None:
+    for name in names:
+        if getattr(sampler, name) < 1:
+            raise InputError(f"sampler.{name}={getattr(sampler, name)}: at least 1")
 
 
 def _whole_images(base: Sampler, where: str) -> None:

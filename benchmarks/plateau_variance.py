@@ -1,0 +1,151 @@
+"""Many pixels with a path each, or few with several? And where? Noise of plateau-reduced gradients.
+
+Per task of PRDPT, all sides with 16,384 paths a rendering: estimates of the gradient beside the
+truth (half a width more in every entry), at the widths of a run half way and at nine tenths. Sides
+in turn, the order rotating; all use the same offsets. Drawn pixels (`sampler.base=differences`)
+from the mean of three looks, on 128 cells, whose time is shared out over the steps until the next.
+
+Variance: that of the first side (uniform pixels, a path each) over the side's, the geometric mean
+over the entries, with the 95 % interval of a bootstrap over the steps. Gain: the same of variance ×
+time; the time is the median over the rounds. It says nothing of other numbers of paths a step.
+Writes results/plateau_variance.csv.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas
+from _plateau_table import TASKS
+
+OUTPUT = Path(__file__).parent / "results" / "plateau_variance.csv"
+PATHS = 16384  # a rendering
+SPP = (1, 4, 16)
+PROGRESS = (0.5, 0.9)
+RESAMPLED = 400
+
+
+def sides(paths: int) -> dict[str, list[str]]:
+    """Overrides by name."""
+    found = {}
+    for base in ("uniform", "differences"):
+        for spp in SPP:
+            settings = [f"sampler.base={base}", f"sampler.spp={spp}"]
+            if base == "differences":
+                settings += ["sampler.base.stage1.resolution=128"]
+            found[f"{base} {spp}"] = [*settings, f"estimator.batch={paths // spp}"]
+    return found
+
+
+def look(loop, values: dict, progress: float, base: int) -> float:
+    """A new distribution for ``progress``. Returns a look's seconds, for each step until the
+    next."""
+    sampler = loop.sampler
+    sampler.scheduled, loop._weights = progress, None
+    begun = time.perf_counter()
+    for number in range(3):
+        loop._weights = sampler.blended(loop._weights, sampler.look(values, base, number))
+    loop._spread()
+    return (time.perf_counter() - begun) / 3 / sampler.refresh if sampler.refresh else 0.0
+
+
+def estimates(every: dict, progress: float, rounds: int, steps: int) -> tuple[dict, dict]:
+    """By side: the gradients ``(rounds steps, D)``, and seconds of a step, ``(rounds)``."""
+    rows: dict = {name: [] for name in every}
+    seconds: dict = {name: [] for name in every}
+    for number in range(-1, rounds):  # the first warms up
+        turn = number % len(every)
+        order = list(every.items())
+        for name, loop in order[turn:] + order[:turn]:
+            blur = loop.estimator.blur
+            truth = blur.vector(loop.problem.unknowns.truths())
+            at = blur.values(truth + 0.5 * blur.widths(truth, progress))
+            looks = look(loop, at, progress, 100 + number)
+            found, begun = [], time.perf_counter()
+            for step in range(max(0, number) * steps, (max(0, number) + 1) * steps):
+                gradient = loop.estimator.estimate(at, loop._distribution, 1, step, progress)
+                found.append(blur.vector(gradient))
+            if number >= 0:
+                seconds[name].append((time.perf_counter() - begun) / steps + looks)
+                rows[name] += found
+    return {name: np.array(found) for name, found in rows.items()}, seconds
+
+
+def ratios(first: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """Variance of ``first`` over that of ``side``, both ``(steps, D)``: the geometric mean over the
+    entries; of all steps, then of ``RESAMPLED`` resamples of them."""
+    rng = np.random.default_rng(0)
+    chosen = [np.arange(len(first))]
+    chosen += [rng.integers(len(first), size=len(first)) for _ in range(RESAMPLED)]
+    found = []
+    for steps in chosen:
+        a, b = first[steps].var(axis=0), side[steps].var(axis=0)
+        moved = (a > 0) & (b > 0)  # of a part that no drawn pixel sees there is none
+        found.append(np.exp(np.mean(np.log(a[moved] / b[moved]))))
+    return np.array(found)
+
+
+def child(task: str, chosen: argparse.Namespace) -> None:
+    """Prints one JSON line per progress and side."""
+    from isas_cli import backend
+
+    backend.start()
+    from _plateau_cost import loops
+
+    common = [f"scene={task}", "sampler=plateau", "target.spp=256", "budget.seconds=1"]
+    common += ["size=tiny"] if chosen.quick else []
+    paths, rounds, steps = PATHS, chosen.rounds, chosen.steps
+    if chosen.quick:
+        paths, rounds, steps = 1024, 1, 8
+    every = loops({name: [*common, *own] for name, own in sides(paths).items()})
+    for progress in PROGRESS:
+        rows, seconds = estimates(every, progress, rounds, steps)
+        first = next(iter(rows))
+        for name in rows:
+            found = ratios(rows[first], rows[name])
+            low, high = np.quantile(found[1:], (0.025, 0.975))
+            cost = float(np.median(np.divide(seconds[name], seconds[first])))
+            row = {"task": task, "progress": progress, "side": name, "variance": found[0]}
+            row |= {"variance_low": low, "variance_high": high, "time": cost}
+            row |= {"gain": found[0] / cost, "gain_low": low / cost, "gain_high": high / cost}
+            print(json.dumps(row), flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--steps", type=int, default=150, help="estimates per side and round")
+    parser.add_argument("--quick", action="store_true", help="tiny scenes, one short round")
+    parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
+    chosen = parser.parse_args()
+    strange = [task for task in chosen.tasks if task not in TASKS]
+    if strange:
+        parser.error(f"{strange[0]}: no such task; valid: {', '.join(TASKS)}")
+    if chosen.child:
+        return child(chosen.tasks[0], chosen)
+    earlier = pandas.read_csv(OUTPUT) if OUTPUT.exists() else pandas.DataFrame({"task": []})
+    for task in chosen.tasks or TASKS:
+        # A process each: several scenes in one slow each other.
+        command = [sys.executable, __file__, *sys.argv[1:], "--child"]
+        command = [word for word in command if word not in TASKS] + [task]
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+        if done.returncode:
+            raise SystemExit(done.returncode)
+        # Mitsuba warns on standard output.
+        lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
+        rows = pandas.DataFrame([json.loads(line) for line in lines])
+        print(rows.to_string(index=False, float_format="%.2f"), flush=True)
+        if not chosen.quick:
+            earlier = pandas.concat([earlier[earlier["task"] != task], rows])
+            earlier.to_csv(OUTPUT, index=False, float_format="%.4g")
+
+
+if __name__ == "__main__":
+    main()
