@@ -1,9 +1,10 @@
 """Many pixels with a path each, or few with several? And where? Noise of plateau-reduced gradients.
 
 Per task of PRDPT, all sides with 16,384 paths a rendering: estimates of the gradient beside the
-truth (half a width more in every entry), at the widths of a run half way and at nine tenths. Sides
-in turn, the order rotating; all use the same offsets. Drawn pixels (`sampler.base=differences`)
-from the mean of three looks, on 128 cells, whose time is shared out over the steps until the next.
+truth (half a width more in every entry), at the widths of a run at 0.35 and 0.9 of its budget.
+Sides in turn, the order rotating; all use the same offsets. Drawn pixels
+(`sampler.base=differences`) from the mean of three looks, on 128 cells, whose time is shared out
+over the steps until the next.
 
 Variance: that of the first side (uniform pixels, a path each) over the side's, the geometric mean
 over the entries, with the 95 % interval of a bootstrap over the steps. Gain: the same of variance ×
@@ -27,7 +28,7 @@ from _plateau_table import TASKS
 OUTPUT = Path(__file__).parent / "results" / "plateau_variance.csv"
 PATHS = 16384  # a rendering
 SPP = (1, 4, 16)
-PROGRESS = (0.5, 0.9)
+PROGRESS = (0.35, 0.9)
 RESAMPLED = 400
 
 
