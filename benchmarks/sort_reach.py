@@ -83,7 +83,7 @@ def main() -> None:
         rng = np.random.default_rng(0)
         resampled = [found[rng.integers(count, size=count)] for _ in range(400)]
         for number, reach in enumerate(REACHES):
-            many = [far_share(rows_, number) for rows_ in resampled]
+            many = [far_share(again, number) for again in resampled]
             low, high = np.quantile(many, (0.025, 0.975))
             share = far_share(found, number)
             rows.append({"progress": progress, "reach": reach, "far_share": share})

@@ -13,8 +13,8 @@ place as wrong.
 What differs: the paper's cubes and their places are not published.
 
 A cube is felt near by only, by what it hides, its shadow and the sky that it keeps from the ground.
-The configured reach of 0.3 leaves out pixels that hold 2 % of a cube's gradient (root mean square,
-at the start, estimated by pairs that move one cube; 7 % at 0.2, 0.6 % at 0.4).
+The configured reach of 0.3 leaves out what little is felt farther away
+(benchmarks/sort_reach.py measures it).
 
 Depth 2: direct light. What cubes throw at each other is not simulated, nor in the targets.
 """
