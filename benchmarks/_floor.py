@@ -1,4 +1,4 @@
-"""One scene of `step_floor.py`, in a process of its own: prints a JSON object per round.
+"""One scene of `step_floor.py`, in a process of its own: prints a row per round.
 
 usage: _floor.py ROUNDS STEPS BATCHES SAMPLERS OVERRIDES…   (BATCHES, SAMPLERS: with commas)
 
@@ -9,11 +9,11 @@ kernel of this one, hence a process per scene.
 from __future__ import annotations
 
 import itertools
-import json
 import statistics
 import sys
 import time
 
+import _rows
 from _child import problem_of
 
 from isas_cli import backend
@@ -176,7 +176,7 @@ def main(rounds: int, steps: int, batches: str, samplers: str, overrides: list[s
                     times[side].append(sides.measure(side, i))
             row = {"batch": batch, "sampler": name, "round": round_}
             row |= {side: statistics.median(times[side]) for side in SIDES}
-            print(json.dumps(row), flush=True)
+            _rows.emit(row)
 
 
 if __name__ == "__main__":

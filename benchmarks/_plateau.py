@@ -1,10 +1,10 @@
 """PRDPT's six tasks: every method from many starts, at equal billed time.
 
-Per task a search for each method's rate, a factor on all of the task's rates: three factors from
-one more start (the same for all methods), and where the smallest or the largest of them is best,
-two farther ones beside it, once. Then all starts at the best. Runs from one start take turns in one
-process. Where a method finds no slope, the factor that moves least may look best; the tables of the
-search are kept.
+Per task a search for each method's rate, a factor on all of the task's rates: three factors (four
+where few steps fit the budget) from one more start (the same for all methods), and where the
+smallest or the largest of them is best, two farther ones beside it, once. Then all starts at the
+best. Runs from one start take turns in one process. Where a method finds no slope, the factor that
+moves least may look best; the tables of the search are kept.
 
 The budget is billed time, so that methods differ in iterations: both are in the table. The paper
 gives all the same number of iterations. Variants have five starts, the others twenty, sort five of
@@ -46,11 +46,14 @@ METHODS = {
     "finite_differences": ["sampler=finite_differences"],
     # Steps between the first and the last width, for whom those are no use.
     "finite_differences_wide": ["sampler=finite_differences"],
+    # Where the others' scheme is another.
+    "plateau_joint": ["sampler=plateau"],
 }
-FACTORS = (0.3, 1.0, 3.0)
-BEYOND = {0.3: (0.03, 0.1), 3.0: (10.0, 30.0)}  # where an end of the factors is best
 RENDERED = ("mitsuba", "plateau_renderer")  # whole images, by Mitsuba
-VARIANTS = ("plateau_loss", "plateau_renderer", "finite_differences_wide")
+FACTORS = (0.3, 1.0, 3.0)
+FEW_STEPS = (*FACTORS, 10.0)  # of those
+BEYOND = {0.3: (0.03, 0.1), 3.0: (10.0, 30.0), 10.0: (30.0, 100.0)}  # where an end is best
+VARIANTS = ("plateau_joint", "plateau_loss", "plateau_renderer", "finite_differences_wide")
 FEW = 5  # starts of variants, and of sort
 SEARCH = 101  # the trial that rates are chosen on, none of the starts
 
@@ -64,6 +67,7 @@ class Task:
     ``pixels`` drawn a step, ``spp`` paths of each in one rendering; ``target_spp``: of the targets.
     ``schedule`` of the rates, and the share ``final`` of them that is left.
     ``step`` of `finite_differences_wide`, in last widths.
+    ``scheme`` of the plateau-reduced gradients by plain renderings.
     """
 
     seconds: float
@@ -74,14 +78,15 @@ class Task:
     schedule: str = "cosine"
     final: float = 0.01
     step: float = 10
-    methods: tuple[str, ...] = tuple(METHODS)
+    scheme: str = "joint"
+    methods: tuple[str, ...] = tuple(method for method in METHODS if method != "plateau_joint")
 
 
 TASKS = {
     "occlusion": Task(4, {"red.depth": 0.5}),
     "shadows": Task(8, {"ball.place": 0.15}, pixels=1024, spp=8, step=7),
     "cup": Task(7, {"cup.angle": 9.0}, step=17),
-    "caustic": Task(10, {"lamp.place": 0.4}, pixels=4096, spp=8, step=3),
+    "caustic": Task(12, {"lamp.place": 0.4}, pixels=4096, spp=8, step=3),
     "sort": Task(
         30,
         None,
@@ -98,7 +103,8 @@ TASKS = {
         {"lamp.place": 0.1, "box.angle": 5.0, "left.bsdf.base_color.value": 0.1},
         pixels=1024,
         spp=8,
-        step=4,
+        scheme="separate",
+        methods=("plateau", "plateau_drawn", "plateau_joint", "mitsuba", "finite_differences"),
     ),
 }
 
@@ -118,7 +124,10 @@ def composed(task: str, method: str, seconds: float):
         settings += [f"estimator.batch={own.pixels}", f"sampler.spp={own.spp}"]
     if method == "finite_differences_wide":
         settings += [f"sampler.step={own.step}"]
-    return compose(translate([*settings, *METHODS[method]]))
+    settings += METHODS[method]
+    if method in ("plateau", "plateau_drawn", "plateau_loss"):
+        settings += [f"sampler.scheme={own.scheme}"]
+    return compose(translate(settings))
 
 
 def configured(task: str, method: str, trial: int, factor: float, seconds: float):
@@ -130,7 +139,7 @@ def configured(task: str, method: str, trial: int, factor: float, seconds: float
     rng = np.random.default_rng(1000 + trial)
     for key, unknown in cfg.scene.unknowns.items():
         if own.spread is None:
-            unknown.start.seed = trial
+            unknown.start.seed = 1000 + trial  # tuned on smaller ones
             continue
         start = np.atleast_1d(np.asarray(unknown.start, float))
         start = start + own.spread[key] * rng.uniform(-1, 1, start.size)
@@ -153,29 +162,40 @@ def _lanes(folder: Path, task: str, wanted: list[tuple[str, float, int]], second
         raise SystemExit(status)
 
 
-def race(folder: Path, *arguments) -> None:
+def race(folder: Path, task: str, wanted: list[tuple[str, float, int]], seconds: float) -> None:
     """``_lanes`` in a process of its own; not again where ``folder`` has what an earlier call
-    finished, to which the same must have been given. All runs of one race begin at the same place,
-    so that they share one scene: several in a process slow down each other's kernels, those that
-    are not frozen most."""
+    finished. All runs of one race begin at the same place, so that they share one scene: several in
+    a process slow down each other's kernels, those that are not frozen most."""
+    from omegaconf import OmegaConf
+
+    settings = "\n".join(
+        OmegaConf.to_yaml(configured(task, method, trial, factor, seconds))
+        for method, factor, trial in wanted
+    )
+    kept = folder / "settings.yaml"
     if folder.exists():
+        if not kept.exists() or kept.read_text() != settings:
+            raise SystemExit(f"{folder}: of other settings; move it away to race anew")
         return
     unfinished = folder.with_name(f"{folder.name}.unfinished")
     shutil.rmtree(unfinished, ignore_errors=True)
     child = multiprocessing.get_context("spawn").Process(
-        target=_lanes, args=(unfinished, *arguments)
+        target=_lanes, args=(unfinished, task, wanted, seconds)
     )
     child.start()
     child.join()
     if child.exitcode:
         raise SystemExit(child.exitcode)
+    (unfinished / kept.name).write_text(settings)
     unfinished.rename(folder)
 
 
 def searched(task: str, root: Path, seconds: float) -> dict[str, float]:
     """Each method's best factor."""
     methods = TASKS[task].methods
-    judged = "sorted_mse" if task == "sort" else "share_of_start"
+    # A cube that never moves is not far from a place of its colour: places filled, not distances.
+    judged = "unfilled" if task == "sort" else "share_of_start"
+    factors = {m: FEW_STEPS if m in RENDERED else FACTORS for m in methods}
 
     def raced(name: str, wanted: list) -> pandas.DataFrame:
         race(root / task / name, task, wanted, seconds)
@@ -184,10 +204,10 @@ def searched(task: str, root: Path, seconds: float) -> dict[str, float]:
     def best(found: pandas.DataFrame) -> dict[str, float]:
         return found.loc[found.groupby("method")[judged].idxmin()].set_index("method")["factor"]
 
-    found = raced("rates", [(m, f, SEARCH) for m in methods for f in FACTORS])
+    found = raced("rates", [(m, f, SEARCH) for m in methods for f in factors[m]])
     chosen = dict(best(found))
     # With the end itself once more: what fewer runs side by side get done differs.
-    if ends := [method for method in methods if chosen[method] in BEYOND]:
+    if ends := [m for m in methods if chosen[m] in (factors[m][0], factors[m][-1])]:
         farther = [(m, f, SEARCH) for m in ends for f in (chosen[m], *BEYOND[chosen[m]])]
         more = raced("rates_beyond", farther)
         chosen |= dict(best(more))

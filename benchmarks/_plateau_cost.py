@@ -2,15 +2,16 @@
 
 usage: _plateau_cost.py ROUNDS STEPS METHODS OVERRIDES…
 
-Prints, per round and method, one JSON line: seconds of a step, the median of STEPS, and its paths.
+Prints, per round and method, one row: seconds of a step, the median of STEPS, and its paths.
 """
 
 from __future__ import annotations
 
-import json
 import statistics
 import sys
 import time
+
+import _rows
 
 from isas_cli import backend
 
@@ -83,7 +84,7 @@ def main() -> None:
             seconds = statistics.median(found) + look(every[side])
             paths = every[side].estimator.paths_per_step
             row = {"round": number, "side": side, "seconds": seconds, "paths": paths}
-            print(json.dumps(row), flush=True)
+            _rows.emit(row)
 
 
 if __name__ == "__main__":

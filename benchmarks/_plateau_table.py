@@ -37,7 +37,7 @@ UNITS = {
     "sort": "length, colour by colour",
     "caustic": "length",
 }
-ORDER = ("plateau", "plateau_drawn", "plateau_loss", "plateau_renderer", "mitsuba")
+ORDER = ("plateau", "plateau_drawn", "plateau_joint", "plateau_loss", "plateau_renderer", "mitsuba")
 ORDER += ("finite_differences", "finite_differences_wide")
 QUARTILES = {"_low": 0.25, "": 0.5, "_high": 0.75}
 GRID = np.linspace(0, 1, 26)  # of the budget
@@ -58,7 +58,8 @@ def sorted_cubes(folder: Path) -> dict:
     near = apart < sort.SIDE / 2
     squares = [group[linear_sum_assignment(group)] for group in apart**2]
     return {
-        "filled": sum(int(group[linear_sum_assignment(~group)].sum()) for group in near),
+        "filled": (filled := sum(int(g[linear_sum_assignment(~g)].sum()) for g in near)),
+        "unfilled": len(places) * 25 - filled,
         "sorted_mse": float(np.mean(squares)) / 2,
     }
 

@@ -14,12 +14,11 @@ move). A ratio is the median over the rounds with its range. Writes results/plat
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
-import subprocess
 import sys
 from pathlib import Path
 
+import _rows
 import pandas
 from _plateau_cost import SIDES
 from _plateau_table import TASKS
@@ -30,14 +29,8 @@ HERE = Path(__file__).parent
 def measure(task: str, rounds: int, steps: int, sides: list[str], more: list[str]) -> list[dict]:
     overrides = [f"scene={task}", "target.spp=16", "budget.seconds=1", *more]
     command = [sys.executable, str(HERE / "_plateau_cost.py"), str(rounds), str(steps)]
-    done = subprocess.run(
-        [*command, ",".join(sides), *overrides], stdout=subprocess.PIPE, text=True
-    )
-    if done.returncode:
-        raise SystemExit(done.returncode)
-    # Mitsuba warns on standard output.
-    lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
-    return [{"task": task} | json.loads(line) for line in lines]
+    found = _rows.collect([*command, ",".join(sides), *overrides])
+    return [{"task": task} | row for row in found]
 
 
 def main() -> None:

@@ -15,12 +15,11 @@ Writes results/plateau_variance.csv.
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
 import sys
 import time
 from pathlib import Path
 
+import _rows
 import numpy as np
 import pandas
 from _plateau_table import TASKS
@@ -93,7 +92,7 @@ def ratios(first: np.ndarray, side: np.ndarray) -> np.ndarray:
 
 
 def child(task: str, chosen: argparse.Namespace) -> None:
-    """Prints one JSON line per progress and side."""
+    """Prints one row per progress and side."""
     from isas_cli import backend
 
     backend.start()
@@ -115,7 +114,7 @@ def child(task: str, chosen: argparse.Namespace) -> None:
             row = {"task": task, "progress": progress, "side": name, "variance": found[0]}
             row |= {"variance_low": low, "variance_high": high, "time": cost}
             row |= {"gain": found[0] / cost, "gain_low": low / cost, "gain_high": high / cost}
-            print(json.dumps(row), flush=True)
+            _rows.emit(row)
 
 
 def main() -> None:
@@ -136,12 +135,7 @@ def main() -> None:
         # A process each: several scenes in one slow each other.
         command = [sys.executable, __file__, *sys.argv[1:], "--child"]
         command = [word for word in command if word not in TASKS] + [task]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
-        if done.returncode:
-            raise SystemExit(done.returncode)
-        # Mitsuba warns on standard output.
-        lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
-        rows = pandas.DataFrame([json.loads(line) for line in lines])
+        rows = pandas.DataFrame(_rows.collect(command))
         print(rows.to_string(index=False, float_format="%.2f"), flush=True)
         if not chosen.quick:
             earlier = pandas.concat([earlier[earlier["task"] != task], rows])

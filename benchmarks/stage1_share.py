@@ -11,13 +11,12 @@ Writes results/stage1_share.csv.
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
-import subprocess
 import sys
 import time
 from pathlib import Path
 
+import _rows
 import pandas
 
 HERE = Path(__file__).parent
@@ -100,7 +99,7 @@ class Side:
 
 
 def one(scene: str, rounds: int, steps: int, more: list[str]) -> None:
-    """Prints a JSON object per sampler."""
+    """Prints a row per sampler."""
     from _child import problem_of
 
     from isas_cli import backend
@@ -118,7 +117,7 @@ def one(scene: str, rounds: int, steps: int, more: list[str]) -> None:
                 side.round(number + 1, 2)
                 side.forget()
     for side in sides:
-        print(json.dumps({"scene": scene} | side.row()), flush=True)
+        _rows.emit({"scene": scene} | side.row())
 
 
 def main() -> None:
@@ -134,10 +133,7 @@ def main() -> None:
     rows = []
     for scene in SCENES:
         command = [sys.executable, __file__, *sys.argv[1:], "--one", scene]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
-        if done.returncode:
-            raise SystemExit(done.returncode)
-        rows += [json.loads(line) for line in done.stdout.splitlines()]
+        rows += _rows.collect(command)
         found = pandas.DataFrame([row for row in rows if row["scene"] == scene])
         print(found.to_string(index=False, float_format="%.3g"), flush=True)
     above = [f"{row['sampler']} on {row['scene']}" for row in rows if row["share"] > TARGET]

@@ -13,12 +13,11 @@ the median over the rounds with its range. Writes results/step_floor.csv.
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
-import subprocess
 import sys
 from pathlib import Path
 
+import _rows
 import pandas
 
 HERE = Path(__file__).parent
@@ -33,10 +32,7 @@ def measure(scene: str, rounds: int, steps: int, more: list[str]) -> list[dict]:
     # The step's cost does not depend on how clean the targets are.
     overrides = [f"scene={scene}", "target.spp=1", *more]
     command = [sys.executable, str(HERE / "_floor.py"), str(rounds), str(steps), *lists, *overrides]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
-    if done.returncode:
-        raise SystemExit(done.returncode)
-    return [{"scene": scene} | json.loads(line) for line in done.stdout.splitlines()]
+    return [{"scene": scene} | row for row in _rows.collect(command)]
 
 
 def spread(ratio: pandas.Series) -> str:

@@ -26,6 +26,7 @@ from isas_cli.scenes import meshes
 from isas_cli.scenes.cornell import cornell_box
 from isas_cli.scenes.stage import boxes, camera, matt, turned
 
+WALL = [0.75, 0.3, 0.25]  # so far inside its range that blurring it changes no mean
 MIDDLE = [-0.25, 0.55, -0.15]
 TURNED = 50.0  # degrees, at the truth, against a side that faces the camera
 
@@ -34,10 +35,12 @@ def build(width: int) -> dict[str, Any]:
     """The scene at the truth; unknown: the poses `lamp.place` and `box.angle` and
     `left.bsdf.base_color.value`."""
     box = turned(boxes(np.array([MIDDLE]), (0.27, 0.55, 0.27)), -TURNED, MIDDLE)
+    room = cornell_box(width)
+    room["left"]["bsdf"]["base_color"]["value"] = WALL
     return {
         "type": "scene",
         "integrator": {"type": "prb", "max_depth": 4},
-        **cornell_box(width),
+        **room,
         "box": meshes.shape("box", box, matt(0.75)),
         "sensor_000": camera([0.15, 0.9, 3.6], (-0.2, 0.45, -0.1), 13.5, width),
     }
