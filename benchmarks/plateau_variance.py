@@ -4,12 +4,13 @@ Per task of PRDPT, all sides with 16,384 paths a rendering: estimates of the gra
 truth (half a width more in every entry), at the widths of a run at 0.35 and 0.9 of its budget.
 Sides in turn, the order rotating; all use the same offsets. Drawn pixels
 (`sampler.base=differences`) from the mean of three looks, on 128 cells, whose time is shared out
-over the steps until the next.
+over the steps until the next. `--of residual`: instead, 8 paths for uniform pixels, and the
+residual from one rendering (the paper's) or from two on both sides with half the paths each.
 
 Variance: that of the first side (uniform pixels, a path each) over the side's, the geometric mean
 over the entries, with the 95 % interval of a bootstrap over the steps. Gain: the same of variance ×
 time; the time is the median over the rounds. It says nothing of other numbers of paths a step.
-Writes results/plateau_variance.csv.
+Writes results/plateau_variance.csv, or plateau_residual.csv.
 """
 
 from __future__ import annotations
@@ -24,14 +25,24 @@ import numpy as np
 import pandas
 from _plateau_table import TASKS
 
-OUTPUT = Path(__file__).parent / "results" / "plateau_variance.csv"
+RESULTS = Path(__file__).parent / "results"
+OUTPUTS = {
+    "pixels": RESULTS / "plateau_variance.csv",
+    "residual": RESULTS / "plateau_residual.csv",
+}
 PATHS = 16384  # a rendering
 SPP = (1, 4, 16)
 PROGRESS = (0.35, 0.9)
 RESAMPLED = 400
 
 
-def sides(paths: int) -> dict[str, list[str]]:
+def residuals(paths: int) -> dict[str, list[str]]:
+    """Overrides by name: one rendering for the residual, or two of half the paths."""
+    common = ["sampler.spp=8", f"estimator.batch={paths // 8}"]
+    return {name: [*common, f"sampler.residual={name}"] for name in ("one", "pair")}
+
+
+def pixels(paths: int) -> dict[str, list[str]]:
     """Overrides by name."""
     found = {}
     for base in ("uniform", "differences"):
@@ -41,6 +52,9 @@ def sides(paths: int) -> dict[str, list[str]]:
                 settings += ["sampler.base.stage1.resolution=128"]
             found[f"{base} {spp}"] = [*settings, f"estimator.batch={paths // spp}"]
     return found
+
+
+SIDES = {"pixels": pixels, "residual": residuals}
 
 
 def look(loop, values: dict, progress: float, base: int) -> float:
@@ -103,7 +117,7 @@ def child(task: str, chosen: argparse.Namespace) -> None:
     paths, rounds, steps = PATHS, chosen.rounds, chosen.steps
     if chosen.quick:
         paths, rounds, steps = 1024, 1, 8
-    every = loops({name: [*common, *own] for name, own in sides(paths).items()})
+    every = loops({name: [*common, *own] for name, own in SIDES[chosen.of](paths).items()})
     for progress in PROGRESS:
         rows, seconds = estimates(every, progress, rounds, steps)
         first = next(iter(rows))
@@ -120,6 +134,7 @@ def child(task: str, chosen: argparse.Namespace) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}")
+    parser.add_argument("--of", choices=SIDES, default="pixels", help="default: pixels")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--steps", type=int, default=150, help="estimates per side and round")
     parser.add_argument("--quick", action="store_true", help="tiny scenes, one short round")
@@ -130,7 +145,8 @@ def main() -> None:
         parser.error(f"{strange[0]}: no such task; valid: {', '.join(TASKS)}")
     if chosen.child:
         return child(chosen.tasks[0], chosen)
-    earlier = pandas.read_csv(OUTPUT) if OUTPUT.exists() else pandas.DataFrame({"task": []})
+    output = OUTPUTS[chosen.of]
+    earlier = pandas.read_csv(output) if output.exists() else pandas.DataFrame({"task": []})
     for task in chosen.tasks or TASKS:
         # A process each: several scenes in one slow each other.
         command = [sys.executable, __file__, *sys.argv[1:], "--child"]
@@ -139,7 +155,7 @@ def main() -> None:
         print(rows.to_string(index=False, float_format="%.2f"), flush=True)
         if not chosen.quick:
             earlier = pandas.concat([earlier[earlier["task"] != task], rows])
-            earlier.to_csv(OUTPUT, index=False, float_format="%.4g")
+            earlier.to_csv(output, index=False, float_format="%.4g")
 
 
 if __name__ == "__main__":

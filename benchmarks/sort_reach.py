@@ -49,7 +49,7 @@ def slopes(loop, progress: float, count: int, entries: int, base: int) -> np.nda
     for _ in range(count):
         # All colours and both coordinates: an odd stride.
         for pair in smoothing.separate(σ, 1, rng)[:: θ.size // entries | 1][:entries]:
-            estimator._difference(θ, σ, pair, loop._distribution, rng)
+            estimator._differences(θ, σ, [pair], loop._distribution, rng)
     return np.array(found).reshape(count, entries, -1)
 
 

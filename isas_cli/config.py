@@ -52,6 +52,11 @@ class BlurConfig:
             value = getattr(self, name)
             if not 0 < value < math.inf:
                 raise InputError(f"blur.{name}={value}: must be above 0, in the unknown's unit")
+        if self.end > self.start:
+            raise InputError(
+                f"blur.end={self.end}: above start={self.start}, but the width falls over the "
+                "budget; at most start"
+            )
         if not 0 <= self.hold < 1:
             raise InputError(f"blur.hold={self.hold}: a share of the budget, in [0, 1)")
         if not self.hold < self.until <= 1:

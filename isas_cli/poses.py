@@ -53,6 +53,17 @@ class _Object:
     def keys(self) -> list[str]:
         return [f"{self.id}.{name}" for name in self.values()]
 
+    def places(self) -> np.ndarray:
+        """Points of the object, ``(n, 3)``: vertices, or its place and what is a unit from there
+        along its own axes."""
+        if self.points is not None:
+            return np.array(self.points).T
+        if self.position is not None:
+            return np.array(self.position).reshape(1, 3)
+        matrix = np.array(self.to_world.matrix).reshape(4, 4)
+        middle, axes = matrix[:3, 3], matrix[:3, :3].T
+        return np.concatenate([middle[None], middle + axes, middle - axes])
+
     def values(self) -> dict:
         """Mitsuba's parameters by their last word."""
         if self.points is None:
@@ -159,17 +170,17 @@ class Poses:
         return [key for id in ids for key in self._rest[id].keys]
 
     def scale(self, name: str) -> float:
-        """How large the numbers are that this pose's are added to, in its own unit."""
-        if self.items[name].spec.kind == "rotation":
-            return math.degrees(1)
-        found = [1.0]
-        for id in self.items[name].ids:
-            rest = self._rest[id].values()
-            numbers = rest.get("vertex_positions", rest.get("position"))
-            if numbers is None:
-                numbers = rest["to_world"].translation()
-            found.append(float(np.abs(np.array(numbers)).max()))
-        return max(found)
+        """How large the numbers are that this pose's are added to, in its own unit: coordinates, of
+        at least 1, and for a rotation the angle under which its longest arm sees them."""
+        pose = self.items[name]
+        points = np.concatenate([self._rest[id].places() for id in pose.ids])
+        coordinates = max(1.0, float(np.abs(points).max()))
+        if pose.spec.kind == "translation":
+            return coordinates
+        axis = np.asarray(pose.spec.axis, float) / np.linalg.norm(pose.spec.axis)
+        arm = np.linalg.norm(np.cross(points - np.asarray(pose.spec.origin, float), axis), axis=1)
+        # What turns about its own middle has no arm: nothing moves that could be resolved.
+        return math.degrees(coordinates / max(float(arm.max()), 1e-3 * coordinates))
 
     def middles(self, name: str, where: str) -> np.ndarray:
         """Where the parts of the pose ``name`` are as they were loaded, ``(parts, 3)``, of the one

@@ -11,7 +11,8 @@ box. At the truth one looks to the left wall, away from the lamp, and shows its 
 the lamp's place in the ceiling (x, z), the wall's colour and the box's angle, six numbers. The box
 is square: its angle is compared modulo 90°.
 
-What differs: room, lamp and camera are ours.
+What differs: room, lamp and camera are ours. The wall's true colour lies in the middle of its
+range: the mean of a blur that reaches beyond an end is another than the colour.
 
 Depth 4: camera, box or floor, wall, second surface, light: the wall's colour arrives by two bounces
 at least.
@@ -26,7 +27,7 @@ from isas_cli.scenes import meshes
 from isas_cli.scenes.cornell import cornell_box
 from isas_cli.scenes.stage import boxes, camera, matt, turned
 
-WALL = [0.75, 0.3, 0.25]  # so far inside its range that blurring it changes no mean
+WALL = [0.75, 0.3, 0.25]
 MIDDLE = [-0.25, 0.55, -0.15]
 TURNED = 50.0  # degrees, at the truth, against a side that faces the camera
 

@@ -7,8 +7,8 @@ a bottom of glass, in which a reflection is seen.
 Ours: the same in a white room with a polished floor: reflection and shadow of the hidden ball are
 seen a little. The unknown is its z.
 
-What differs: the paper's floor is glass of IOR 1.504; ours is a principled surface that reflects
-like it, as nothing lies below.
+What differs: room, places and camera are ours. The paper's floor is glass of IOR 1.504; ours is a
+principled surface that reflects like it, as nothing lies below.
 
 Depth 4: camera, floor, ball or wall, wall, light.
 """

@@ -11,6 +11,10 @@ What differs: texture, places and camera are ours. Our lamp stands beside the pl
 ball moves: were it in it, both unknowns would move the shadow along one line, and of height and
 distance together only the shadow's size would tell.
 
+Mitsuba's projective integrators do not differentiate the edge of a point light's shadow (no traced
+ray meets the light), only what the ball hides of the sky and throws back: a handicap of that
+baseline here, which an area light would not have.
+
 Depth 2: direct light alone. Light that the ball throws back onto the ground is not simulated; the
 targets lack it too.
 """

@@ -58,9 +58,12 @@ def glowing() -> dict:
     return scene
 
 
-def blurred_problem(at=AT, widths=SIGMA, glows: bool = False, blind: bool = False):
+def blurred_problem(
+    at=AT, widths=SIGMA, glows: bool = False, blind: bool = False, point: bool = False
+):
     """The problem at ``at``, (place, grey or radiance); targets are the truth, rendered well.
-    ``blind``: with a camera more, before the other, that looks away."""
+    ``blind``: with a camera more, before the other, that looks away. ``point``: by the light of a
+    point alone."""
     poses = {
         PLACE: PoseConfig(
             kind="translation", objects=["ball"], directions=[[1, 0, 0]], at=[TRUTH[0]]
@@ -72,6 +75,9 @@ def blurred_problem(at=AT, widths=SIGMA, glows: bool = False, blind: bool = Fals
         RADIANCE if glows else COLOUR: UnknownConfig(start=at[1], range=[0.0, 1.0], blur=blurs[1]),
     }
     scene = glowing() if glows else description()
+    if point:
+        del scene["sky"]
+        scene["lamp"] = {"type": "point", "position": [-2.0, 2.0, 2.5], "intensity": 16.0}
     if blind:
         scene["sensor_000"], scene["sensor_001"] = (
             stage.camera([0, 0, 3], (0, 0, 6), 35.0, 8),

@@ -119,6 +119,28 @@ def test_paths_of_a_pixel_are_a_setting(sampler):
     assert paths[1] == 3 * paths[0]
 
 
+@pytest.mark.parametrize("budget", ("iterations=24", "seconds=1", "paths=150000"))
+def test_the_blur_follows_the_budget(monkeypatch, budget):
+    """In whatever it is measured."""
+    settings = [setting for setting in SMALL if "budget" not in setting]
+    workshop = workshop_of("scene=occlusion", *settings, f"budget.{budget}")
+    chosen = configured("scene=occlusion", "sampler=plateau", *settings, f"budget.{budget}")
+    loop = workshop.loop(*chosen)
+    loop.rehearse()
+    told, spent = [], []
+    estimate = loop.estimator.estimate
+
+    def watched(*arguments):
+        told.append(arguments[-1])
+        spent.append(loop.progress)
+        return estimate(*arguments)
+
+    monkeypatch.setattr(loop.estimator, "estimate", watched)
+    assert loop.run(Hooks()) == "done"
+    assert told == pytest.approx(spent, abs=0.02)
+    assert told[0] == 0 and np.all(np.diff(told) > 0) and told[-1] > 0.9
+
+
 def test_path_replay_refuses_what_moves():
     workshop = workshop_of("scene=shadows", *SMALL)
     for sampler in pixel_samplers():
@@ -127,13 +149,13 @@ def test_path_replay_refuses_what_moves():
 
 
 def test_a_hidden_ball_is_found():
-    """Occlusion, solved at its tiny size where Mitsuba's derivative stays behind."""
+    """Occlusion, solved at its tiny size, where Mitsuba's derivative stays behind in as many
+    iterations."""
     settings = [*SMALL, "budget.iterations=300", "target.spp=256", "estimator.batch=8192"]
     workshop = workshop_of("scene=occlusion", *settings)
     errors = {}
     for name in ("plateau", "mitsuba"):
-        iterations = "budget.iterations=300" if name == "plateau" else "budget.iterations=10"
-        chosen = configured("scene=occlusion", *GRADIENTS[name], *settings, iterations)
+        chosen = configured("scene=occlusion", *GRADIENTS[name], *settings)
         loop = workshop.loop(*chosen)
         loop.rehearse()
         rows: list[dict] = []
@@ -158,6 +180,9 @@ def test_a_hidden_ball_is_found():
         (["sampler=finite_differences", "sampler.spp=0"], "sampler.spp=0: at least 1"),
         (["sampler.gradient=renderer", "sampler.spp=4"], "sampler.spp=4: the renderer's"),
         (["sampler.smooth=time"], "sampler.smooth=time: valid: image, loss"),
+        (["sampler.residual=two"], "sampler.residual=two: valid: pair, one"),
+        (["sampler.residual=one", "sampler.smooth=loss"], "sampler.residual=one: only"),
+        (["sampler.residual=one", "sampler.gradient=renderer"], "sampler.residual=one: only"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(overrides, words):

@@ -109,6 +109,20 @@ def test_at_its_own_value_everything_stands_as_loaded():
     assert np.array_equal(truth.ravel(), loaded.ravel())
 
 
+def test_a_turn_of_what_stands_far_away_is_resolved():
+    """Coordinates of 100 about an axis a unit away: σ is raised to many of their roundings."""
+    from isas_cli.estimators import smoothing
+
+    scene = description(mi.ScalarTransform4f().translate([100, 0, 0]))
+    turn = PoseConfig(kind="rotation", objects=["box"], origin=[100.5, 0.0, 0.0], axis=[0, 1, 0])
+    p = without_targets(scene, {"box.turn": 0.0}, {"box.turn": turn})
+    scale = p.unknowns.items[0].scale
+    assert scale == pytest.approx(np.degrees(100 / 1), rel=0.5)
+    (σ,) = smoothing.stable(np.array([1e-9]), np.array([0.0]), scale)
+    arm = np.float32(99.5) + np.float32(np.radians(σ)) - np.float32(99.5)
+    assert abs(arm / np.radians(σ) - 1) < 1 / 100
+
+
 def test_parts_move_by_themselves():
     spec = PoseConfig(
         kind="translation", objects=["box"], directions=[[1, 0, 0], [0, 0, 2]], parts=2

@@ -167,6 +167,52 @@ def test_the_blurred_value_is_the_smoothed_one():
     assert abs(z(np.array(values)[:, None], 2 + np.sum(σ**2))) < LIMIT
 
 
+def sloped(slope, θ, σ) -> np.ndarray:
+    """Estimates of ∂F/∂θ by Eq. 8: the integrand's own slope at θ + τ."""
+    rng = np.random.default_rng(zlib.crc32(f"{θ} {σ}".encode()))
+    return np.array([slope(θ + smoothing.blurred(σ, rng)) for _ in range(4000)])
+
+
+@pytest.mark.parametrize("σ", ([1e-4, 2e-4], [0.3, 5.0]))
+def test_the_slope_blurred(σ):
+    """Eq. 8 where there is a slope: of 3 a + b it is (3, 1), of a² + b² 2 θ, of a b² (its slope by
+    a depends on b's blur)."""
+    σ = np.array(σ)
+    θ = np.array([0.5, -0.4]) * σ
+    assert np.all(z(sloped(lambda t: np.array([3.0, 1.0]), θ, σ), [3, 1]) == 0)
+    assert np.all(np.abs(z(sloped(lambda t: 2 * t, θ, σ), 2 * θ)) < LIMIT)
+    found = sloped(lambda t: np.array([t[1] ** 2, 2 * t[0] * t[1]]), θ, σ)
+    expected = np.array([θ[1] ** 2 + σ[1] ** 2, 2 * θ[0] * θ[1]])
+    assert np.all(np.abs(z(found, expected)) < LIMIT)
+
+
+def test_the_slope_blurred_does_not_see_a_step():
+    """What silhouettes' derivatives are for: the step's own slope is 0 wherever it is taken, that
+    of what is smoothed is not, and pairs of values see it."""
+    assert np.all(sloped(lambda t: np.zeros(1), np.zeros(1), np.ones(1)) == 0)
+    found = estimates("joint", lambda t: float(t[0] > 0), [0.0], [1.0], 1)
+    assert abs(z(found, normal(0))) < LIMIT
+
+
+def test_image_space_by_independent_offsets():
+    """dℒ(Q)/dθ for ℒ = Q², Q the step's blur: 2 Q Q'. With the same offset for both factors it is
+    the blurred loss's, ℒ(step) = step, which is Q' alone."""
+    θ, σ = 0.4, 0.5
+    rng = np.random.default_rng(8)
+
+    def step(t) -> float:
+        return float(t[0] > 0)
+
+    found = []
+    for _ in range(8000):
+        (pair,) = smoothing.joint(np.array([σ]), 1, rng)
+        other = step(θ + smoothing.blurred(np.array([σ]), rng))
+        found.append(2 * other * pair.weight * (step(θ + pair.plus) - step(θ + pair.minus)))
+    q, slope = stats.norm.cdf(θ / σ), normal(θ / σ) / σ
+    assert abs(z(np.array(found), 2 * q * slope)) < LIMIT
+    assert abs(z(np.array(found), slope)) > LIMIT
+
+
 @pytest.mark.parametrize(
     "until, progress, expected",
     [(1.0, 0, 3.0), (1.0, 0.25, 3.0), (1.0, 0.625, 1.6), (1.0, 1.0, 0.2), (1.0, 1.5, 0.2)]

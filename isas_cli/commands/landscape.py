@@ -76,7 +76,10 @@ def _measured(problem, cfg: DictConfig, run, names: list[str], spp: int, phases)
         margin = _BEYOND * start[entry]
         low, high = np.nanmin(visited) - margin, np.nanmax(visited) + margin
         axes.append(np.linspace(low, high, _POINTS[len(names)]))
-    widths = [tuple(σ[entries]) for σ in (start, np.sqrt(start * end))]
+    # A blur that is narrower than the grid would show the sharp loss.
+    spacing = np.array([axis[1] - axis[0] for axis in axes])
+    narrower = np.maximum(np.sqrt(start * end)[entries], spacing)
+    widths = [tuple(start[entries]), tuple(np.minimum(narrower, start[entries]))]
     loss = instantiate(cfg.loss, "loss")
     smooth = cfg.sampler.get("smooth", "image")
 

@@ -28,10 +28,14 @@ class Plateau:
 
           dℒ/dθ_k = Σ_j ∂ℒ/∂I(Q_j) ∂Q_j/∂θ_k.
 
-      The two factors come from independent offsets and paths: one rendering P(θ + τ'), τ' ~ κ, for
-      ∂ℒ/∂I, a pair P(θ ± τ), τ ~ |∂κ|, for ∂Q_j/∂θ_k. Unbiased for losses of linear derivative.
-      (One offset for both would not be: its error is correlated with itself.) At the truth Q is
-      blurred and the target is not, so the minimum lies elsewhere while σ is large.
+      The two factors come from independent offsets and paths: Q itself from (P(θ + τ') +
+      P(θ - τ')) / 2, τ' ~ κ, and ∂Q_j/∂θ_k from a pair P(θ ± τ), τ ~ |∂κ|. Unbiased for losses of
+      linear derivative. (One offset for both factors would not be: its error is correlated with
+      itself.) The paper has one rendering for Q. Its error is what τ' changes in the image, which
+      stays where nothing is left to be found, so that a run cannot end much nearer than σ over the
+      root of its last steps; what τ' changes and -τ' changes back is not in the mean of both
+      (benchmarks/plateau_variance.py --of residual). At the truth Q is blurred and the target is
+      not, so the minimum lies elsewhere while σ is large.
     - ``smooth="loss"``, that of the paper's public code: F = κ ⋆ (ℒ ∘ P),
 
           ∂F/∂θ_k = E[weight_k (ℒ(P(θ + τ)) - ℒ(P(θ - τ)))].
@@ -40,12 +44,14 @@ class Plateau:
       which depends on θ too, is not descended along. Unbiased for L2 and relative L2; where a loss
       is not quadratic, of the loss of a mean of two renderings.
 
-    ``scheme``: joint (one pair for all D entries) or separate (one for each), both unbiased for
-    the Gaussian of all entries; ``pairs`` of either per step. ``common``: both of a pair follow
+    ``scheme``: joint (one pair for all D entries) or separate (one for each, which share pixels and
+    Q), both unbiased for the Gaussian of all entries; ``pairs`` of either per step. ``residual``:
+    pair, as above, or one, the paper's, Q from P(θ + τ') twice. ``common``: both of a pair follow
     the same random numbers, so that what τ does not change cancels: less variance, the same mean.
     An unknown with a ``reach`` is estimated from the pixels near its parts (``Locality``).
-    Pixels from any distribution (``Renderings``), ``batch`` for each pair, ``spp`` paths a pixel
-    and rendering; three renderings a pair in image space, four in loss space.
+    Pixels from any distribution (``Renderings``), ``batch`` for each Q, ``spp`` paths a pixel in
+    each rendering of a pair and half of it, at least 1, in each of Q's; in loss space twice
+    ``spp``.
 
     ``values``, offsets and sums are on the host, in double precision.
     """
@@ -61,18 +67,23 @@ class Plateau:
         common: bool = True,
         freeze: bool = True,
         spp: int = 1,
+        residual: str = "pair",
     ):
         self.batch, self.smooth, self.pairs, self.common = batch, smooth, pairs, common
         self.blur = Blur(problem, "sampler=plateau")
-        self._scheme = SCHEMES[scheme]
+        self._scheme, self._mirrored = SCHEMES[scheme], residual == "pair"
         self._renderings = Renderings(problem, loss, batch, self.blur, freeze, spp)
-        differences = pairs * (self.blur.size if scheme == "separate" else 1)
-        self._paths = batch * spp * differences
+        self._together = self.blur.size if scheme == "separate" else 1
 
     @property
     def paths_per_step(self) -> int:
         """Light paths of one estimate."""
-        return (3 if self.smooth == "image" else 4) * self._paths
+        renderings = self._renderings
+        if self.smooth == "image":
+            each = 2 * renderings.half + 2 * renderings.spp * self._together
+        else:
+            each = 4 * renderings.spp * self._together
+        return self.batch * self.pairs * each
 
     def estimate(
         self,
@@ -89,15 +100,25 @@ class Plateau:
         # One stream for the offsets and for the seeds of the step's renderings.
         rng = np.random.default_rng(streams.seed(base, iteration, "offset"))
         total = np.zeros(θ.size)
-        for pair in self._scheme(σ, self.pairs, rng):
-            total += pair.weight * self._difference(θ, σ, pair, distribution, rng)
+        drawn = self._scheme(σ, self.pairs, rng)
+        # One of every entry, or one of all entries.
+        for number in range(self.pairs):
+            pairs = drawn[number :: self.pairs]
+            differences = self._differences(θ, σ, pairs, distribution, rng)
+            total += sum(pair.weight * found for pair, found in zip(pairs, differences))
         return self.blur.values(total / self.pairs)
 
-    def _difference(self, θ, σ, pair, distribution, rng) -> np.ndarray:
-        seeds = rng.integers(1 << 32, size=4)
+    def _differences(self, θ, σ, pairs, distribution, rng) -> list[np.ndarray]:
+        seeds = rng.integers(1 << 32, size=(len(pairs), 2))
         if self.common:
-            seeds[-1] = seeds[-2]
+            seeds[:, 1] = seeds[:, 0]
         if self.smooth == "loss":
-            return self._renderings.of_losses(θ, pair, distribution, seeds[1:])
+            pixels = rng.integers(1 << 32, size=len(pairs))
+            return [
+                self._renderings.of_losses(θ, pair, distribution, np.append(pixel, own))
+                for pair, pixel, own in zip(pairs, pixels, seeds)
+            ]
         other = smoothing.blurred(σ, rng)
-        return self._renderings.of_images(θ, pair, other, distribution, seeds)
+        others = (other, -other) if self._mirrored else (other, other)
+        seeds = np.append(rng.integers(1 << 32, size=3), seeds)
+        return self._renderings.of_images(θ, pairs, others, distribution, seeds)

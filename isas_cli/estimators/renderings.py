@@ -29,7 +29,9 @@ class Renderings:
     the same number of paths fewer pixels with more paths each are better
     (benchmarks/plateau_variance.py).
 
-    The scene is updated outside the frozen kernels, and one launch traces one state of it.
+    A launch traces one state of the scene, as Mitsuba holds one: two a pair, and in image space two
+    more for the residual, however many objects move. The scene is updated between them, outside the
+    frozen kernels.
     """
 
     def __init__(
@@ -44,31 +46,47 @@ class Renderings:
         self.problem, self.blur = problem, blur
         wrap = dr.freeze if freeze else (lambda f: f)
         self._draw = wrap(_draw_kernel(batch))
-        self._trace = {n: wrap(_trace_kernel(problem.integrator, batch, n, spp)) for n in (1, 2)}
-        self._images = wrap(_image_kernel(loss, batch))
+        # Two of them make the middle: together as many paths as each of a pair, if that is even.
+        self.half = max(1, spp // 2)
+        self._trace = {
+            (count, paths): wrap(_trace_kernel(problem.integrator, batch, count, paths))
+            for count, paths in ((1, spp), (2, spp), (1, self.half))
+        }
+        self.spp = spp
+        self._adjoints = wrap(_adjoint_kernel(loss))
+        self._images = wrap(_image_kernel(batch))
         self._losses = wrap(_loss_kernel(loss, batch))
         self._locality = Locality(problem, blur, batch, freeze)
 
     def of_images(
         self,
         θ: np.ndarray,
-        pair: Pair,
-        other: np.ndarray,
+        pairs: list[Pair],
+        others: tuple[np.ndarray, np.ndarray],
         distribution: PixelDistribution,
         seeds: np.ndarray,
-    ) -> np.ndarray:
-        """Estimates Σ_j ∂ℒ/∂I_j(P(θ + ``other``)) · (P(θ + ``plus``) - P(θ + ``minus``))_j, for
+    ) -> list[np.ndarray]:
+        """Estimates Σ_j ∂ℒ/∂I_j(M) · (P(θ + ``plus``) - P(θ + ``minus``))_j of every pair, for
         every entry of the unknowns, ``(D,)``: the same for all that have no reach (``Locality``).
+        M is the mean of P at θ + each of the two ``others``, one for all pairs.
 
-        ``seeds (4,)``: of pixels, and of the three renderings in this order. Without bias for
-        losses of linear derivative, if the first two renderings' seeds differ. Waits.
+        ``seeds (3 + 2 pairs,)``: of pixels, of M's two renderings, and of those of each pair.
+        Without bias for losses of linear derivative, if M's differ from the others. Waits.
         """
         p = self.problem
         drawn = self._drawn(distribution, seeds[0])
-        offsets = (other, pair.plus, pair.minus)
-        images = [self._traced(θ + o, drawn, s, 1)[0] for o, s in zip(offsets, seeds[1:])]
-        terms = self._images(p.targets, p.mask, drawn[3:], images, p.share)
-        return self._locality.differences(θ, pair, drawn[:3], terms)
+        middle = [
+            self._traced(θ + other, drawn, seed, 1, self.half)[0]
+            for other, seed in zip(others, seeds[1:3])
+        ]
+        adjoint = self._adjoints(p.targets, drawn[3], middle)
+        found = []
+        for pair, own in zip(pairs, np.reshape(seeds[3:], (-1, 2))):
+            offsets = (pair.plus, pair.minus)
+            images = [self._traced(θ + o, drawn, s, 1, self.spp)[0] for o, s in zip(offsets, own)]
+            terms = self._images(adjoint, p.mask, drawn[3:], images, p.share)
+            found.append(self._locality.differences(θ, pair, drawn[:3], terms))
+        return found
 
     def of_losses(
         self, θ: np.ndarray, pair: Pair, distribution: PixelDistribution, seeds: np.ndarray
@@ -81,20 +99,21 @@ class Renderings:
         p = self.problem
         drawn = self._drawn(distribution, seeds[0])
         offsets = (pair.plus, pair.minus)
-        sides = [self._traced(θ + o, drawn, s, 2) for o, s in zip(offsets, seeds[1:])]
+        sides = [self._traced(θ + o, drawn, s, 2, self.spp) for o, s in zip(offsets, seeds[1:])]
         terms = self._losses(p.targets, p.mask, drawn[3:], sides, p.share)
         return self._locality.differences(θ, pair, drawn[:3], terms)
 
     def _drawn(self, distribution: PixelDistribution, seed: int) -> tuple:
         return self._draw(self.problem.views, distribution, dr.opaque(mi.UInt32, int(seed)))
 
-    def _traced(self, θ: np.ndarray, drawn: tuple, seed: int, count: int) -> list:
+    def _traced(self, θ: np.ndarray, drawn: tuple, seed: int, count: int, spp: int) -> list:
         """``count`` independent renderings of the drawn pixels at ``θ``, ``(3, N)`` each."""
         p = self.problem
         self.blur.write(θ)
         seed = dr.opaque(mi.UInt32, int(seed))
         place = drawn[:3]
-        return self._trace[count](p.scene, p.sensors, p.views, p.unknowns.leaves, place, seed)
+        scene = p.scene, p.sensors, p.views, p.unknowns.leaves
+        return self._trace[count, spp](*scene, place, seed)
 
 
 def _draw_kernel(batch: int):
@@ -138,11 +157,22 @@ def _part(radiance: mi.Color3f, lanes: mi.UInt32) -> mi.Color3f:
     return mi.Color3f(*[dr.gather(mi.Float, channel, lanes) for channel in radiance])
 
 
-def _image_kernel(loss, batch: int):
-    def kernel(targets, mask, drawn, images, share):
+def _adjoint_kernel(loss):
+    """∂ℒ/∂I at the mean of two renderings."""
+
+    def kernel(targets, pixel, middle):
+        a, b = middle
+        found = loss.derivative((a + b) / 2, dr.gather(mi.Color3f, targets, pixel))
+        dr.eval(found)
+        return found
+
+    return kernel
+
+
+def _image_kernel(batch: int):
+    def kernel(adjoint, mask, drawn, images, share):
         pixel, probability = drawn
-        middle, plus, minus = images
-        adjoint = loss.derivative(middle, dr.gather(mi.Color3f, targets, pixel))
+        plus, minus = images
         return _terms(adjoint * (plus - minus), pixel, probability, mask, share, batch)
 
     return kernel

@@ -45,8 +45,10 @@ class Stock:
     that are seen by way of other surfaces (shadows, reflections): guided by an ``octree``
     (Mitsuba's default) or a ``grid``, both built anew each step and far dearer than all the rest
     of it, ``uniform``, or not at all (``direct``: those alone that the camera sees, which is biased
-    where others move). What enters or leaves the image at its border is not differentiated.
-    Nothing is frozen: projective integrators cannot be.
+    where others move). The edge of a shadow that a light without extent throws (a point light) is
+    not differentiated, however silhouettes are sampled: no traced ray meets such a light. What
+    lies behind clear glass is reached by chance alone. What enters or leaves the image at its
+    border is not differentiated. Nothing is frozen: projective integrators cannot be.
     """
 
     def __init__(

@@ -21,8 +21,8 @@ from .stage1 import cell_mean, cell_moments, spawned
 @dataclass
 class Differences(Gradient):
     """p_j of least variance for the differences that ``estimators.plateau`` sums over pixels, with
-    pairs of its scheme joint, one path a pixel, common random numbers and no ``reach`` (else an
-    approximation).
+    pairs of its scheme joint, one path a pixel, common random numbers, a residual from one
+    rendering and no ``reach`` (else an approximation).
 
     In image space a drawn pixel j gives Σ_c r_jc D_jc / p_j, r = ∂ℒ/∂I at P(θ + τ') and
     D = P(θ + τ) - P(θ - τ), τ' and τ independent, hence

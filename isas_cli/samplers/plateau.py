@@ -63,7 +63,8 @@ class Plateau(Other):
     Eq. 8: Mitsuba's derivative at blurred values). ``smooth``: image (the paper's equation) or loss
     (its public code); ``scheme``: joint or separate; ``pairs``: of renderings, a step; ``spp``:
     paths of each drawn pixel in each rendering; ``common``: the same random numbers for both of a
-    pair. See ``estimators.plateau``. ``silhouettes``: as in ``Mitsuba``.
+    pair; ``residual``: from a pair of renderings too, or from one (the paper's). See
+    ``estimators.plateau``. ``silhouettes``: as in ``Mitsuba``.
     """
 
     gradient: str = "kernel"
@@ -72,6 +73,7 @@ class Plateau(Other):
     pairs: int = 1
     spp: int = 1
     common: bool = True
+    residual: str = "pair"
     silhouettes: str = "uniform"
 
     def __post_init__(self) -> None:
@@ -80,6 +82,12 @@ class Plateau(Other):
         _choice("gradient", self.gradient, ("kernel", "renderer"))
         _choice("smooth", self.smooth, ("image", "loss"))
         _choice("scheme", self.scheme, ("joint", "separate"))
+        _choice("residual", self.residual, ("pair", "one"))
+        if self.residual == "one" and (self.smooth == "loss" or self.gradient == "renderer"):
+            raise InputError(
+                "sampler.residual=one: only sampler.smooth=image with sampler.gradient=kernel has "
+                "a residual of its own; leave it out"
+            )
         _at_least_one(self, "pairs", "spp")
         if self.gradient == "renderer":
             for name, usual in (("scheme", "joint"), ("common", True), ("spp", 1)):
@@ -107,7 +115,8 @@ class Plateau(Other):
         from ..estimators.plateau import Plateau as Estimator
 
         settings = self.smooth, self.scheme, self.pairs, self.common
-        return Estimator(problem, loss, batch, *settings, freeze, spp=self.spp)
+        more = {"spp": self.spp, "residual": self.residual}
+        return Estimator(problem, loss, batch, *settings, freeze, **more)
 
 
 @dataclass
