@@ -20,7 +20,7 @@ def test_mitsubas_derivative_blurred(smooth):
     """κ∂P, by prb_projective, of a ball that glows: no silhouette is seen by way of others, which
     would take seconds a step."""
     p = blurred_problem(glows=True)
-    found = rows(Stock(p, losses.L2(), 2 * BATCH, smooth, silhouettes="direct"), p, 100)
+    found = rows(Stock(p, losses.L2(), 2 * BATCH, smooth, silhouettes="direct"), p, 300)
     assert unbiased(found, references_of(p)[smooth])
 
 
@@ -61,23 +61,6 @@ def test_mitsubas_own_derivative_does_not_see_over_a_plateau():
     mean, error = plateau[:, 0].mean(), plateau[:, 0].std() / math.sqrt(len(plateau))
     print("slope", mean, "±", error)
     assert mean > 4 * error
-
-
-def test_silhouettes_in_shadows():
-    """Of a ball before a wall, lit by an area light: its own edge and its shadow's, sampled
-    uniformly as the races' baseline has it, against differences."""
-    p = blurred_problem()
-    found = rows(Stock(p, losses.L2(), 16 * BATCH, silhouettes="uniform"), p, 150)
-    exact = rows(FiniteDifferences(p, losses.L2(), 64 * BATCH, 0.05), p, 100)
-    assert unbiased(found, exact)
-
-
-def test_without_them_the_derivative_is_another():
-    """What the test above would notice."""
-    p = blurred_problem()
-    found = rows(Stock(p, losses.L2(), 16 * BATCH, silhouettes="direct"), p, 150)
-    exact = rows(FiniteDifferences(p, losses.L2(), 64 * BATCH, 0.05), p, 100)
-    assert p_value(found, exact) < LEVEL
 
 
 def test_the_edge_of_a_point_lights_shadow_is_missing():

@@ -74,7 +74,9 @@ def test_several_pairs_and_independent_random_numbers(problem, references):
 @pytest.mark.parametrize("smooth", ("image", "loss"))
 def test_several_paths_a_pixel(problem, references, smooth):
     fewer = Plateau(problem, losses.L2(), BATCH // 4, smooth, spp=4)
-    assert fewer.paths_per_step == made(problem, smooth=smooth).paths_per_step
+    # In image space the residual's two renderings have half of them each.
+    paths = {"image": 3 * BATCH, "loss": 4 * BATCH}
+    assert fewer.paths_per_step == paths[smooth]
     assert unbiased(rows(fewer, problem, COUNT), references[smooth])
 
 
@@ -212,14 +214,17 @@ def test_common_random_numbers_lower_the_variance(smooth):
     assert np.all(apart.var(axis=0) > 1.5 * common.var(axis=0))
 
 
-@pytest.mark.parametrize("smooth, scheme", (("loss", "separate"), ("image", "joint")))
-def test_narrow_blurs_stay_finite(smooth, scheme):
-    """σ = 1e-4: the colour's gradient is then the loss's own, against central differences."""
+@pytest.mark.parametrize("smooth", ("loss", "image"))
+def test_narrow_blurs_stay_finite(smooth):
+    """σ = 1e-4: the colour's gradient is then the loss's own, against central differences. (Joint
+    pairs are finite, but have the place's noise, of paths that an edge passes, over the colour's
+    width.)"""
     p = blurred_problem(widths=(1e-4, 1e-4))
-    found = rows(made(p, smooth=smooth, scheme=scheme), p, COUNT)
+    assert np.all(np.isfinite(rows(made(p, smooth=smooth, scheme="joint"), p, COUNT)))
+    found = rows(made(p, smooth=smooth, scheme="separate"), p, COUNT)
     assert np.all(np.isfinite(found))
     exact = rows(FiniteDifferences(p, losses.L2(), BATCH, 1000.0), p, 400)
-    assert unbiased(found[:, 1:], exact[:, 1:])
+    assert unbiased(found[:, 1:], exact[:, 1:], seen=1.0)
 
 
 def test_every_unknown_has_a_schedule_of_its_own():
