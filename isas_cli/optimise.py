@@ -28,9 +28,9 @@ _EVALUATION_POWER = 1.5
 # If more than this share of the touched gradient entries since the last evaluation is not finite,
 # going on makes no sense.
 _NONFINITE_LIMIT = 0.5
-# Iteration numbers of the rehearsal: out of reach of any run, so that no stream repeats; and small
-# enough for samplers that take up to 31 streams an iteration (``streams``).
-_REHEARSAL_BASE = 1 << 22
+# Iteration numbers of the rehearsal: out of reach of any run, so that no stream repeats (but for
+# samplers that take eight streams an iteration, whose looks are then those of the run's begin).
+_REHEARSAL_BASE = 1 << 24
 
 
 class Estimator(Protocol):
