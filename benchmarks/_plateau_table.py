@@ -49,7 +49,7 @@ def sorted_cubes(run) -> dict:
 
     spec = run.config["scene"]["unknowns"]["cubes.place"]["start"]
     arrays, _ = records.load_checkpoint(run.folder)
-    # As `isas_cli.unknowns` draws it.
+    # As `isas_cli.specs` draws it.
     start = np.random.default_rng(spec["seed"]).uniform(*spec["uniform"], 150)
     found = in_place(arrays["value/cubes.place"])
     return found | {"filled_at_start": in_place(start)["filled"]}

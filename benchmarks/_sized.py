@@ -34,7 +34,8 @@ def problem_of(views: int, resolution: int, texture: int, depth: int):
     from isas_cli.config import UnknownConfig
     from isas_cli.pixels import Views
     from isas_cli.problem import Problem
-    from isas_cli.unknowns import Unknowns, parse
+    from isas_cli.specs import parse
+    from isas_cli.unknowns import Unknowns
 
     dictionary = pottery.build(1, resolution, 64)
     camera = next(name for name in dictionary if name.startswith("sensor"))

@@ -7,9 +7,10 @@ import mitsuba as mi
 import numpy as np
 
 from .config import OptimizerConfig
+from .parameters import as_numpy, flat, unflat
 from .samplers.base import Moments
 from .schedule import factor
-from .unknowns import Unknowns, as_numpy, flat, unflat
+from .unknowns import Unknowns
 
 
 class Stepper:

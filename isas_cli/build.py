@@ -16,10 +16,12 @@ import numpy as np
 from . import backend, coverage, mesh_checks, scene_file, targets
 from .config import SceneConfig, TargetConfig
 from .errors import InputError, nearest
+from .parameters import textures
 from .pixels import Views
 from .poses import Poses
 from .problem import Problem
-from .unknowns import Unknowns, parse, textures
+from .specs import parse
+from .unknowns import Unknowns
 
 
 def problem(

@@ -11,9 +11,9 @@ import numpy as np
 from . import rays, streams
 from .errors import InputError
 from .estimators import replay
+from .parameters import flat
 from .problem import Problem
 from .targets import cached, digest
-from .unknowns import flat
 
 # An entry counts as seen from this share of a well seen one's sensitivity on. Texels that only
 # light the seen ones by interreflection, or that a view grazes, lie far below it: no view pins

@@ -9,10 +9,10 @@ import mitsuba as mi
 import numpy as np
 
 from . import streams
+from .parameters import as_numpy
 from .problem import Problem
 from .records import VALUE_PREFIX
 from .render import Renderer
-from .unknowns import as_numpy
 
 # An unknown of at most so many numbers is followed number by number.
 _FEW = 8

@@ -16,10 +16,10 @@ from .budget import Budget
 from .clock import Clock
 from .errors import NumericalError
 from .evaluate import Evaluator
+from .parameters import flat
 from .problem import Problem
 from .samplers import reliability
 from .samplers.base import Sampler
-from .unknowns import flat
 
 # Recording a frozen kernel takes two or three calls; from the fourth on a step is steady.
 _REHEARSAL_STEPS = 5

@@ -6,10 +6,10 @@ import mitsuba as mi
 import numpy as np
 
 from . import images, streams
+from .parameters import as_numpy
 from .problem import Problem
 from .records import RunWriter, safe_name
 from .render import Renderer
-from .unknowns import as_numpy
 
 _RGB = ["R", "G", "B"]
 # Snapshots: about a million paths each, whatever the films' size.

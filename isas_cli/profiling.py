@@ -49,8 +49,8 @@ from .backend import sync
 from .estimators import replay
 from .estimators.two_path import TwoPath
 from .optimise import Loop
+from .parameters import flat, unflat
 from .records import write_atomically
-from .unknowns import flat, unflat
 
 FILE = "profile.csv"
 # Rounds measured, and the seconds after which there are fewer; at least a few in any case.

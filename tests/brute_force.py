@@ -8,7 +8,7 @@ import numpy as np
 
 from isas_cli import rays, streams
 from isas_cli.estimators import replay
-from isas_cli.unknowns import flat, unflat
+from isas_cli.parameters import flat, unflat
 
 
 def _paths(p, cells, samples: int, base: int, iteration: int, purpose: str) -> tuple:

@@ -14,11 +14,11 @@ from isas_cli.adam import Stepper
 from isas_cli.compose import compose, instantiate, options
 from isas_cli.config import OptimizerConfig
 from isas_cli.estimators.two_path import TwoPath
+from isas_cli.parameters import flat, unflat
 from isas_cli.pixels import PixelDistribution, Tiles
 from isas_cli.problem import Problem
 from isas_cli.render import Renderer
 from isas_cli.samplers.base import Moments, Sampler
-from isas_cli.unknowns import flat, unflat
 
 
 @lru_cache(maxsize=None)

@@ -12,7 +12,8 @@ from isas_cli.pixels import Views
 from isas_cli.poses import Poses
 from isas_cli.problem import Problem
 from isas_cli.samplers.base import Stage1Settings
-from isas_cli.unknowns import Unknowns, parse
+from isas_cli.specs import parse
+from isas_cli.unknowns import Unknowns
 
 TEXTURE, ROUGHNESS = "floor.bsdf.base_color.data", "wall.bsdf.roughness.value"
 UNKNOWNS = {TEXTURE: 0.5, ROUGHNESS: 0.5}

@@ -10,8 +10,8 @@ from isas_cli.adam import Stepper
 from isas_cli.budget import Budget
 from isas_cli.config import OptimizerConfig
 from isas_cli.errors import InputError
+from isas_cli.parameters import as_numpy, flat, unflat
 from isas_cli.schedule import factor
-from isas_cli.unknowns import as_numpy, flat, unflat
 
 
 def settings(**changes) -> OptimizerConfig:

@@ -8,7 +8,7 @@ from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
 from isas_cli import rays
 from isas_cli.estimators import attached, replay
-from isas_cli.unknowns import flat
+from isas_cli.parameters import flat
 
 UNKNOWNS = {
     TEXTURE: 0.5,

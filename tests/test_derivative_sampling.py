@@ -16,7 +16,7 @@ from isas_cli.errors import InputError
 from isas_cli.estimators import derivative_sampling, replay
 from isas_cli.experiment import checked
 from isas_cli.losses import L2
-from isas_cli.unknowns import flat
+from isas_cli.parameters import flat
 
 LEVEL = 1e-4
 BATCH = 4096

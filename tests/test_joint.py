@@ -10,12 +10,12 @@ from scenes_for_tests import ROUGHNESS, TEXTURE, UNKNOWNS, problem
 
 from isas_cli import losses, streams
 from isas_cli.app import main
+from isas_cli.parameters import flat
 from isas_cli.samplers.base import Stage1Settings
 from isas_cli.samplers.cells import Cells
 from isas_cli.samplers.joint import Joint
 from isas_cli.samplers.product import Product
 from isas_cli.samplers.stage1 import random_signs
-from isas_cli.unknowns import flat
 
 
 def exact(p, loss, cells, samples: int) -> tuple[np.ndarray, np.ndarray]:

@@ -16,9 +16,9 @@ from isas_cli.errors import InputError
 from isas_cli.estimators.blur import Blur
 from isas_cli.estimators.locality import Locality
 from isas_cli.estimators.plateau import Plateau
+from isas_cli.parameters import as_numpy
 from isas_cli.pixels import PixelDistribution, Tiles
 from isas_cli.render import Renderer
-from isas_cli.unknowns import as_numpy
 
 KEY, SKY = "cards.place", "sky.radiance.value"
 BATCH = 3 * 432

@@ -14,13 +14,13 @@ from isas_cli.errors import NumericalError
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.evaluate import Evaluator
 from isas_cli.optimise import Hooks, Loop
+from isas_cli.parameters import as_numpy, unflat
 from isas_cli.samplers.balanced import Balanced
 from isas_cli.samplers.base import Stage1Settings
 from isas_cli.samplers.gradient import Gradient
 from isas_cli.samplers.ours import Ours
 from isas_cli.samplers.relevant import Relevant
 from isas_cli.samplers.uniform import Uniform
-from isas_cli.unknowns import as_numpy, unflat
 
 STAGE1 = Stage1Settings(resolution=8, spp=2, denoise="none")
 SAMPLERS = {

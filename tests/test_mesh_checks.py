@@ -12,7 +12,7 @@ from isas_cli import mesh_checks, scene_file
 from isas_cli.app import main
 from isas_cli.errors import InputError
 from isas_cli.mesh_checks import check_scene, overlap
-from isas_cli.unknowns import textures
+from isas_cli.parameters import textures
 
 MIRRORED = [[1, 0], [0, 0], [0, 1], [1, 1]]
 

@@ -90,22 +90,21 @@ def test_shadows_the_ball_is_out_of_view_and_its_shadow_elsewhere(side):
     assert not (shadows[0] & shadows[1]).any()
 
 
-def test_global_illumination_only_scattered_light_is_seen():
-    p = built("global_illumination")
+@pytest.mark.parametrize(
+    "scene, shown, share, hidden",
+    (
+        # Only what walls scatter onto the box; only what the ball focuses.
+        ("global_illumination", "box", 0.1, ("lamp", "left")),
+        ("caustic", "ball", 0.05, ("lamp",)),
+    ),
+)
+def test_the_light_is_out_of_view(scene, shown, share, hidden):
+    p = built(scene)
     for values in (p.unknowns.truths(), p.unknowns.starts()):
         p.unknowns.write(values)
         found = seen(p)
-        assert found["box"].sum() > p.views.total / 10
-        assert found["lamp"].sum() == found["left"].sum() == 0
-
-
-def test_caustic_the_lamp_is_out_of_view():
-    p = built("caustic")
-    for values in (p.unknowns.truths(), p.unknowns.starts()):
-        p.unknowns.write(values)
-        found = seen(p)
-        assert found["ball"].sum() > p.views.total / 20
-        assert found["lamp"].sum() == 0
+        assert found[shown].sum() > share * p.views.total
+        assert all(found[name].sum() == 0 for name in hidden)
 
 
 def test_sort_cubes_fit_beside_each_other_and_start_elsewhere():

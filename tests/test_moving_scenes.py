@@ -14,7 +14,7 @@ from isas_cli.errors import InputError, NumericalError
 from isas_cli.estimators import replay
 from isas_cli.experiment import Phases
 from isas_cli.optimise import Hooks
-from isas_cli.unknowns import as_numpy
+from isas_cli.parameters import as_numpy
 from isas_cli.workshop import Workshop
 
 GRADIENTS = {
@@ -184,6 +184,8 @@ def test_a_hidden_ball_is_found():
         (["sampler.smooth=time"], "sampler.smooth=time: valid: image, loss"),
         (["sampler.residual=two"], "sampler.residual=two: valid: pair, one"),
         (["sampler.residual=one", "sampler.smooth=loss"], "sampler.residual=one: only"),
+        (["sampler.residual_spp=4", "sampler.smooth=loss"], "sampler.residual_spp=4: only"),
+        (["sampler.residual_spp=1"], "sampler.residual_spp=1: at least 2"),
         (["sampler.residual=one", "sampler.gradient=renderer"], "sampler.residual=one: only"),
     ],
 )

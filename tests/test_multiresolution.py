@@ -13,6 +13,7 @@ from isas_cli.app import main
 from isas_cli.compare import labels
 from isas_cli.compose import compose, instantiate, translate
 from isas_cli.errors import InputError
+from isas_cli.parameters import flat
 from isas_cli.samplers.base import Moments, Stage1Settings
 from isas_cli.samplers.cells import Cells
 from isas_cli.samplers.gradient import Gradient
@@ -21,7 +22,6 @@ from isas_cli.samplers.ours import Ours
 from isas_cli.samplers.preconditioned import Preconditioned
 from isas_cli.samplers.relevant import Relevant
 from isas_cli.samplers.uniform import Uniform
-from isas_cli.unknowns import flat
 
 COARSE = Multiresolution(base=Ours(stage1=Stage1Settings(resolution=12, spp=4, denoise="none")))
 

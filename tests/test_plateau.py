@@ -62,8 +62,20 @@ def test_a_residual_from_both_sides_lowers_the_variance_at_the_truth():
 
 def test_separate_pairs_share_pixels_and_residual(problem):
     estimator = made(problem, smooth="image", scheme="separate", spp=4)
-    assert estimator.paths_per_step == BATCH * (2 * 2 + 2 * 2 * 4)
+    assert estimator.paths_per_step == BATCH * (2 * 4 + 2 * 2 * 4)
     assert made(problem, smooth="image").paths_per_step == BATCH * 4
+
+
+def test_the_residuals_paths_are_a_setting(problem, references):
+    few = Plateau(problem, losses.L2(), BATCH // 4, "image", spp=4, residual_spp=2)
+    many = Plateau(problem, losses.L2(), BATCH // 4, "image", spp=4, residual_spp=12)
+    assert few.paths_per_step == BATCH // 4 * (2 + 8)
+    assert many.paths_per_step == BATCH // 4 * (12 + 8)
+    found = rows(many, problem, COUNT)
+    assert unbiased(found, references["image"])
+    noise = rows(few, problem, COUNT).var(axis=0) / found.var(axis=0)
+    print("variance, 2 paths over 12", noise)
+    assert np.all(noise > 1.1)
 
 
 def test_several_pairs_and_independent_random_numbers(problem, references):

@@ -11,9 +11,9 @@ from scenes_for_tests import without_targets
 
 from isas_cli.config import PoseConfig, UnknownConfig
 from isas_cli.errors import InputError
+from isas_cli.parameters import as_numpy
 from isas_cli.poses import Poses
 from isas_cli.render import Renderer
-from isas_cli.unknowns import as_numpy
 
 RADIUS, BALL = 0.3, [0.4, 0.5, 0.2]
 

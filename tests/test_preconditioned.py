@@ -13,12 +13,12 @@ from scenes_for_tests import ROUGHNESS, STAGE1, TEXTURE, UNKNOWNS, problem
 from isas_cli import losses
 from isas_cli.app import main
 from isas_cli.errors import InputError
+from isas_cli.parameters import flat
 from isas_cli.samplers.base import Moments, Stage1Settings
 from isas_cli.samplers.cells import Cells
 from isas_cli.samplers.ours import Ours
 from isas_cli.samplers.preconditioned import Preconditioned, root_weights
 from isas_cli.samplers.stage1 import Stage1, random_signs
-from isas_cli.unknowns import flat
 
 
 def second(p, rng, decades: float = 2.0) -> dict:

@@ -21,7 +21,7 @@ from isas_cli.compose import compose
 from isas_cli.errors import NumericalError
 from isas_cli.experiment import checked
 from isas_cli.optimise import Hooks
-from isas_cli.unknowns import as_numpy
+from isas_cli.parameters import as_numpy
 from isas_cli.workshop import Workshop
 
 SMALL = ["scene=dodoco", "size=tiny", "estimator.batch=512", "evaluation.pixels=64"]

@@ -11,7 +11,7 @@ from isas_cli.config import Config
 from isas_cli.display import Display
 from isas_cli.experiment import Phases
 from isas_cli.optimise import Hooks
-from isas_cli.unknowns import as_numpy
+from isas_cli.parameters import as_numpy
 from isas_cli.workshop import Workshop
 
 MOVING = ["caustic", "cup", "global_illumination", "occlusion", "shadows", "sort"]

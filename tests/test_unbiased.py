@@ -22,8 +22,8 @@ from montecarlo import welch
 from isas_cli import rays, streams
 from isas_cli.compose import pixel_samplers
 from isas_cli.estimators import attached, replay
+from isas_cli.parameters import flat
 from isas_cli.pixels import PixelDistribution, Tiles
-from isas_cli.unknowns import flat
 
 LEVEL = 1e-4
 BATCH = 4096

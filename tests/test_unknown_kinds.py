@@ -8,73 +8,18 @@ import numpy as np
 import pytest
 from gradient_estimates import Gradients, configured, difference_quotients
 from hard_scenes import assemble
+from lit_scene import SKY, STARTS, UNDER, lit, sky_texels
 from montecarlo import welch
-from omegaconf import OmegaConf
-from scenes_for_tests import dictionary, without_targets
+from scenes_for_tests import without_targets
 
 from isas_cli import coverage, images, records, scene_file
 from isas_cli.app import main
-from isas_cli.compose import compose, translate
-from isas_cli.config import UnknownConfig
-from isas_cli.errors import InputError
+from isas_cli.parameters import flat
 from isas_cli.render import Renderer
-from isas_cli.unknowns import differentiable_keys, flat, parse
 
 LEVEL = 1e-4
 # The smallest wrong share of a directional derivative that must be visible.
 VISIBLE = 0.25
-SKY = (4, 8, 3)
-STARTS = {
-    "floor.bsdf.base_color.data": 0.5,
-    "wall.bsdf.base_color.value": [0.5, 0.6, 0.7],
-    "wall.bsdf.roughness.value": 0.5,
-    "wall.bsdf.metallic.value": 0.5,
-    "lamp.emitter.radiance.value": [8.0, 9.0, 10.0],
-}
-# Unknowns that need a sky of their own: the scene under a map, and under a constant sky.
-UNDER = {
-    "map": {"bulb.intensity.value": [2.0, 1.5, 1.0], "sky.data": 0.4, "sky.scale": 0.8},
-    "constant": {
-        "sky.radiance.value": [0.4, 0.5, 0.6],
-        "sun.irradiance.value": [1.0, 0.9, 0.8],
-        "spot.intensity.value": 3.0,
-    },
-}
-
-
-def rgb(*values: float) -> dict:
-    return {"type": "rgb", "value": list(values)}
-
-
-def sky_texels() -> np.ndarray:
-    return np.random.default_rng(5).uniform(0.2, 0.8, SKY).astype(np.float32)
-
-
-def lit(sky: str, depth: int = 4, texels: np.ndarray | None = None) -> dict:
-    """The scene that the numerical tests share, with coloured values and more kinds of lights."""
-    scene = dictionary(depth=depth)
-    scene["wall"]["bsdf"] |= {"metallic": 0.7, "base_color": rgb(0.7, 0.5, 0.3)}
-    scene["lamp"]["emitter"]["radiance"] = rgb(12, 10, 8)
-    if sky == "map":
-        texels = sky_texels() if texels is None else texels
-        scene["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(texels), "scale": 1.0}
-        scene["bulb"] = {
-            "type": "point",
-            "position": [-1, 1.5, 1],
-            "intensity": rgb(1, 1.5, 2),
-        }
-    else:
-        scene["sky"] = {"type": "constant", "radiance": rgb(0.3, 0.3, 0.3)}
-        down = mi.ScalarTransform4f().look_at([-1, 3, 1], [0, 0, 0], [0, 0, 1])
-        scene["spot"] = {
-            "type": "spot",
-            "to_world": down,
-            "intensity": rgb(4, 4, 4),
-            "cutoff_angle": 40,
-        }
-        scene["sun"] = {"type": "directional", "direction": [0.3, -1, -0.4]}
-        scene["sun"]["irradiance"] = rgb(0.5, 0.5, 0.5)
-    return scene
 
 
 def problem(sky: str, depth: int = 4):
@@ -181,134 +126,6 @@ def test_texels_at_zero_have_the_gradient_of_any_others():
     print(np.abs(halves[1].mean(axis=0)), outcome)
     assert outcome.p_value > LEVEL
     assert outcome.always_visible < 0.2 * np.abs(halves[1].mean(axis=0)).max()
-    with pytest.raises(InputError, match="zero everywhere"):
-        parsed(lit("map"), {"sky.data": {"start": 0}})
-
-
-def parsed(description: dict, specs: dict, truth_known: bool = True):
-    params = mi.traverse(mi.load_dict(description, optimize=False))
-    specs = {key: UnknownConfig(**spec) for key, spec in specs.items()}
-    return {u.key: u for u in parse(params, specs, truth_known)}
-
-
-def test_ranges_unless_given():
-    colour, positive = (0.0, 1.0), (0.0, np.inf)
-    expected = {
-        "map": {
-            "floor.bsdf.base_color.data": colour,
-            "wall.bsdf.base_color.value": colour,
-            "wall.bsdf.roughness.value": (0.03, 1.0),
-            "wall.bsdf.metallic.value": colour,
-            "lamp.emitter.radiance.value": positive,
-            "bulb.intensity.value": positive,
-            "sky.data": positive,
-            "sky.scale": positive,
-        },
-        "constant": {
-            "sky.radiance.value": positive,
-            "sun.irradiance.value": positive,
-            "spot.intensity.value": positive,
-        },
-    }
-    for sky, ranges in expected.items():
-        found = parsed(lit(sky), {key: {"start": 0.5} for key in ranges})
-        assert {key: (u.low, u.high) for key, u in found.items()} == ranges
-    own = parsed(lit("map"), {"sky.data": {"start": 0.5, "range": [0.1, 0.9], "lr": 0.3}})
-    assert (own["sky.data"].low, own["sky.data"].high, own["sky.data"].lr) == (0.1, 0.9, 0.3)
-    with pytest.raises(InputError, match="outside its range"):
-        parsed(lit("map"), {"sky.data": {"start": -0.1}})
-
-
-def test_what_moves_geometry_stays_refused():
-    for sky in ("map", "constant"):
-        params = mi.traverse(mi.load_dict(lit(sky), optimize=False))
-        valid = differentiable_keys(params)
-        assert set(STARTS) | set(UNDER[sky]) <= set(valid)
-        for key in valid:
-            assert not key.endswith(("to_world", "position", "direction", "center"))
-    with pytest.raises(InputError, match="'wall.to_world' moves geometry"):
-        parsed(lit("map"), {"wall.to_world": {"start": 0}})
-    for key in ("sky.to_world", "bulb.position"):
-        with pytest.raises(InputError, match=f"'{key}' is no differentiable parameter"):
-            parsed(lit("map"), {key: {"start": 0}})
-
-
-def two_floors() -> dict:
-    """Two textures of one size, one of another, and a map of the size of none."""
-    scene = lit("map")
-    for name, size in (("other", 4), ("fine", 8)):
-        scene[name] = dictionary(size=size)["floor"] | {
-            "to_world": mi.ScalarTransform4f().translate([5, 0, 0])
-        }
-    texels = np.random.default_rng(8).uniform(0.2, 0.8, (4, 4, 3)).astype(np.float32)
-    scene["other"]["bsdf"]["base_color"]["data"] = mi.TensorXf(texels)
-    return scene
-
-
-FLOOR, OTHER = "floor.bsdf.base_color.data", "other.bsdf.base_color.data"
-
-
-def test_start_of_another_parameter():
-    """Two textures that start with each other's truth; a colour that starts as another's."""
-    found = parsed(
-        two_floors(),
-        {
-            FLOOR: {"start": {"of": OTHER}},
-            OTHER: {"start": OmegaConf.create({"of": FLOOR})},
-            "bulb.intensity.value": {"start": {"of": "wall.bsdf.base_color.value"}},
-        },
-    )
-    np.testing.assert_array_equal(found[FLOOR].start, found[OTHER].truth)
-    np.testing.assert_array_equal(found[OTHER].start, found[FLOOR].truth)
-    assert np.abs(found[FLOOR].start - found[FLOOR].truth).mean() > 0.1
-    np.testing.assert_allclose(found["bulb.intensity.value"].start, [0.7, 0.5, 0.3])
-    photographs = parsed(two_floors(), {FLOOR: {"start": {"of": OTHER}}}, truth_known=False)
-    np.testing.assert_array_equal(photographs[FLOOR].start, found[FLOOR].start)
-
-
-def test_a_map_starts_with_a_texture_of_its_size():
-    scene = lit("map")
-    picture = np.random.default_rng(9).uniform(0.2, 0.8, SKY).astype(np.float32)
-    scene["floor"]["bsdf"]["base_color"]["data"] = mi.TensorXf(picture)
-    found = parsed(scene, {"sky.data": {"start": {"of": FLOOR}}})
-    np.testing.assert_array_equal(found["sky.data"].start, picture)
-
-
-@pytest.mark.parametrize(
-    "start, parts",
-    [
-        ({"of": "other.bsdf.base_colour.data"}, [f"did you mean '{OTHER}'?", "of=other.bsdf"]),
-        ({"of": "fine.bsdf.base_color.data"}, ["(8, 8, 3)", "(4, 4, 3)", "fine.bsdf"]),
-        ({"of": "wall.bsdf.roughness.value"}, ["(1,)", "(4, 4, 3)"]),
-        ({"of": "sky.data"}, ["(4, 8, 3)"]),
-        ({"of": FLOOR}, ["no other parameter"]),
-        ({"of": "wall.to_world"}, ["no other parameter"]),
-        ({"of": 3}, ["of=3", "valid: "]),
-        ({"off": OTHER}, ["{of: another key}"]),
-        ({"of": OTHER, "scale": 2}, ["{of: another key}", "scale"]),
-        ({}, ["{of: another key}"]),
-    ],
-)
-def test_other_starts_of_another_are_refused(start, parts):
-    with pytest.raises(InputError) as refused:
-        parsed(two_floors(), {FLOOR: {"start": start}})
-    for part in (f"scene.unknowns['{FLOOR}'].start", *parts):
-        assert part in str(refused.value)
-    assert "\n" not in str(refused.value)
-
-
-def test_a_start_of_another_outside_the_range_is_refused():
-    specs = {"wall.bsdf.base_color.value": {"start": {"of": "lamp.emitter.radiance.value"}}}
-    with pytest.raises(InputError, match="outside its range"):
-        parsed(two_floors(), specs)
-
-
-def test_the_command_line_takes_a_start_of_another():
-    given = 'scene.unknowns={"a.b": {"start": {"of": "c.d_0.data"}}, "c.d_0.data": {"start": 2}}'
-    cfg = compose(translate(["scene=file", "scene.path=s.xml", given]))
-    typed = OmegaConf.to_object(cfg).scene.unknowns
-    assert typed["a.b"].start == {"of": "c.d_0.data"}
-    assert typed["c.d_0.data"].start == 2
 
 
 def test_pictures_and_colours_arrive_linear(tmp_path, monkeypatch, rng):

@@ -18,7 +18,7 @@ from isas_cli import app, images
 from isas_cli.commands import variance as command
 from isas_cli.compose import pixel_samplers
 from isas_cli.errors import InputError
-from isas_cli.unknowns import as_numpy
+from isas_cli.parameters import as_numpy
 from isas_cli.variance import table
 from isas_cli.variance.run import _point
 

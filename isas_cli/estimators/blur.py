@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError
-from ..unknowns import as_numpy
+from ..parameters import as_numpy
 from . import smoothing
 
 if TYPE_CHECKING:

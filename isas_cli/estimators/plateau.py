@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .. import streams
+from ..config import MOST_LANES
+from ..errors import InputError
 from ..pixels import PixelDistribution
 from . import smoothing
 from .blur import Blur
@@ -50,8 +52,9 @@ class Plateau:
     the same random numbers, so that what τ does not change cancels: less variance, the same mean.
     An unknown with a ``reach`` is estimated from the pixels near its parts (``Locality``).
     Pixels from any distribution (``Renderings``), ``batch`` for each Q, ``spp`` paths a pixel in
-    each rendering of a pair and half of it, at least 1, in each of Q's; in loss space twice
-    ``spp``.
+    each rendering of a pair, in loss space twice as many; ``residual_spp`` in both of Q's together
+    (at least 2). None: as many as the pairs have on one side, ``spp`` or D ``spp``: the paths'
+    noise in Q meets every difference, and at the truth nothing else of Q does.
 
     ``values``, offsets and sums are on the host, in double precision.
     """
@@ -68,12 +71,19 @@ class Plateau:
         freeze: bool = True,
         spp: int = 1,
         residual: str = "pair",
+        residual_spp: int | None = None,
     ):
         self.batch, self.smooth, self.pairs, self.common = batch, smooth, pairs, common
         self.blur = Blur(problem, "sampler=plateau")
         self._scheme, self._mirrored = SCHEMES[scheme], residual == "pair"
-        self._renderings = Renderings(problem, loss, batch, self.blur, freeze, spp)
         self._together = self.blur.size if scheme == "separate" else 1
+        paths = spp * self._together if residual_spp is None else residual_spp
+        if batch * paths > MOST_LANES:
+            raise InputError(
+                f"sampler.residual_spp={paths} times estimator.batch={batch}: at most {MOST_LANES} "
+                "paths; set fewer"
+            )
+        self._renderings = Renderings(problem, loss, batch, self.blur, freeze, spp, paths)
 
     @property
     def paths_per_step(self) -> int:

@@ -42,12 +42,13 @@ class Renderings:
         blur: Blur,
         freeze: bool = True,
         spp: int = 1,
+        residual_spp: int | None = None,
     ):
         self.problem, self.blur = problem, blur
         wrap = dr.freeze if freeze else (lambda f: f)
         self._draw = wrap(_draw_kernel(batch))
-        # Two of them make the middle: together as many paths as each of a pair, if that is even.
-        self.half = max(1, spp // 2)
+        # Of each of the two renderings that make the middle.
+        self.half = max(1, (residual_spp or spp) // 2)
         self._trace = {
             (count, paths): wrap(_trace_kernel(problem.integrator, batch, count, paths))
             for count, paths in ((1, spp), (2, spp), (1, self.half))

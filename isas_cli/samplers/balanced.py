@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import InputError
-from ..unknowns import unflat
+from ..parameters import unflat
 from .base import Sampler, Stage1Settings
 from .denoise import Denoiser
 from .stage1 import Stage1

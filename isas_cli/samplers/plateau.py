@@ -63,8 +63,9 @@ class Plateau(Other):
     Eq. 8: Mitsuba's derivative at blurred values). ``smooth``: image (the paper's equation) or loss
     (its public code); ``scheme``: joint or separate; ``pairs``: of renderings, a step; ``spp``:
     paths of each drawn pixel in each rendering; ``common``: the same random numbers for both of a
-    pair; ``residual``: from a pair of renderings too, or from one (the paper's). See
-    ``estimators.plateau``. ``silhouettes``: as in ``Mitsuba``.
+    pair; ``residual``: from a pair of renderings too, or from one (the paper's), with
+    ``residual_spp`` paths of each drawn pixel. See ``estimators.plateau``. ``silhouettes``: as in
+    ``Mitsuba``.
     """
 
     gradient: str = "kernel"
@@ -74,6 +75,7 @@ class Plateau(Other):
     spp: int = 1
     common: bool = True
     residual: str = "pair"
+    residual_spp: int | None = None
     silhouettes: str = "uniform"
 
     def __post_init__(self) -> None:
@@ -83,10 +85,17 @@ class Plateau(Other):
         _choice("smooth", self.smooth, ("image", "loss"))
         _choice("scheme", self.scheme, ("joint", "separate"))
         _choice("residual", self.residual, ("pair", "one"))
-        if self.residual == "one" and (self.smooth == "loss" or self.gradient == "renderer"):
+        for name, usual in (("residual", "pair"), ("residual_spp", None)):
+            given = getattr(self, name)
+            if given != usual and (self.smooth == "loss" or self.gradient == "renderer"):
+                raise InputError(
+                    f"sampler.{name}={given}: only sampler.smooth=image with "
+                    "sampler.gradient=kernel has a residual of its own; leave it out"
+                )
+        if self.residual_spp is not None and self.residual_spp < 2:
             raise InputError(
-                "sampler.residual=one: only sampler.smooth=image with sampler.gradient=kernel has "
-                "a residual of its own; leave it out"
+                f"sampler.residual_spp={self.residual_spp}: at least 2, one in each of two "
+                "renderings"
             )
         _at_least_one(self, "pairs", "spp")
         if self.gradient == "renderer":
@@ -115,7 +124,7 @@ class Plateau(Other):
         from ..estimators.plateau import Plateau as Estimator
 
         settings = self.smooth, self.scheme, self.pairs, self.common
-        more = {"spp": self.spp, "residual": self.residual}
+        more = {"spp": self.spp, "residual": self.residual, "residual_spp": self.residual_spp}
         return Estimator(problem, loss, batch, *settings, freeze, **more)
 
 

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import InputError
-from ..unknowns import flat, unflat
+from ..parameters import flat, unflat
 from .allocation import tangents
 from .base import Moments, Sampler, Stage1Settings
 from .denoise import Denoiser

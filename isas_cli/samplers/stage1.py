@@ -7,8 +7,8 @@ import mitsuba as mi
 
 from .. import rays, streams
 from ..estimators import replay
+from ..parameters import flat, unflat
 from ..problem import Problem
-from ..unknowns import flat, unflat
 from .cells import Cells
 
 

@@ -14,11 +14,11 @@ from ..adam import Stepper
 from ..backend import sync
 from ..config import OptimizerConfig
 from ..estimators.two_path import TwoPath
+from ..parameters import flat
 from ..pixels import PixelDistribution
 from ..problem import Problem
 from ..samplers.base import Moments, Sampler
 from ..samplers.uniform import Uniform
-from ..unknowns import flat
 from .tally import Directions, Tally
 
 # Estimates from one look: about as many as in a run, fewer where that would make fewer rounds than
