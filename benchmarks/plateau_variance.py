@@ -5,7 +5,8 @@ truth (half a width more in every entry), at the widths of a run at 0.35 and 0.9
 Sides in turn, the order rotating; all use the same offsets. Drawn pixels
 (`sampler.base=differences`) from the mean of three looks, on 128 cells, whose time is shared out
 over the steps until the next. `--of residual`: instead, 8 paths for uniform pixels, and the
-residual from one rendering (the paper's) or from two on both sides with half the paths each.
+residual from one rendering (the paper's) or from two on both sides; the same with separate pairs,
+and the residual from as many paths as they have on one side (not of sort, of 150 unknowns).
 
 Variance: that of the first side (uniform pixels, a path each) over the side's, the geometric mean
 over the entries, with the 95 % interval of a bootstrap over the steps. Gain: the same of variance ×
@@ -36,13 +37,18 @@ PROGRESS = (0.35, 0.9)
 RESAMPLED = 400
 
 
-def residuals(paths: int) -> dict[str, list[str]]:
-    """Overrides by name: one rendering for the residual, or two of half the paths."""
+def residuals(task: str, paths: int) -> dict[str, list[str]]:
+    """Overrides by name."""
     common = ["sampler.spp=8", f"estimator.batch={paths // 8}"]
-    return {name: [*common, f"sampler.residual={name}"] for name in ("one", "pair")}
+    found = {name: [*common, f"sampler.residual={name}"] for name in ("one", "pair")}
+    if task != "sort":
+        separate = [*common, "sampler.scheme=separate"]
+        found["separate, 8 paths"] = [*separate, "sampler.residual_spp=8"]
+        found["separate"] = separate
+    return found
 
 
-def pixels(paths: int) -> dict[str, list[str]]:
+def pixels(task: str, paths: int) -> dict[str, list[str]]:
     """Overrides by name."""
     found = {}
     for base in ("uniform", "differences"):
@@ -117,7 +123,7 @@ def child(task: str, chosen: argparse.Namespace) -> None:
     paths, rounds, steps = PATHS, chosen.rounds, chosen.steps
     if chosen.quick:
         paths, rounds, steps = 1024, 1, 8
-    every = loops({name: [*common, *own] for name, own in SIDES[chosen.of](paths).items()})
+    every = loops({name: [*common, *own] for name, own in SIDES[chosen.of](task, paths).items()})
     for progress in PROGRESS:
         rows, seconds = estimates(every, progress, rounds, steps)
         first = next(iter(rows))
