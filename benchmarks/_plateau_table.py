@@ -295,22 +295,28 @@ def draw(tasks: list[str]) -> None:
     with matplotlib.rc_context(STYLE):
         canvas = figure(11, 3.2 * ((len(tasks) + 2) // 3))
         panels = canvas.subplots((len(tasks) + 2) // 3, 3, squeeze=False).ravel()
-        colours: dict[str, str] = {}
+        # More methods than colours: the last are dashed.
+        looks = {
+            method: {"color": COLOURS[i % len(COLOURS)], "ls": "--" if i >= len(COLOURS) else "-"}
+            for i, method in enumerate(ORDER)
+        }
+        shown = {}
         for axes, task in zip(panels, tasks):
             curves = pandas.read_csv(RESULTS / f"plateau_{task}_curves.csv")
             for method, own in curves.groupby("method", sort=False):
-                colour = colours.setdefault(method, COLOURS[len(colours) % len(COLOURS)])
                 low, middle, high = (
                     own[own["quartile"] == level].iloc[0, 2:].to_numpy(float)
                     for level in QUARTILES.values()
                 )
-                axes.plot(GRID, middle, color=colour, label=method)
-                axes.fill_between(GRID, low, high, color=colour, alpha=0.15, lw=0)
+                (shown[method],) = axes.plot(GRID, middle, **looks[method])
+                axes.fill_between(GRID, low, high, color=looks[method]["color"], alpha=0.15, lw=0)
             title = "sort (image)" if task == "sort" else task
             axes.set(yscale="log", title=title, xlabel="share of the budget")
             axes.axhline(0.01, color="grey", lw=0.8, ls=":")
         panels[0].set_ylabel("error / error at the start")
-        panels[0].legend(fontsize=7)
+        names = [method for method in ORDER if method in shown]
+        lines = [shown[method] for method in names]
+        canvas.legend(lines, names, loc="outside lower center", ncols=4, fontsize=8)
         for axes in panels[len(tasks) :]:
             axes.set_axis_off()
         save(canvas, RESULTS / "plateau_errors.png")

@@ -1,16 +1,18 @@
 """Many pixels with a path each, or few with several? And where? Noise of plateau-reduced gradients.
 
-Per task of PRDPT, all sides with 16,384 paths a rendering: estimates of the gradient beside the
-truth (half a width more in every entry), at the widths of a run at 0.35 and 0.9 of its budget.
-Sides in turn, the order rotating; all use the same offsets. Drawn pixels
+Per task of PRDPT, all sides with 16,384 paths a rendering of a pair: estimates of the gradient
+beside the truth (half a width more in every entry), at the widths of a run at 0.35 and 0.9 of its
+budget. Sides in turn, the order rotating; of one scheme with the same offsets. Drawn pixels
 (`sampler.base=differences`) from the mean of three looks, on 128 cells, whose time is shared out
 over the steps until the next. `--of residual`: instead, 8 paths for uniform pixels, and the
-residual from one rendering (the paper's) or from two on both sides; the same with separate pairs,
-and the residual from as many paths as they have on one side (not of sort, of 150 unknowns).
+residual from one rendering (the paper's) or from two on both sides, of as many paths together;
+where there are several unknowns, but on sort, with its 150, from two with separate pairs, of 8
+paths together or as many as the pairs have on one side.
 
-Variance: that of the first side (uniform pixels, a path each) over the side's, the geometric mean
-over the entries, with the 95 % interval of a bootstrap over the steps. Gain: the same of variance ×
-time; the time is the median over the rounds. It says nothing of other numbers of paths a step.
+Variance: that of the first side (uniform pixels, a path each; one) over the side's, the geometric
+mean over the entries, with the 95 % interval of a bootstrap over the steps. Gain: the same of
+variance × time; the time is the median over the rounds. It says nothing of other numbers of paths a
+step.
 Writes results/plateau_variance.csv, or plateau_residual.csv.
 """
 
@@ -41,7 +43,7 @@ def residuals(task: str, paths: int) -> dict[str, list[str]]:
     """Overrides by name."""
     common = ["sampler.spp=8", f"estimator.batch={paths // 8}"]
     found = {name: [*common, f"sampler.residual={name}"] for name in ("one", "pair")}
-    if task != "sort":
+    if task not in ("cup", "occlusion", "sort"):
         separate = [*common, "sampler.scheme=separate"]
         found["separate, 8 paths"] = [*separate, "sampler.residual_spp=8"]
         found["separate"] = separate

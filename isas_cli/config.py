@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Dict, List, Optional
 
 from hydra.core.config_store import ConfigStore
-from omegaconf import MISSING
+from omegaconf import MISSING, DictConfig, OmegaConf
 
 from .errors import InputError
 from .schedule import factor
@@ -300,6 +300,18 @@ class Config:
             raise InputError("scene.masks needs scene.targets: rendered targets have no masks")
         if scene.targets is not None and self.target != TargetConfig():
             raise InputError("target.… is for rendered targets, but scene.targets are given")
+
+
+def typed(cfg: DictConfig) -> Config:
+    """The configuration as objects, which check what they hold. Raises InputError, and OmegaConf's
+    errors for what is missing."""
+    for group in ("poses", "unknowns"):
+        for key, entry in cfg.scene[group].items():
+            try:
+                OmegaConf.to_object(entry)
+            except InputError as error:  # an object does not know whose it is
+                raise InputError(f"scene.{group}['{key}']: {error}") from None
+    return OmegaConf.to_object(cfg)
 
 
 def register() -> None:

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from . import backend, interrupt, trackers
+from . import backend, config, interrupt, trackers
 from .budget import Budget
 from .compose import instantiate
 from .config import Config
@@ -55,7 +55,7 @@ def resume(folder: Path, changes: dict | None = None) -> int:
 def checked(cfg: DictConfig) -> tuple[Config, Budget]:
     """The typed configuration and its budget. Raises InputError for what can be told without
     Mitsuba."""
-    typed = OmegaConf.to_object(cfg)
+    typed = config.typed(cfg)
     budget = Budget(typed.budget.seconds, typed.budget.iterations, typed.budget.paths)
     trackers.check(typed.tracker)
     return typed, budget

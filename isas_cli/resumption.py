@@ -13,7 +13,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from . import manifest, records
+from . import config, manifest, records
 from .budget import Budget
 from .config import Config
 from .errors import InputError
@@ -102,7 +102,7 @@ def configuration(folder: Path, changes: dict) -> tuple[DictConfig, Budget]:
     try:
         cfg = OmegaConf.merge(OmegaConf.structured(Config), OmegaConf.load(folder / "config.yaml"))
         before = _budget(cfg)
-        OmegaConf.to_object(cfg)
+        config.typed(cfg)
     except (OSError, OmegaConfBaseException) as error:
         reason = str(error).split("\n")[0]
         raise InputError(f"{folder}/config.yaml does not give a run: {reason}") from error

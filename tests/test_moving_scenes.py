@@ -101,23 +101,26 @@ def test_a_path_that_is_not_a_number_costs_its_step(monkeypatch, share, status, 
 
 
 @pytest.mark.parametrize(
-    "sampler",
-    (["plateau"], ["plateau", "sampler.smooth=loss"], ["finite_differences"]),
-    ids=("image", "loss", "finite_differences"),
+    "settings, expected",
+    (
+        # The residual's two renderings have half of a pair's paths each, at least 1, unless given.
+        (["sampler=plateau"], (2 + 2, 2 + 6)),
+        (["sampler=plateau", "sampler.residual_spp=6"], (6 + 2, 6 + 6)),
+        (["sampler=plateau", "sampler.smooth=loss"], (1, 3)),
+        (["sampler=finite_differences"], (1, 3)),
+    ),
+    ids=("image", "residual", "loss", "finite_differences"),
 )
-def test_paths_of_a_pixel_are_a_setting(sampler):
+def test_paths_of_a_pixel_are_a_setting(settings, expected):
+    """In the proportions ``expected`` of steps with 1 and 3."""
     workshop = workshop_of("scene=occlusion", *SMALL)
     paths = []
     for spp in (1, 3):
-        chosen = configured(
-            "scene=occlusion", f"sampler={sampler[0]}", *sampler[1:], *SMALL, f"sampler.spp={spp}"
-        )
+        chosen = configured("scene=occlusion", *settings, *SMALL, f"sampler.spp={spp}")
         loop = workshop.loop(*chosen)
         loop.rehearse()
         assert loop.run(Hooks()) == "done" and loop.position.iteration == ITERATIONS
         paths.append(loop.estimator.paths_per_step)
-    # The residual's two renderings have half of a pair's paths each, at least 1.
-    expected = (2 + 2, 2 + 6) if sampler == ["plateau"] else (1, 3)
     assert paths[1] * expected[0] == paths[0] * expected[1]
 
 
@@ -185,7 +188,8 @@ def test_a_hidden_ball_is_found():
         (["sampler.residual=two"], "sampler.residual=two: valid: pair, one"),
         (["sampler.residual=one", "sampler.smooth=loss"], "sampler.residual=one: only"),
         (["sampler.residual_spp=4", "sampler.smooth=loss"], "sampler.residual_spp=4: only"),
-        (["sampler.residual_spp=1"], "sampler.residual_spp=1: at least 2"),
+        (["sampler.residual_spp=1"], "sampler.residual_spp=1: even, at least 2"),
+        (["sampler.residual_spp=13"], "sampler.residual_spp=13: even"),
         (["sampler.residual=one", "sampler.gradient=renderer"], "sampler.residual=one: only"),
     ],
 )

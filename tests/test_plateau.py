@@ -97,11 +97,14 @@ def test_several_paths_a_pixel(problem, references, smooth):
 
 
 def test_paths_of_another_pixel_are_noticed(problem, references, monkeypatch):
-    def shifted(radiance, lanes):
-        lanes = dr.minimum(lanes + 1, dr.width(radiance) - 1)
-        return mi.Color3f(*[dr.gather(mi.Float, channel, lanes) for channel in radiance])
+    mean = renderings._mean
 
-    monkeypatch.setattr(renderings, "_part", shifted)
+    def shifted(radiance, paths):
+        last = dr.width(radiance) - 1
+        lanes = dr.minimum(dr.arange(mi.UInt32, last + 1) + 1, last)
+        return mean(dr.gather(mi.Color3f, radiance, lanes), paths)
+
+    monkeypatch.setattr(renderings, "_mean", shifted)
     estimator = Plateau(problem, losses.L2(), BATCH // 4, "image", spp=4)
     assert p_value(rows(estimator, problem, 600), references["image"]) < LEVEL
 

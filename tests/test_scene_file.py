@@ -99,9 +99,13 @@ def test_an_object_is_moved_to_where_the_file_has_it(folder, capsys):
     [
         (POSE.replace('["ball"]', '["bal"]'), BLUR, "did you mean 'ball'"),
         (POSE.replace("kind", "knd"), BLUR, "scene.poses['ball.x'].knd: no such entry"),
-        (POSE.replace("translation", "slide"), BLUR, "valid: rotation, translation"),
+        (
+            POSE.replace("translation", "slide"),
+            BLUR,
+            "scene.poses['ball.x']: pose.kind=slide: valid",
+        ),
         (POSE, "", "['ball.x'] has no blur"),
-        (POSE, ', "blur": {"start": 0.3, "end": 0}', "blur.end=0"),
+        (POSE, ', "blur": {"start": 0.3, "end": 0}', "scene.unknowns['ball.x']: blur.end=0"),
         (POSE, ', "blur": {"start": 0.3}', "blur.end=0"),
         (POSE, ', "blur": {"start": 0.3, "end": 0.1, "hold": 0.5, "until": 0.5}', "blur.until=0.5"),
     ],

@@ -52,9 +52,10 @@ class Plateau:
     the same random numbers, so that what τ does not change cancels: less variance, the same mean.
     An unknown with a ``reach`` is estimated from the pixels near its parts (``Locality``).
     Pixels from any distribution (``Renderings``), ``batch`` for each Q, ``spp`` paths a pixel in
-    each rendering of a pair, in loss space twice as many; ``residual_spp`` in both of Q's together
-    (at least 2). None: as many as the pairs have on one side, ``spp`` or D ``spp``: the paths'
-    noise in Q meets every difference, and at the truth nothing else of Q does.
+    each rendering of a pair, in loss space twice as many; ``residual_spp`` in both of Q's
+    together, an even number. None: as many as the pairs have on one side, ``spp`` or D ``spp``,
+    rounded down to even, at least 2: the paths' noise in Q meets every difference, and beside
+    the truth, with narrow blurs, little else of Q is left.
 
     ``values``, offsets and sums are on the host, in double precision.
     """
@@ -77,13 +78,14 @@ class Plateau:
         self.blur = Blur(problem, "sampler=plateau")
         self._scheme, self._mirrored = SCHEMES[scheme], residual == "pair"
         self._together = self.blur.size if scheme == "separate" else 1
-        paths = spp * self._together if residual_spp is None else residual_spp
-        if batch * paths > MOST_LANES:
+        # The same in both renderings.
+        half = max(1, (residual_spp or spp * self._together) // 2)
+        if smooth == "image" and batch * half > MOST_LANES:
             raise InputError(
-                f"sampler.residual_spp={paths} times estimator.batch={batch}: at most {MOST_LANES} "
-                "paths; set fewer"
+                f"sampler.residual_spp={2 * half} times estimator.batch={batch}: at most "
+                f"{2 * MOST_LANES} paths; set fewer"
             )
-        self._renderings = Renderings(problem, loss, batch, self.blur, freeze, spp, paths)
+        self._renderings = Renderings(problem, loss, batch, self.blur, freeze, spp, half)
 
     @property
     def paths_per_step(self) -> int:

@@ -24,10 +24,10 @@ class Renderings:
 
     N = ``batch`` pixels j_i ~ p, the same for all renderings of a difference: Σ_j over all pixels
     is 1/N Σ_i (…)_{j_i} / p_{j_i}, unbiased where p > 0 wherever the sum is not zero. A rendering
-    is the mean of ``spp`` paths a pixel. Where noise times noise outweighs the rest (beside the
-    truth, where the residual has no mean, with narrow blurs), the variance falls with spp² N: for
-    the same number of paths fewer pixels with more paths each are better
-    (benchmarks/plateau_variance.py).
+    is the mean of ``spp`` paths a pixel, of ``half`` in each of a residual's two. Where noise times
+    noise outweighs the rest (beside the truth, where the residual has no mean, with narrow blurs),
+    the variance falls with spp² N: for the same number of paths fewer pixels with more paths each
+    are better (benchmarks/plateau_variance.py).
 
     A launch traces one state of the scene, as Mitsuba holds one: two a pair, and in image space two
     more for the residual, however many objects move. The scene is updated between them, outside the
@@ -42,18 +42,16 @@ class Renderings:
         blur: Blur,
         freeze: bool = True,
         spp: int = 1,
-        residual_spp: int | None = None,
+        half: int = 1,
     ):
         self.problem, self.blur = problem, blur
         wrap = dr.freeze if freeze else (lambda f: f)
         self._draw = wrap(_draw_kernel(batch))
-        # Of each of the two renderings that make the middle.
-        self.half = max(1, (residual_spp or spp) // 2)
+        self.spp, self.half = spp, half
         self._trace = {
             (count, paths): wrap(_trace_kernel(problem.integrator, batch, count, paths))
-            for count, paths in ((1, spp), (2, spp), (1, self.half))
+            for count, paths in ((1, spp), (2, spp), (1, half))
         }
-        self.spp = spp
         self._adjoints = wrap(_adjoint_kernel(loss))
         self._images = wrap(_image_kernel(batch))
         self._losses = wrap(_loss_kernel(loss, batch))
@@ -128,34 +126,35 @@ def _draw_kernel(batch: int):
 
 
 def _trace_kernel(integrator, batch: int, count: int, spp: int):
-    """All first paths of the first rendering, pixel by pixel, then all second ones, and so on."""
+    """All paths of the first pixel of the first rendering, of the second pixel, and so on."""
     paths = count * spp
 
     def kernel(scene, sensors, views, leaves, place, seed):
         with dr.suspend_grad():
-            lane = dr.arange(mi.UInt32, batch)
             if paths > 1:
-                drawn = dr.tile(lane, paths)
+                drawn = dr.tile(dr.repeat(dr.arange(mi.UInt32, batch), spp), count)
                 place = [dr.gather(mi.UInt32, which, drawn) for which in place]
             stream = rays.stream(seed, batch * paths)
             ray, weight = rays.spawn(sensors, views, *place, stream)
             radiance, _ = replay.primal(integrator, scene, stream, ray)
             radiance *= weight
-            dr.eval(radiance)
-            if paths == 1:
-                return [radiance]
-            means = []
-            for first in range(0, paths, spp):
-                found = [_part(radiance, lane + n * batch) for n in range(first, first + spp)]
-                means.append(sum(found[1:], start=found[0]) / spp)
-            dr.eval(means)
-            return means
+            mean = _mean(radiance, spp)
+            dr.eval(mean)
+            if count == 1:
+                return [mean]
+            lane = dr.arange(mi.UInt32, batch)
+            found = [dr.gather(mi.Color3f, mean, lane + n * batch) for n in range(count)]
+            dr.eval(found)
+            return found
 
     return kernel
 
 
-def _part(radiance: mi.Color3f, lanes: mi.UInt32) -> mi.Color3f:
-    return mi.Color3f(*[dr.gather(mi.Float, channel, lanes) for channel in radiance])
+def _mean(radiance: mi.Color3f, paths: int) -> mi.Color3f:
+    """Of every run of ``paths`` entries."""
+    if paths == 1:
+        return radiance
+    return mi.Color3f(*[dr.block_sum(channel, paths) for channel in radiance]) / paths
 
 
 def _adjoint_kernel(loss):

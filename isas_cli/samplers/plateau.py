@@ -62,8 +62,8 @@ class Plateau(Other):
     ``gradient``: kernel (∂κP, Eq. 9: plain renderings, the kernel's derivative) or renderer (κ∂P,
     Eq. 8: Mitsuba's derivative at blurred values). ``smooth``: image (the paper's equation) or loss
     (its public code); ``scheme``: joint or separate; ``pairs``: of renderings, a step; ``spp``:
-    paths of each drawn pixel in each rendering; ``common``: the same random numbers for both of a
-    pair; ``residual``: from a pair of renderings too, or from one (the paper's), with
+    paths of each drawn pixel in each rendering of a pair; ``common``: the same random numbers for
+    both of a pair; ``residual``: from a pair of renderings too, or from one (the paper's), with
     ``residual_spp`` paths of each drawn pixel. See ``estimators.plateau``. ``silhouettes``: as in
     ``Mitsuba``.
     """
@@ -92,10 +92,10 @@ class Plateau(Other):
                     f"sampler.{name}={given}: only sampler.smooth=image with "
                     "sampler.gradient=kernel has a residual of its own; leave it out"
                 )
-        if self.residual_spp is not None and self.residual_spp < 2:
+        if self.residual_spp is not None and (self.residual_spp < 2 or self.residual_spp % 2):
             raise InputError(
-                f"sampler.residual_spp={self.residual_spp}: at least 2, one in each of two "
-                "renderings"
+                f"sampler.residual_spp={self.residual_spp}: even, at least 2: half of them go to "
+                "either rendering"
             )
         _at_least_one(self, "pairs", "spp")
         if self.gradient == "renderer":
