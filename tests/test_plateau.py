@@ -101,7 +101,7 @@ def test_paths_of_another_pixel_are_noticed(problem, references, monkeypatch):
 
     def shifted(radiance, paths):
         last = dr.width(radiance) - 1
-        lanes = dr.minimum(dr.arange(mi.UInt32, last + 1) + 1, last)
+        lanes = dr.minimum(dr.arange(mi.UInt32, last + 1) + paths, last)
         return mean(dr.gather(mi.Color3f, radiance, lanes), paths)
 
     monkeypatch.setattr(renderings, "_mean", shifted)
