@@ -72,6 +72,13 @@ def test_the_residuals_paths_are_a_setting(problem, references):
     assert unbiased(rows(estimator, problem, COUNT), references["image"])
 
 
+def test_more_paths_of_the_residual_than_fit_are_refused(problem):
+    with pytest.raises(
+        InputError, match="sampler.residual_spp=16384 times estimator.batch=1048576"
+    ):
+        Plateau(problem, losses.L2(), 1 << 20, "image", residual_spp=1 << 14)
+
+
 def test_more_paths_of_the_residual_lower_the_variance_at_the_truth():
     p = blurred_problem(at=(0.2, 0.7), widths=(0.03, 0.02))
     few, many = (
@@ -97,14 +104,11 @@ def test_several_paths_a_pixel(problem, references, smooth):
 
 
 def test_paths_of_another_pixel_are_noticed(problem, references, monkeypatch):
-    mean = renderings._mean
+    def shifted(radiance, lanes):
+        lanes = dr.minimum(lanes + 1, dr.width(radiance) - 1)
+        return mi.Color3f(*[dr.gather(mi.Float, channel, lanes) for channel in radiance])
 
-    def shifted(radiance, paths):
-        last = dr.width(radiance) - 1
-        lanes = dr.minimum(dr.arange(mi.UInt32, last + 1) + paths, last)
-        return mean(dr.gather(mi.Color3f, radiance, lanes), paths)
-
-    monkeypatch.setattr(renderings, "_mean", shifted)
+    monkeypatch.setattr(renderings, "_part", shifted)
     estimator = Plateau(problem, losses.L2(), BATCH // 4, "image", spp=4)
     assert p_value(rows(estimator, problem, 600), references["image"]) < LEVEL
 
