@@ -41,6 +41,9 @@ ORDER = ("plateau", "plateau_drawn", "plateau_joint", "plateau_loss", "plateau_r
 ORDER += ("finite_differences", "finite_differences_wide")
 QUARTILES = {"_low": 0.25, "": 0.5, "_high": 0.75}
 GRID = np.linspace(0, 1, 26)  # of the budget
+# Of a run that failed: what it left is of no use.
+LOST = ("image_mse", "parameter_mse", "share_of_start", "together", "sorted_mse")
+WORST = dict.fromkeys(LOST, np.inf) | {"filled": 0, "unfilled": 75}
 
 
 def sorted_cubes(run) -> dict:
@@ -93,7 +96,9 @@ def finished(folder: Path) -> tuple[pandas.DataFrame, np.ndarray]:
     from isas_cli import records
 
     rows, curves = [], []
-    folders = [path.parent for path in sorted(folder.rglob("summary.json"))]
+    # What an interrupted race began is raced anew.
+    begun = sorted(path.relative_to(folder) for path in folder.rglob("summary.json"))
+    folders = [folder / path.parent for path in begun if ".unfinished/" not in path.as_posix()]
     for path in sorted(folders, key=lambda p: ORDER.index(p.name.rsplit("_", 2)[0])):
         run = records.load(path)
         if run.summary["status"] not in ("done", "numerical failure"):
@@ -104,8 +109,7 @@ def finished(folder: Path) -> tuple[pandas.DataFrame, np.ndarray]:
         is_sort = run.config["scene"]["name"] == "sort"
         own = sorted_cubes(run) if is_sort else {}
         share = together(each)
-        if run.summary["status"] != "done":  # what it left is of no use
-            share[-1] = np.inf
+        failed = run.summary["status"] != "done"
         # An evaluation stands until the next; the last is due at the end of the budget.
         budget = run.config["budget"]["seconds"]
         last_before = np.searchsorted(history["seconds"] / budget, GRID, side="right") - 1
@@ -121,12 +125,16 @@ def finished(folder: Path) -> tuple[pandas.DataFrame, np.ndarray]:
         row |= {"together": last["parameter_rmse"] / first["parameter_rmse"]}
         row |= {f"share/{key}": value for key, value in each.iloc[-1].items()}
         rows.append(row | own)
+        if failed:
+            rows[-1] |= {name: WORST[name] for name in WORST if name in rows[-1]}
+            curves[-1][-1] = np.inf
     return pandas.DataFrame(rows), np.array(curves)
 
 
 def times(found: pandas.DataFrame, curves: np.ndarray) -> np.ndarray:
     """Of every run, the share of the budget from which on it stays at or below what `plateau` has
-    at the end from the same start; infinite where it does not."""
+    at the end from the same start; infinite where it does not, NaN where that end is no nearer
+    than the start."""
     final = {
         t: curve[-1]
         for m, t, curve in zip(found["method"], found["trial"], curves)
@@ -137,7 +145,8 @@ def times(found: pandas.DataFrame, curves: np.ndarray) -> np.ndarray:
         above = np.flatnonzero(curves[i] > final[trial])
         first = above[-1] + 1 if len(above) else 0
         reached[i] = GRID[first] if first < len(GRID) else np.inf
-    return reached
+    gone = np.array([not final[trial] < 1 for trial in found["trial"]])
+    return np.where(gone, np.nan, reached)
 
 
 def paces(found: pandas.DataFrame) -> pandas.Series:
@@ -159,7 +168,10 @@ def table(task: str, found: pandas.DataFrame) -> pandas.DataFrame:
         for name in (name for name in measures if name in own):
             for suffix, level in QUARTILES.items():
                 # An order statistic: a time may be infinite.
-                row[name + suffix] = np.quantile(own[name], level, method="nearest")
+                known = own[name].dropna()
+                row[name + suffix] = (
+                    np.quantile(known, level, method="nearest") if len(known) else np.nan
+                )
         row["within_1_percent"] = int((own["share_of_start"] < 0.01).sum())
         row["together_within_1_percent"] = int((own["together"] < 0.01).sum())
         row["within_5_percent"] = int((own["share_of_start"] < 0.05).sum())
@@ -219,7 +231,7 @@ def overview(tables: dict[str, pandas.DataFrame]) -> list[str]:
                 cells.append(f"{_number(row, 'filled', '.0f')} of 75")
             else:
                 below = f"{row['within_1_percent']} of {row['starts']}"
-                cells.append(f"{row['share_of_start']:.3f}, {below}")
+                cells.append(f"{row['share_of_start']:.2g}, {below}")
         lines.append("| " + " | ".join(cells) + " |")
     return lines
 
@@ -238,7 +250,10 @@ def markdown(tables: dict[str, pandas.DataFrame]) -> str:
         *overview(tables),
         "",
         "Medians [quartiles] over the starts. Image MSE is less the noise of its own measurement: "
-        "0 where nothing is left of it.",
+        "0 where nothing is left of it. The share of the budget is that from which on a run stays "
+        "at or below what `plateau` has at the end, over the starts from which that is nearer than "
+        "where it began; by evaluations, the last of which stand at 0.72, 0.78, 0.85, 0.93 and 1 "
+        "(0.72, 0.80, 0.88, 0.96 and 1 here): 0.96 is level.",
         "",
     ]
     lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
@@ -251,7 +266,7 @@ def markdown(tables: dict[str, pandas.DataFrame]) -> str:
                 f"`{row['method']}`",
                 str(row["starts"]),
                 _number(row, "image_mse", ".1e"),
-                "" if is_sort else _number(row, "share_of_start", ".3f"),
+                "" if is_sort else _number(row, "share_of_start", ".2g"),
                 _number(row, "filled", ".0f") + " of 75" if is_sort else below,
                 "" if is_sort else _number(row, "time", ".2f"),
                 f"{row['iterations']:.0f}",
@@ -312,7 +327,8 @@ def draw(tasks: list[str]) -> None:
                 axes.fill_between(GRID, low, high, color=looks[method]["color"], alpha=0.15, lw=0)
             title = "sort (image)" if task == "sort" else task
             axes.set(yscale="log", title=title, xlabel="share of the budget")
-            axes.axhline(0.01, color="grey", lw=0.8, ls=":")
+            if task != "sort":
+                axes.axhline(0.01, color="grey", lw=0.8, ls=":")
         panels[0].set_ylabel("error / error at the start")
         names = [method for method in ORDER if method in shown]
         lines = [shown[method] for method in names]

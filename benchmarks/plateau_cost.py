@@ -1,6 +1,6 @@
 """A step of plateau-reduced gradients against one of Mitsuba's derivative, on PRDPT's six tasks.
 
-Paper (§5.2, table 1): its iteration costs an eighth of the differentiable baseline's on average.
+Paper (§4, "Timing"): its iteration costs an eighth of the differentiable baseline's on average.
 
 Sides in turn within one process per task, in rotating order, with the same batch (Mitsuba's: as
 many paths a pixel as fit, at least one; its silhouettes' samples come on top); paths of a step are
@@ -35,6 +35,7 @@ def measure(task: str, rounds: int, steps: int, sides: list[str], more: list[str
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--steps", type=int, default=3, help="steps per side and round")
     parser.add_argument("--batch", type=int, default=16384)
@@ -43,25 +44,28 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="tiny scenes, one round of one step")
     parser.add_argument("--output", type=Path, help="default: results/plateau_cost.csv")
     chosen = parser.parse_args()
+    strange = [task for task in chosen.tasks if task not in TASKS]
+    if strange:
+        parser.error(f"{strange[0]}: no such task; valid: {', '.join(TASKS)}")
     rounds, steps, more = chosen.rounds, chosen.steps, [f"estimator.batch={chosen.batch}"]
     output = chosen.output or HERE / "results" / "plateau_cost.csv"
     if chosen.quick:
         rounds, steps, more = 1, 1, ["estimator.batch=1024", "size=tiny"]
-    found = []
-    for task in TASKS:
-        found.append(
-            pandas.DataFrame(measure(task, rounds, steps, ["plateau", *chosen.against], more))
-        )
-        wide = found[-1].pivot(index="round", columns="side", values="seconds")
+    for task in chosen.tasks or TASKS:
+        found = pandas.DataFrame(measure(task, rounds, steps, ["plateau", *chosen.against], more))
+        wide = found.pivot(index="round", columns="side", values="seconds")
         for side in chosen.against:
             ratio = wide[side] / wide["plateau"]
             print(
                 f"{task:20s} {side:18s} / plateau: {statistics.median(ratio):8.2f} "
                 f"({ratio.min():.2f} … {ratio.max():.2f})"
             )
-    if not chosen.quick or chosen.output:
-        output.parent.mkdir(exist_ok=True)
-        pandas.concat(found).to_csv(output, index=False, float_format="%.6f")
+        if not chosen.quick or chosen.output:
+            # What was measured of other tasks stays.
+            earlier = [pandas.read_csv(output)] if output.exists() else []
+            rows = pandas.concat([*(e[e["task"] != task] for e in earlier), found])
+            output.parent.mkdir(exist_ok=True)
+            rows.to_csv(output, index=False, float_format="%.6f")
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import _plateau
 import _plateau_table
+import numpy as np
 import pandas
 
 OUTPUT = _plateau.RESULTS / "plateau_iterations.csv"
@@ -31,7 +32,7 @@ def settings(task: str, trial: int, factor: float, iterations: int):
 
 
 def measure(task: str, trials: range, iterations: int) -> list[dict]:
-    from isas_cli import backend, race, records
+    from isas_cli import backend, interrupt, race, records
 
     backend.start()
     rows = []
@@ -41,11 +42,14 @@ def measure(task: str, trials: range, iterations: int) -> list[dict]:
             race.Entry(f"{factor:g}", settings(task, trial, factor, iterations), folder / str(i))
             for i, factor in enumerate(FACTORS)
         ]
-        if status := race.run(entries, 5.0, lambda: None):
+        # At a factor that is too large a run may fail, and is of no use.
+        if (status := race.run(entries, 5.0, lambda: None)) == interrupt.STATUS:
             raise SystemExit(status)
         for i, factor in enumerate(FACTORS):
-            each = _plateau_table.shares(records.load(folder / str(i)).history)
-            share = _plateau_table.together(each)
+            run = records.load(folder / str(i))
+            share = _plateau_table.together(_plateau_table.shares(run.history))
+            if run.summary["status"] != "done":
+                share[-1] = np.inf
             row = {"task": task, "factor": factor, "trial": trial, "iterations": iterations}
             # The nearest that it came, in case it passed by.
             rows.append(row | {"share_of_start": share[-1], "least": share.min()})

@@ -29,10 +29,12 @@ def problem(
     target: TargetConfig,
     progress: Callable[[int, int], None],
     phase: Callable[[str], None] = lambda name: None,
+    check: Callable[[Problem], None] = lambda made: None,
 ) -> Problem:
     """Load the scene, check its unknowns, find out what is seen, get the targets.
 
     ``phase(name)`` is told when work of another kind begins ('load', 'targets', 'coverage').
+    ``check(problem)`` may refuse what has neither targets nor coverage yet.
     """
     phase("load")
     # Earlier scenes that nobody uses: collected in the middle of a frozen kernel, they break it.
@@ -71,6 +73,7 @@ def problem(
         content,
         warnings=mesh_checks.check_scene(loaded, textures(params, unknowns.keys)),
     )
+    check(result)
     if photographs:
         phase("targets")
         result.set_targets(*targets.load(result, scene.targets, scene.masks))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -96,12 +96,18 @@ class Phases:
         self.display.targets(done, total)
 
 
-def built(typed: Config, phases: Phases) -> "Problem":
-    """The problem of a configuration, its phases timed."""
+def built(typed: Config, phases: Phases, cfgs: Iterable[DictConfig] = ()) -> "Problem":
+    """The problem of a configuration, its phases timed. Raises InputError before there are targets
+    where the sampler of one of ``cfgs``, which are to run on it, cannot."""
     # Mitsuba's types exist only once the backend has started.
     from . import build
 
-    return build.problem(typed.scene, typed.target, phases.rendered, phases.begin)
+    def check(problem: "Problem") -> None:
+        for cfg in cfgs:
+            loss, sampler = instantiate(cfg.loss, "loss"), instantiate(cfg.sampler, "sampler")
+            sampler.check(problem, loss, cfg.estimator.batch)
+
+    return build.problem(typed.scene, typed.target, phases.rendered, phases.begin, check)
 
 
 @contextmanager
@@ -109,7 +115,7 @@ def _recorder(cfg: DictConfig, typed: Config, budget: Budget, folder: Path) -> I
     """Everything up to the loop, compiled; no folder is written yet."""
     with Display(budget) as display:
         phases = Phases(display)
-        problem = built(typed, phases)
+        problem = built(typed, phases, [cfg])
         phases.begin("prepare")
         from .recorder import Recorder
         from .workshop import Workshop

@@ -85,7 +85,8 @@ class _Lanes:
         # All scenes before the first kernel: a material that comes later compiles all anew.
         for entry in entries:
             if entry.problem_key not in problems:
-                problems[entry.problem_key] = built(entry.typed, phases)
+                sharing = [e.cfg for e in entries if e.problem_key == entry.problem_key]
+                problems[entry.problem_key] = built(entry.typed, phases, sharing)
         phases.begin("prepare")
         workshops = {key: Workshop(problem) for key, problem in problems.items()}
         self.recorders: list[Recorder] = []

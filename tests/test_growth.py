@@ -207,12 +207,20 @@ def test_a_seed_that_is_a_literal_is_noticed():
     running.problem.unknowns.write(running.stepper.values)
 
 
-@pytest.mark.parametrize("smooth, base", [("image", "uniform"), ("loss", "differences")])
-def test_nothing_grows_while_objects_move(smooth, base):
-    """The scene is updated three times a step, its acceleration structure built as often."""
+@pytest.mark.parametrize(
+    "settings",
+    [
+        ["sampler=plateau"],
+        ["sampler=plateau", "sampler.smooth=loss", "sampler.base=differences"],
+        ["sampler=finite_differences"],
+        ["sampler=mitsuba"],
+    ],
+    ids=" ".join,
+)
+def test_nothing_grows_while_objects_move(settings):
+    """The scene is updated several times a step, its acceleration structure built as often."""
     p = blurred_problem()
-    settings = ["scene=cup", "sampler=plateau", f"sampler.smooth={smooth}", f"sampler.base={base}"]
-    sampler = instantiate(compose(translate(settings)).sampler, "sampler")
+    sampler = instantiate(compose(translate(["scene=cup", *settings])).sampler, "sampler")
     loss, batch = losses.L2(), 256
     sampler.prepare(p, loss, batch)
     looking = sampler.looking

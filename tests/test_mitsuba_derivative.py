@@ -14,14 +14,17 @@ from isas_cli import losses
 from isas_cli.estimators.finite_differences import FiniteDifferences
 from isas_cli.estimators.stock import Stock
 
+COUNT = 1500  # of estimates
+
 
 @pytest.mark.parametrize("smooth", ("image", "loss"))
 def test_mitsubas_derivative_blurred(smooth):
     """κ∂P, by prb_projective, of a ball that glows: no silhouette is seen by way of others, which
     would take seconds a step."""
     p = blurred_problem(glows=True)
-    found = rows(Stock(p, losses.L2(), 2 * BATCH, smooth, silhouettes="direct"), p, 300)
-    assert unbiased(found, references_of(p)[smooth])
+    # The offsets make the noise, not the paths: many estimates.
+    found = rows(Stock(p, losses.L2(), 2 * BATCH, smooth, silhouettes="direct"), p, COUNT)
+    assert unbiased(found, references_of(p)[smooth], seen=0.6)
 
 
 def test_mitsubas_own_derivative():

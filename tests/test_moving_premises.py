@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -14,9 +17,13 @@ from isas_cli.experiment import Phases
 from isas_cli.problem import Problem
 from isas_cli.render import Renderer
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+import _plateau  # noqa: E402
+
 ACROSS = 8  # rays along a pixel's side
-# Half the width of the interval that the races draw starts from (benchmarks/_plateau.py).
-OCCLUSION, SHADOWS = 0.5, 0.15
+# Half the width of the interval that the races draw starts from.
+OCCLUSION = _plateau.TASKS["occlusion"].spread["red.depth"]
+SHADOWS = _plateau.TASKS["shadows"].spread["ball.place"]
 
 
 def built(scene: str) -> Problem:

@@ -13,7 +13,7 @@ from scipy import stats
 from isas_cli import losses
 from isas_cli.config import BlurConfig
 from isas_cli.errors import InputError
-from isas_cli.estimators import renderings
+from isas_cli.estimators import blur, renderings, smoothing
 from isas_cli.estimators.blur import Blur
 from isas_cli.estimators.finite_differences import FiniteDifferences
 from isas_cli.estimators.plateau import Plateau
@@ -77,6 +77,18 @@ def test_more_paths_of_the_residual_than_fit_are_refused(problem):
         InputError, match="sampler.residual_spp=16384 times estimator.batch=1048576"
     ):
         Plateau(problem, losses.L2(), 1 << 20, "image", residual_spp=1 << 14)
+    with pytest.raises(InputError, match=r"residual_spp=16384 \(as many as the pairs have on one"):
+        Plateau(problem, losses.L2(), 1 << 20, "image", spp=1 << 14)
+
+
+def test_a_pair_for_each_of_very_many_entries_is_refused(problem, monkeypatch):
+    """All their offsets are held at once."""
+    monkeypatch.setattr(blur, "_MOST_SINGLE", 1)
+    with pytest.raises(InputError, match="sampler.scheme=separate takes a pair .* 2 entries"):
+        made(problem, scheme="separate")
+    with pytest.raises(InputError, match="sampler=finite_differences takes a pair"):
+        FiniteDifferences(problem, losses.L2(), BATCH, 1.0)
+    made(problem, scheme="joint")
 
 
 def test_more_paths_of_the_residual_lower_the_variance_at_the_truth():
@@ -87,6 +99,13 @@ def test_more_paths_of_the_residual_lower_the_variance_at_the_truth():
     )
     print("variance, 2 paths over 16", few.var(axis=0) / many.var(axis=0))
     assert np.all(few.var(axis=0) > 2 * many.var(axis=0))
+
+
+def test_a_residual_that_is_not_blurred_is_noticed(problem, references, monkeypatch):
+    """Taken at θ itself, as ordinary gradients take it."""
+    monkeypatch.setattr(smoothing, "blurred", lambda σ, rng: np.zeros(σ.size))
+    found = rows(made(problem, smooth="image", pairs=4), problem, COUNT)
+    assert p_value(found, references["image"]) < LEVEL
 
 
 def test_several_pairs_and_independent_random_numbers(problem, references):
@@ -288,11 +307,11 @@ def test_central_differences_are_those_of_the_loss(problem, spp):
     """Against renderings of the whole images at both ends."""
     estimator = FiniteDifferences(problem, losses.L2(), BATCH // spp, 0.5, spp=spp)
     assert estimator.paths_per_step == 4 * 2 * BATCH
-    found = rows(estimator, problem, 200)
+    found = rows(estimator, problem, 400)
     renderer = Renderer(problem)
     target = np.array(problem.targets).reshape(-1, 3)
     expected = []
-    for number in range(8):
+    for number in range(24):
         row = []
         for k in (0, 1):
             ends = []

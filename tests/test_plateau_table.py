@@ -1,11 +1,16 @@
 """The races of PRDPT's tasks: what is searched, and what their tables say of records."""
 
+import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 import pandas
 import pytest
+import synthetic_runs
+from omegaconf import OmegaConf
+
+from isas_cli import config
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import _plateau  # noqa: E402
@@ -47,6 +52,14 @@ def test_time_is_that_from_which_a_run_stays_below():
     assert time["mitsuba", 2] == tables.GRID[21]  # not before it was back
     assert time["plateau_drawn", 1] == 0
     assert time["plateau_drawn", 2] == pytest.approx(0.76)  # 2 (1 - t) <= 0.5
+
+
+def test_no_time_is_taken_to_a_place_farther_off_than_the_start():
+    away, arrived = np.linspace(1, 2, STEPS), np.linspace(1, 0.1, STEPS)
+    found, curves = runs(plateau=[away, arrived], mitsuba=[arrived, away])
+    time = dict(zip(zip(found["method"], found["trial"]), tables.times(found, curves)))
+    assert np.isnan(time["plateau", 1]) and np.isnan(time["mitsuba", 1])
+    assert time["mitsuba", 2] == np.inf
 
 
 def test_paces_are_of_the_same_start():
@@ -111,11 +124,12 @@ def test_the_search_goes_on_where_an_end_is_best(monkeypatch, tmp_path):
     raced = {}
 
     def race(folder, task, wanted, seconds):
-        raced[folder.name] = wanted
+        assert all(trial == int(folder.name) for *_, trial in wanted)
+        raced.setdefault(folder.parent.name, []).extend(wanted)
 
     def finished(folder):
         rows = [
-            {"method": m, "factor": f, "unfilled": abs(np.log(f / best[m]))}
+            {"method": m, "factor": f, "unfilled": abs(np.log(f / best[m])), "sorted_mse": 1.0}
             for m, f, _ in raced[folder.name]
         ]
         return pandas.DataFrame(rows), None
@@ -125,7 +139,7 @@ def test_the_search_goes_on_where_an_end_is_best(monkeypatch, tmp_path):
     monkeypatch.setattr(_plateau, "RESULTS", tmp_path)
     assert _plateau.searched("sort", tmp_path, 1.0) == best
     factors = {
-        name: {m: [f for n, f, _ in wanted if n == m] for m in best}
+        name: {m: [f for n, f, t in wanted if (n, t) == (m, _plateau.SEARCH[0])] for m in best}
         for name, wanted in raced.items()
     }
     assert factors["rates"] == {
@@ -138,7 +152,94 @@ def test_the_search_goes_on_where_an_end_is_best(monkeypatch, tmp_path):
         "plateau_drawn": [0.3, 0.03, 0.1],
         "mitsuba": [10.0, 30.0, 100.0],
     }
-    assert {trial for wanted in raced.values() for _, _, trial in wanted} == {_plateau.SEARCH}
+    trials = {trial for wanted in raced.values() for _, _, trial in wanted}
+    assert trials == set(_plateau.SEARCH)
+
+
+def test_the_best_rate_is_of_the_least_median():
+    """Not of the single luckiest run; of sort, nearer cubes where as many places are filled."""
+    shares = {0.3: (0.01, 0.02, 9.0), 1.0: (0.001, 0.5, np.inf), 3.0: (0.03, 0.03, 0.03)}
+    rows = [
+        {"method": "mitsuba", "factor": factor, "share_of_start": share}
+        for factor, found in shares.items()
+        for share in found
+    ]
+    assert _plateau.best(pandas.DataFrame(rows)) == {"mitsuba": 0.3}
+    cubes = {"unfilled": [12, 11, 11], "sorted_mse": [0.1, 0.3, 0.2], "factor": [0.3, 1.0, 3.0]}
+    assert _plateau.best(pandas.DataFrame(cubes | {"method": "plateau"})) == {"plateau": 3.0}
+
+
+@pytest.mark.parametrize("task", _plateau.TASKS)
+def test_all_methods_of_a_trial_begin_at_the_same_place(task):
+    starts = {}
+    for method in _plateau.TASKS[task].methods:
+        for trial in (1, 2, *_plateau.SEARCH):
+            cfg = _plateau.configured(task, method, trial, 3.0, 7.0)
+            assert (cfg.seed, cfg.optimizer.factor, cfg.budget.seconds) == (trial, 3.0, 7.0)
+            given = OmegaConf.to_yaml(cfg.scene.unknowns)
+            starts.setdefault(trial, set()).add(given)
+        config.typed(cfg)
+    assert all(len(same) == 1 for same in starts.values())
+    assert len(set.union(*starts.values())) == 2 + len(_plateau.SEARCH)
+    assert not set(_plateau.SEARCH) & set(range(1, 21))
+
+
+@pytest.mark.parametrize("task", _plateau.TASKS)
+def test_methods_that_draw_pixels_have_the_same_of_them(task):
+    own = _plateau.TASKS[task]
+    for method in own.methods:
+        cfg = _plateau.configured(task, method, 1, 1.0, 1.0)
+        if method in _plateau.RENDERED:
+            assert cfg.estimator.batch == own.pixels * own.spp
+        else:
+            assert (cfg.estimator.batch, cfg.sampler.spp) == (own.pixels, own.spp)
+        if method.startswith("plateau"):
+            whole = method in ("plateau_joint", "plateau_renderer")
+            assert cfg.sampler.scheme == ("joint" if whole else own.scheme)
+        assert (cfg.target.spp, cfg.optimizer.schedule) == (own.target_spp, own.schedule)
+
+
+def raced(folder: Path) -> None:
+    """Two starts; Mitsuba fails from the second, the third was interrupted."""
+    ends = {("plateau", 1): 0.5, ("plateau", 2): 1.5, ("mitsuba", 1): 80.0, ("mitsuba", 2): 0.1}
+    for (method, trial), end in ends.items():
+        errors = [100.0, 50.0, end]
+        synthetic_runs.write(
+            folder / str(trial) / f"{method}_0.3_{trial}",
+            [0.0, 5.0, 10.1],
+            [0.2, 0.1, 0.01],
+            errors,
+            status="numerical failure" if (method, trial) == ("mitsuba", 2) else "done",
+            settings={"scene.name": "cup", "budget.seconds": 10},
+            columns={"parameter_rmse/cup.angle": errors},
+        )
+    shutil.copytree(folder / "1", folder / "3.unfinished")
+
+
+def test_from_records_to_the_tables(tmp_path, monkeypatch):
+    monkeypatch.setattr(tables, "RESULTS", tmp_path / "results")
+    tables.RESULTS.mkdir()
+    raced(tmp_path / "starts")
+    made = tables.write("cup", tmp_path / "starts").set_index("method")
+    assert list(made["starts"]) == [2, 2] and list(made["failed"]) == [0, 1]
+    ours, theirs = made.loc["plateau"], made.loc["mitsuba"]
+    assert (ours["within_1_percent"], ours["within_5_percent"]) == (1, 2)
+    assert (ours["share_of_start_low"], ours["share_of_start_high"]) == (0.005, 0.015)
+    assert (ours["time_low"], ours["time_high"], ours["pace"]) == (1, 1, 1)
+    assert ours["image_mse_low"] == pytest.approx(1e-4)
+    # What the failed run left, though near, is nothing.
+    assert theirs["within_1_percent"] == theirs["together_within_1_percent"] == 0
+    assert theirs["share_of_start_low"] == 0.8
+    lost = ("share_of_start", "image_mse", "parameter_mse", "together", "time")
+    assert all(np.isinf(theirs[f"{name}_high"]) for name in lost)
+    curves = pandas.read_csv(tables.RESULTS / "plateau_cup_curves.csv")
+    own = curves[(curves["method"] == "plateau") & (curves["quartile"] == 0.25)].iloc[0]
+    # An evaluation stands until the next; the last is the end's, though it came late.
+    assert (own["0.00"], own["0.48"], own["0.52"], own["0.96"]) == (1, 1, 0.5, 0.5)
+    assert own["1.00"] == pytest.approx(0.0075)  # a quarter of the way to the other start's
+    page = (tables.RESULTS / "plateau.md").read_text()
+    assert "| cup, 10 s | 0.005, 1 of 2 | – | 0.8, 0 of 2 | – |" in page
+    assert (tables.RESULTS / "plateau_errors.png").stat().st_size > 0
 
 
 def test_a_race_of_other_settings_is_not_taken_for_this_one(tmp_path):

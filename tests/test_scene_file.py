@@ -7,7 +7,7 @@ import numpy as np
 import pandas
 import pytest
 
-from isas_cli import images, records, scene_file
+from isas_cli import images, records, scene_file, targets
 from isas_cli.app import main
 
 KEY = "paint.brdf_0.base_color.data"
@@ -92,6 +92,37 @@ def test_an_object_is_moved_to_where_the_file_has_it(folder, capsys):
     assert drawn["ball.x"].is_monotonic_increasing and blurred.min() > drawn["hard"].min()
     assert main(["landscape", "r", "--along", "bal.x"]) == 2
     assert "did you mean 'ball.x'" in capsys.readouterr().err
+    (folder / "own" / "scene.xml").write_text(near.replace('value="0.4"', 'value="0.3"'))
+    assert main(["landscape", "r"]) == 2
+    assert "r: its scene has changed since" in capsys.readouterr().err
+    again = ["overwrite=true", "budget.iterations=1", "scene.path=own/scene.xml", unknowns()]
+    assert run(*again, "hydra.run.dir=r") == 0
+    assert not (folder / "r" / "landscape.csv").exists()  # of the run before
+
+
+@pytest.mark.parametrize(
+    "settings, words",
+    [
+        (["sampler=uniform"], "'ball.x' moves objects"),
+        (["sampler=differences"], "sampler=differences draws pixels for plateau-reduced"),
+        (["sampler=mitsuba"], "sensor 0: Mitsuba's own renderings go through the film"),
+        (["estimator.batch=1048576", "sampler.residual_spp=4098"], "sampler.residual_spp=4098"),
+    ],
+)
+def test_what_sampler_and_scene_cannot_do_is_said_before_targets(
+    folder, capsys, monkeypatch, settings, words
+):
+    def slow(*arguments):
+        raise AssertionError("targets are rendered")
+
+    monkeypatch.setattr(targets, "render", slow)
+    given = [f"scene.poses={POSE}", unknowns("ball.x", "0.5", BLUR), *settings]
+    if not settings[0].startswith("sampler="):
+        given.append("sampler=plateau")
+    assert run(*PLATEAU[1:], *given) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1, error
+    assert not (folder / "r").exists()
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,8 @@ def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
 
     The other unknowns stay at the truth, or, where it is not known, where the run ended.
     ``along``: one or two numbers, as history.csv names them without "value/"; None: all, where the
-    run has no more. Raises InputError for others, and for unknowns without a blur.
+    run has no more. Raises InputError for others, for unknowns without a blur, and where scene or
+    targets have changed since the run.
     """
     if spp < 1:
         raise InputError(f"--spp {spp}: at least 1")
@@ -36,10 +37,11 @@ def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
     names = [c[len(VALUE_PREFIX) :] for c in run.history.columns if c.startswith(VALUE_PREFIX)]
     chosen = _chosen(along, names, folder)
     typed, _ = experiment.checked(cfg)
-    experiment.started([cfg], typed)
+    machine = experiment.started([cfg], typed)
     with interrupt.prompt(), Display(Budget(iterations=1)) as display:
         phases = experiment.Phases(display)
         problem = experiment.built(typed, phases)
+        resumption.check_same(problem, machine, run.manifest, folder)
         phases.begin("landscape")
         found = _measured(problem, cfg, run, chosen, spp, phases)
         phases.begin(None)

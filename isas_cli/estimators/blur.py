@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from ..problem import Problem
 
 
+# Of one pair of renderings for each entry: all their offsets are held at once, D² numbers.
+_MOST_SINGLE = 2048
+
+
 class Blur:
     """All unknowns' D entries, one after the other, and their σ. On the host, in double precision;
     the scene gets single.
@@ -37,6 +41,16 @@ class Blur:
     def size(self) -> int:
         """D."""
         return sum(self._sizes)
+
+    def check_single(self, setting: str) -> None:
+        """Raises InputError, naming ``setting``, where there are too many entries for a pair of
+        renderings each."""
+        if self.size > _MOST_SINGLE:
+            raise InputError(
+                f"{setting} takes a pair of renderings for each of the unknowns' {self.size} "
+                f"entries, and at most {_MOST_SINGLE}: leave textures out, or take sampler=plateau "
+                "with sampler.scheme=joint, one pair for all"
+            )
 
     def vector(self, values: dict) -> np.ndarray:
         """``(D,) float64`` from values by key. Waits for them."""

@@ -31,6 +31,7 @@ class FiniteDifferences:
     ):
         self.batch, self.spp = batch, spp
         self.blur = Blur(problem, "sampler=finite_differences")
+        self.blur.check_single("sampler=finite_differences")
         self.step = step
         self._renderings = Renderings(problem, loss, batch, self.blur, freeze, spp)
 

@@ -77,12 +77,15 @@ class Plateau:
         self.batch, self.smooth, self.pairs, self.common = batch, smooth, pairs, common
         self.blur = Blur(problem, "sampler=plateau")
         self._scheme, self._mirrored = SCHEMES[scheme], residual == "pair"
+        if scheme == "separate":
+            self.blur.check_single("sampler.scheme=separate")
         self._together = self.blur.size if scheme == "separate" else 1
         # The same in both renderings.
         half = max(1, (residual_spp or spp * self._together) // 2)
         if smooth == "image" and batch * half > MOST_LANES:
+            usual = "" if residual_spp else " (as many as the pairs have on one side)"
             raise InputError(
-                f"sampler.residual_spp={2 * half} times estimator.batch={batch}: at most "
+                f"sampler.residual_spp={2 * half}{usual} times estimator.batch={batch}: at most "
                 f"{2 * MOST_LANES} paths; set fewer"
             )
         self._renderings = Renderings(problem, loss, batch, self.blur, freeze, spp, half)

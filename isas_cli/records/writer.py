@@ -33,6 +33,7 @@ _MADE_FILES = (
     "profile.csv",
     "error.txt",
     "report.html",
+    "landscape.csv",
     "frames/*.exr",
     "frames/*.png",
     "plots/*.png",

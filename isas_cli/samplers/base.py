@@ -120,6 +120,13 @@ class Sampler:
 
         self._expand = dr.freeze(expand) if freeze else expand
 
+    def check(self, problem: Problem, loss, batch: int) -> None:
+        """Raises InputError for what this sampler and ``problem`` cannot do together. Needs no
+        targets, which may take minutes; traces nothing."""
+        if not self.replays:
+            self.prepare(problem, loss, batch)
+        self.estimator(problem, loss, batch)
+
     def estimator(self, problem: Problem, loss, batch: int, freeze: bool = True):
         """How the gradient is estimated from the drawn pixels: by path replay."""
         from ..estimators.two_path import TwoPath

@@ -73,7 +73,9 @@ def run(plan: Plan) -> int:
         phases = Phases(display)
         from ..estimators import derivative_sampling  # imports Mitsuba
 
-        problem = derivative_sampling.chosen(built(typed, phases), typed.estimator)
+        problem = derivative_sampling.chosen(
+            built(typed, phases, plan.cfgs.values()), typed.estimator
+        )
         bench, contestants, best = _prepared(plan, typed, problem, phases)
         with interrupt.graceful(display.interrupted) as stop:
             return _Record(plan, typed, machine, bench, contestants, best, display).make(stop)
