@@ -8,7 +8,11 @@ in the table. Looks of drawn pixels are shared out over the steps until the next
 
 Mitsuba's derivative of what moves samples silhouettes; those seen by way of other surfaces guided
 by an octree (its default), by a grid, uniformly, or not at all (`direct`: wrong where shadows
-move). A ratio is the median over the rounds with its range. Writes results/plateau_cost.csv.
+move). A ratio is the median over the rounds with its range. Writes results/plateau_cost.csv;
+those guided, of many seconds a step, were measured once, on three tasks (plateau_cost_guided.csv):
+
+    python benchmarks/plateau_cost.py cup shadows caustic --rounds 1 --steps 1 \\
+        --against grid octree --output benchmarks/results/plateau_cost_guided.csv
 """
 
 from __future__ import annotations
