@@ -166,12 +166,11 @@ def table(task: str, found: pandas.DataFrame) -> pandas.DataFrame:
         row = {"task": task, "method": method, "budget": own["budget"].iloc[0]}
         row |= {"factor": own["factor"].iloc[0], "starts": len(own)}
         for name in (name for name in measures if name in own):
+            known = own[name].dropna()
             for suffix, level in QUARTILES.items():
                 # An order statistic: a time may be infinite.
-                known = own[name].dropna()
-                row[name + suffix] = (
-                    np.quantile(known, level, method="nearest") if len(known) else np.nan
-                )
+                value = np.quantile(known, level, method="nearest") if len(known) else np.nan
+                row[name + suffix] = value
         row["within_1_percent"] = int((own["share_of_start"] < 0.01).sum())
         row["together_within_1_percent"] = int((own["together"] < 0.01).sum())
         row["within_5_percent"] = int((own["share_of_start"] < 0.05).sum())
