@@ -87,7 +87,15 @@ TASKS = {
     "occlusion": Task(4, {"red.depth": 0.5}),
     "shadows": Task(8, {"ball.place": 0.15}, pixels=1024, spp=8, step=7),
     "cup": Task(7, {"cup.angle": 9.0}, step=17),
-    "caustic": Task(20, {"lamp.place": 0.4}, pixels=1024, spp=32, step=3),
+    "caustic": Task(
+        20,
+        {"lamp.place": 0.4},
+        pixels=1024,
+        spp=32,
+        step=3,
+        scheme="separate",
+        methods=tuple(METHODS),
+    ),
     "sort": Task(
         30,
         None,
@@ -100,7 +108,7 @@ TASKS = {
         methods=("plateau", "plateau_drawn", "mitsuba"),
     ),
     "global_illumination": Task(
-        15,
+        20,
         {"lamp.place": 0.1, "box.angle": 5.0, "left.bsdf.base_color.value": 0.1},
         pixels=1024,
         spp=8,
