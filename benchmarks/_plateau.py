@@ -117,8 +117,8 @@ TASKS = {
         pixels=1024,
         spp=8,
         scheme="separate",
-        # The least median of three was a rate at which a third of the starts did not come far
-        # enough along the valley of lamp and wall.
+        # On three, a rate won that is too slow from a third of the starts: lamp and wall trade with
+        # each other, and go slowly along that valley.
         search=MORE_SEARCH,
         methods=("plateau", "plateau_drawn", "plateau_joint", "mitsuba", "finite_differences"),
     ),
