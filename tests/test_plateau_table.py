@@ -1,5 +1,6 @@
 """The races of PRDPT's tasks: what is searched, and what their tables say of records."""
 
+import argparse
 import shutil
 import sys
 from pathlib import Path
@@ -194,7 +195,30 @@ def test_all_methods_of_a_trial_begin_at_the_same_place(task):
         config.typed(cfg)
     assert all(len(same) == 1 for same in starts.values())
     assert len(set.union(*starts.values())) == 2 + len(_plateau.TASKS[task].search)
-    assert not set(_plateau.TASKS[task].search) & set(range(1, 21))
+
+
+@pytest.mark.parametrize("task", _plateau.TASKS)
+def test_methods_are_judged_on_starts_that_their_rates_were_not_chosen_on(
+    task, monkeypatch, tmp_path
+):
+    """Variants on the first five of the others' twenty, of sort all methods."""
+    methods = _plateau.TASKS[task].methods
+    judged = {method: [] for method in methods}
+
+    def race(folder, _, wanted, seconds):
+        for method, _, trial in wanted:
+            assert folder == tmp_path / task / "starts" / str(trial)
+            judged[method].append(trial)
+
+    monkeypatch.setattr(_plateau, "race", race)
+    monkeypatch.setattr(_plateau, "searched", lambda *_: dict.fromkeys(methods, 1.0))
+    monkeypatch.setattr(tables, "write", lambda *_: None)
+    _plateau.compared(task, tmp_path, argparse.Namespace(starts=20, seconds=None))
+    first = _plateau.TASKS[task].first
+    for method, trials in judged.items():
+        few = task == "sort" or method in _plateau.VARIANTS
+        assert trials == list(range(first, first + (5 if few else 20)))
+        assert not set(trials) & set(_plateau.TASKS[task].search)
 
 
 @pytest.mark.parametrize("task", _plateau.TASKS)
