@@ -12,9 +12,10 @@ The budget is billed time, so that methods differ in iterations: both are in the
 gives all the same number of iterations. Variants have five starts, the others twenty, sort five of
 each. Widths, pixels, paths and the schedule of the rates were chosen for the plateau-reduced
 gradient, on other starts; of global_illumination the schedule with its first twenty starts in view
-too, so that it is judged on twenty others. All methods that draw pixels have the same of them and as many paths of
-each (3 times as many in all, by separate pairs 3 per entry of the unknowns, 4 with smooth=loss, 4
-per entry by finite differences); Mitsuba's render whole images, at least one path a pixel.
+too, so that it is judged on twenty others. All methods that draw pixels have the same of them and
+as many paths of each (3 times as many in all, by separate pairs 3 per entry of the unknowns, 4 with
+smooth=loss, 4 per entry by finite differences); Mitsuba's render whole images, at least one path a
+pixel.
 
 Writes results/plateau_<task>_rates.csv, the search, and the tables (`_plateau_table.py`).
 
