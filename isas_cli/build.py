@@ -20,7 +20,7 @@ from .parameters import textures
 from .pixels import Views
 from .poses import Poses
 from .problem import Problem
-from .specs import parse
+from .specs import narrow_blurs, parse
 from .unknowns import Unknowns
 
 
@@ -71,7 +71,10 @@ def problem(
         Views.of(sizes),
         unknowns,
         content,
-        warnings=mesh_checks.check_scene(loaded, textures(params, unknowns.keys)),
+        warnings=[
+            *mesh_checks.check_scene(loaded, textures(params, unknowns.keys)),
+            *narrow_blurs(found),
+        ],
     )
     check(result)
     if photographs:

@@ -89,7 +89,24 @@ def _translate_named(override: str, setting: str, entry_type: type) -> str:
                 raise InputError(
                     f"{setting[:-1]}['{key}'].{name}: no such entry; {nearest(name, fields)}"
                 )
+        _check_entry(f"{setting[:-1]}['{key}']", entry_type, entry)
     return f"++{setting}{_hydra(parsed)}"
+
+
+def _check_entry(where: str, entry_type: type, entry: dict) -> None:
+    """Raises InputError for values of types that ``entry_type`` does not take."""
+    blur = entry.get("blur")
+    if blur is not None and not isinstance(blur, dict):
+        raise InputError(f"{where}.blur={blur}: give {{start: …, end: …}}, widths in its unit")
+    fields = [f.name for f in dataclasses.fields(config.BlurConfig)]
+    for name in blur or {}:
+        if name not in fields:
+            raise InputError(f"{where}.blur.{name}: no such entry; {nearest(name, fields)}")
+    try:
+        OmegaConf.merge(OmegaConf.structured(entry_type), entry)
+    except OmegaConfBaseException as error:
+        field = f".{error.full_key}" if error.full_key else ""
+        raise InputError(f"{where}{field}: {str(error).splitlines()[0]}") from error
 
 
 def override(value) -> str:

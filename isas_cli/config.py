@@ -32,6 +32,10 @@ def _at_least(least: int, **values: Optional[int]) -> None:
             raise InputError(f"{name.replace('__', '.')}={value}: at least {least}")
 
 
+# The scene's numbers are of single precision, and are squared.
+_WIDEST = 1e15
+
+
 @dataclass
 class BlurConfig:
     """Width of the Gaussian that ``sampler=plateau`` blurs an unknown with, in the unknown's unit:
@@ -50,8 +54,11 @@ class BlurConfig:
     def __post_init__(self) -> None:
         for name in ("start", "end"):
             value = getattr(self, name)
-            if not 0 < value < math.inf:
-                raise InputError(f"blur.{name}={value}: must be above 0, in the unknown's unit")
+            if not 0 < value <= _WIDEST:
+                raise InputError(
+                    f"blur.{name}={value}: must be above 0, in the unknown's unit, and at most "
+                    f"{_WIDEST:g}"
+                )
         if self.end > self.start:
             raise InputError(
                 f"blur.end={self.end}: above start={self.start}, but the width falls over the "
@@ -122,17 +129,23 @@ class PoseConfig:
         for name, kind in _POSE_KINDS.items():
             if self.kind not in (MISSING, kind) and getattr(self, name) != usual[name]():
                 raise InputError(f"pose.{name}: a {self.kind} has no use for it; leave it out")
-        if not self.directions:
-            raise InputError("pose.directions=[]: at least one")
+        for name in ("objects", "directions"):
+            if not getattr(self, name):
+                raise InputError(f"pose.{name}=[]: at least one")
         for name, vectors in (
             ("axis", [self.axis]),
             ("origin", [self.origin]),
             ("directions", self.directions),
         ):
             for vector in vectors:
-                zero = name != "origin" and not any(vector)
-                if len(vector) != 3 or zero:
-                    raise InputError(f"pose.{name}: {list(vector)} is no x, y, z")
+                if not _is_vector(vector) or (name != "origin" and not any(vector)):
+                    several = " (a list of such)" if name == "directions" else ""
+                    raise InputError(f"pose.{name}: {vector} is no [x, y, z]{several}")
+
+
+def _is_vector(value) -> bool:
+    numbers = isinstance(value, (list, tuple)) and len(value) == 3
+    return numbers and all(type(x) in (int, float) and math.isfinite(x) for x in value)
 
 
 @dataclass
@@ -291,7 +304,9 @@ class Config:
                     "unknown"
                 )
         for key, unknown in scene.unknowns.items():
-            if unknown.blur is None and self.sampler.get("name") in _BLURRING:
+            # Where there are poses, a key that is none of them may be a slip: told with the scene.
+            named = key in scene.poses or not scene.poses
+            if named and unknown.blur is None and self.sampler.get("name") in _BLURRING:
                 raise InputError(
                     f"scene.unknowns['{key}'] has no blur, which sampler={self.sampler['name']} "
                     "needs: give blur: {start: 0.5, end: 0.01}, widths of a Gaussian in its unit"
@@ -307,6 +322,9 @@ def typed(cfg: DictConfig) -> Config:
     errors for what is missing."""
     for group in ("poses", "unknowns"):
         for key, entry in cfg.scene[group].items():
+            for name in OmegaConf.missing_keys(entry):
+                last = name.rpartition(".")[2]
+                raise InputError(f"scene.{group}['{key}'].{last} is missing")
             try:
                 OmegaConf.to_object(entry)
             except InputError as error:  # an object does not know whose it is

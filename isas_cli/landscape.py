@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,7 +18,9 @@ from .problem import Problem
 from .render import Renderer
 
 # Pixels of all points together: 24 bytes each, and as much again while they are blurred.
-_MOST = 1 << 26
+_MOST = 1 << 25
+_USUAL = {1: 321, 2: 49}  # points of an axis, by the number of axes
+_LEAST = 17  # of these a quarter is shown at least
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,25 @@ class Landscape:
     hard: np.ndarray
     widths: list[tuple[float, ...]]
     blurred: list[np.ndarray]
+
+    def within(self, bounds: list[tuple[float, float]]) -> "Landscape":
+        """The part between ``bounds``, (low, high) of each axis."""
+        kept = [np.flatnonzero((a >= b[0]) & (a <= b[1])) for a, b in zip(self.axes, bounds)]
+        axes = [axis[k] for axis, k in zip(self.axes, kept)]
+        hard, *blurred = (values[np.ix_(*kept)] for values in (self.hard, *self.blurred))
+        return Landscape(self.names, axes, hard, self.widths, blurred)
+
+
+def points(problem: Problem, axes: int) -> int:
+    """How many points of each of ``axes`` axes there are to be: all images are held at once.
+    Raises InputError where only few would fit memory."""
+    found = min(_USUAL[axes], math.floor((_MOST / problem.views.total) ** (1 / axes)))
+    if found < _LEAST:
+        raise InputError(
+            f"{problem.views.total} pixels of all views are too many to hold the images of "
+            f"{_LEAST**axes} points in memory: take a run of a smaller size"
+        )
+    return found
 
 
 def measure(
@@ -50,28 +73,25 @@ def measure(
     paths a pixel in each of two independent halves, the same random numbers at every point, from
     the seed ``base``.
     ``smooth``: "image", ℒ(κ ⋆ P), or "loss", κ ⋆ ℒ(P), as ``estimators.plateau`` has it, but over
-    the given axes alone. κ is cut off at the ends of the axes and scaled to 1 again there.
+    the given axes alone. κ is cut off at the ends of the axes and scaled to 1 again there: what is
+    shown should end three σ before them (``Landscape.within``).
     """
     blur, renderer = Blur(problem, "isas landscape"), Renderer(problem)
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-    if len(points) * problem.views.total > _MOST:
-        raise InputError(
-            f"{len(points)} points of {problem.views.total} pixels each are more than fit memory: "
-            "take a run of a smaller size"
-        )
-    halves = np.empty((2, len(points), problem.views.total, 3), np.float32)
-    for number, point in enumerate(points):
+    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    halves = np.empty((2, len(places), problem.views.total, 3), np.float32)
+    first: dict[bytes, int] = {}  # beyond an unknown's range all images are those of its end
+    for number, place in enumerate(places):
         θ = at.copy()
-        θ[entries] = point
-        blur.write(θ)
-        for half in (0, 1):
-            halves[half, number] = renderer.range(
-                0,
-                problem.views.total,
-                spp,
-                lambda s, half=half: streams.seed(base, 2 * s + half, "evaluation"),
-            )
-        done(number + 1, len(points))
+        θ[entries] = place
+        same = first.setdefault(blur.ends(θ).tobytes(), number)
+        if same == number:
+            blur.write(θ)
+            for half in (0, 1):
+                seeds = functools.partial(_seed, base, half)
+                halves[half, number] = renderer.range(0, problem.views.total, spp, seeds)
+        else:
+            halves[:, number] = halves[:, same]
+        done(number + 1, len(places))
     shape = tuple(len(axis) for axis in axes)
     hard = _losses(problem, loss, *halves).reshape(shape)
     blurred = []
@@ -84,6 +104,10 @@ def measure(
         smoothed = [image.reshape(halves.shape[1:]) for image in images]
         blurred.append(_losses(problem, loss, *smoothed).reshape(shape))
     return Landscape(names, axes, hard, widths, blurred)
+
+
+def _seed(base: int, half: int, part: int) -> int:
+    return streams.seed(base, 2 * part + half, "evaluation")
 
 
 def _losses(problem: Problem, loss, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -106,5 +130,6 @@ def _kernel(axis: np.ndarray, σ: float) -> np.ndarray:
 
 def _along(values: np.ndarray, kernels: list[np.ndarray]) -> np.ndarray:
     for number, kernel in enumerate(kernels):
+        kernel = kernel.astype(values.dtype)  # images in half the memory
         values = np.moveaxis(np.tensordot(kernel, values, axes=(1, number)), 0, number)
     return values

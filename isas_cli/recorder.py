@@ -218,9 +218,11 @@ class Recorder:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
         for entry in self._resumed:
             if entry.get("earlier_budget"):
+                blurred = self.cfg.sampler.name == "plateau"
+                what = "the learning rate and the blurs' widths" if blurred else "the learning rate"
                 warnings.append(
                     f"the budget was {entry['earlier_budget']} up to iteration "
-                    f"{entry['iteration']}: the learning rate followed another schedule"
+                    f"{entry['iteration']}: {what} followed another schedule"
                 )
         return warnings
 

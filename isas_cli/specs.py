@@ -10,6 +10,7 @@ import numpy as np
 
 from . import images
 from .errors import InputError, nearest
+from .estimators.smoothing import stable
 from .parameters import differentiable_keys, is_environment, is_float, loaded, moves_geometry, owner
 from .poses import Poses
 from .unknowns import Unknown, present
@@ -113,6 +114,20 @@ def _range(spec, key: str, params: mi.SceneParameters) -> tuple[float, float]:
             f"scene.unknowns['{key}'].range={list(spec)}: give [low, high] with low < high"
         )
     return float(spec[0]), float(spec[1])
+
+
+def narrow_blurs(unknowns: list[Unknown]) -> list[str]:
+    """A warning for each unknown whose last blur is narrower than single precision resolves."""
+    found = []
+    for unknown in (u for u in unknowns if u.blur is not None):
+        wanted = np.full(unknown.start.size, unknown.blur.end)
+        width = stable(wanted, unknown.start.reshape(-1), unknown.scale).max()
+        if width > unknown.blur.end:
+            found.append(
+                f"scene.unknowns['{unknown.key}'].blur.end={unknown.blur.end:g}: single precision "
+                f"resolves no less than {width:.2g} there, which is the width instead"
+            )
+    return found
 
 
 def parse(

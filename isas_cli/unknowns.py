@@ -68,6 +68,10 @@ class Unknowns:
         """Ids of the objects that poses among the unknowns move."""
         return {id for key in self.poses for id in self._poses.items[key].ids}
 
+    def written(self, key: str) -> list[str]:
+        """The scene's parameters that the pose ``key`` writes."""
+        return self._poses.keys([key])
+
     def place(self, key: str, where: str) -> tuple[Pose, np.ndarray]:
         """The translation ``key`` and where its parts were loaded (``Poses.middles``); raises
         InputError, naming ``where``, if it is none."""

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from blurred_gradients import BATCH, LEVEL, made, p_value, references_of, rows, unbiased
-from poses_for_tests import AT, blurred_problem
+from poses_for_tests import AT, blurred_problem, description
+from scenes_for_tests import without_targets
 from scipy import stats
 
 from isas_cli import losses
+from isas_cli.config import BlurConfig, PoseConfig, UnknownConfig
+from isas_cli.errors import InputError
 from isas_cli.estimators.finite_differences import FiniteDifferences
 from isas_cli.estimators.stock import Stock
 
@@ -52,6 +56,27 @@ def test_kernel_and_renderer_agree_at_the_end_of_a_range():
     test = stats.ttest_ind(by_kernel[:, 1], by_renderer[:, 1], equal_var=False)
     print(by_kernel.mean(axis=0), by_renderer.mean(axis=0), test.pvalue)
     assert test.pvalue > LEVEL
+
+
+@pytest.mark.parametrize("smooth", (None, "image"))
+@pytest.mark.parametrize("moved", ("bulb", "spot", "sensor_000"))
+def test_what_is_no_shape_cannot_be_moved_by_mitsubas_derivative(moved, smooth):
+    lights = {
+        "bulb": {"type": "point", "position": [0.0, 1.0, 2.0]},
+        "spot": {"type": "spot", "to_world": mi.ScalarTransform4f().translate([0, 1, 2])},
+    }
+    poses = {"x": PoseConfig(kind="translation", objects=[moved], directions=[[1, 0, 0]])}
+    unknowns = {"x": UnknownConfig(start=0.5, blur=BlurConfig(start=0.2, end=0.1))}
+    p = without_targets(description() | lights, unknowns, poses)
+    with pytest.raises(InputError, match=f"'x'. moves '{moved}', which is no shape") as refused:
+        Stock(p, losses.L2(), BATCH, smooth)
+    assert "\n" not in str(refused.value)
+
+
+def test_mitsuba_prints_nothing_on_standard_output(capfd):
+    p = blurred_problem(glows=True)
+    rows(Stock(p, losses.L2(), 2 * BATCH, silhouettes="direct"), p, 1)
+    assert capfd.readouterr().out == ""
 
 
 def test_mitsubas_own_derivative_does_not_see_over_a_plateau():

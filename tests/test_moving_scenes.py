@@ -183,6 +183,7 @@ def test_a_hidden_ball_is_found():
         (["sampler.pairs=0"], "sampler.pairs=0: at least 1"),
         (["sampler.spp=0"], "sampler.spp=0: at least 1"),
         (["sampler=finite_differences", "sampler.spp=0"], "sampler.spp=0: at least 1"),
+        (["sampler=finite_differences", "sampler.step=inf"], "sampler.step=inf: must be a finite"),
         (["sampler.gradient=renderer", "sampler.spp=4"], "sampler.spp=4: the renderer's"),
         (["sampler.smooth=time"], "sampler.smooth=time: valid: image, loss"),
         (["sampler.residual=two"], "sampler.residual=two: valid: pair, one"),

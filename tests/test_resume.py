@@ -141,7 +141,8 @@ def test_a_larger_budget_goes_on_where_the_run_ended(finished, capsys):
     assert after.summary["start"] == before.summary["start"]
     between = after.history["iteration"].between(5, 8)
     assert between.any(), "evaluated on the way, not only at the end"
-    assert any("iterations=4" in warning for warning in after.summary["warnings"])
+    (warning,) = [text for text in after.summary["warnings"] if "iterations=4" in text]
+    assert "the learning rate followed another schedule" in warning
     assert after.manifest["resumed"][0]["earlier_budget"] == "iterations=4"
 
 

@@ -68,6 +68,7 @@ def run(*arguments: str) -> int:
 
 
 POSE = '{"ball.x": {"kind": "translation", "objects": ["ball"], "directions": [[1, 0, 0]]}}'
+TURN = '{"ball.x": {"kind": "rotation", "objects": ["ball"], "axis": [0, 1, 0]}}'
 BLUR = ', "blur": {"start": 0.3, "end": 0.02, "hold": 0.2}'
 PLATEAU = ["sampler=plateau", "budget.iterations=200", "target.spp=256", "frames.views=0"]
 PLATEAU += ["scene.path=own/scene.xml", "hydra.run.dir=r", "optimizer.lr=0.05"]
@@ -125,6 +126,13 @@ def test_what_sampler_and_scene_cannot_do_is_said_before_targets(
     assert not (folder / "r").exists()
 
 
+def test_a_slip_in_the_name_of_a_pose_is_told_as_one(folder, capsys):
+    assert run(*PLATEAU, f"scene.poses={POSE}", unknowns("bal.x", "0.5")) == 2
+    assert (
+        "'bal.x' is no differentiable parameter; did you mean 'ball.x'" in capsys.readouterr().err
+    )
+
+
 @pytest.mark.parametrize(
     "pose, blur, words",
     [
@@ -135,6 +143,32 @@ def test_what_sampler_and_scene_cannot_do_is_said_before_targets(
             BLUR,
             "scene.poses['ball.x']: pose.kind=slide: valid",
         ),
+        (
+            POSE.replace('"kind": "translation", ', ""),
+            BLUR,
+            "scene.poses['ball.x'].kind is missing",
+        ),
+        (POSE.replace('"objects": ["ball"], ', ""), BLUR, "['ball.x'].objects is missing"),
+        (POSE.replace('["ball"]', "[]"), BLUR, "['ball.x']: pose.objects=[]: at least one"),
+        (
+            POSE.replace("[[1, 0, 0]]", "[1, 0, 0]"),
+            BLUR,
+            "scene.poses['ball.x']: pose.directions: 1",
+        ),
+        (POSE.replace("[[1, 0, 0]]", '[[0, "a", 1]]'), BLUR, "pose.directions: [0, 'a', 1] is no"),
+        (
+            TURN.replace("[0, 1, 0]", '[0, "a", 1]'),
+            BLUR,
+            "scene.poses['ball.x'].axis[1]: Value 'a'",
+        ),
+        (
+            POSE,
+            ', "blur": {"strat": 1}',
+            "['ball.x'].blur.strat: no such entry; did you mean 'start'",
+        ),
+        (POSE, ', "blur": {"start": "wide"}', "scene.unknowns['ball.x'].blur.start: "),
+        (POSE, ', "blur": 0.5', "scene.unknowns['ball.x'].blur=0.5: give {start: "),
+        (POSE, ', "blur": {"start": 1e300, "end": 1}', "blur.start=1e+300: must be above 0"),
         (POSE, "", "['ball.x'] has no blur"),
         (POSE, ', "blur": {"start": 0.3, "end": 0}', "scene.unknowns['ball.x']: blur.end=0"),
         (POSE, ', "blur": {"start": 0.3}', "blur.end=0"),

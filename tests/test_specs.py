@@ -8,10 +8,10 @@ from omegaconf import OmegaConf
 from scenes_for_tests import dictionary
 
 from isas_cli.compose import compose, translate
-from isas_cli.config import UnknownConfig
+from isas_cli.config import BlurConfig, UnknownConfig
 from isas_cli.errors import InputError
 from isas_cli.parameters import differentiable_keys
-from isas_cli.specs import parse
+from isas_cli.specs import narrow_blurs, parse
 
 
 def parsed(description: dict, specs: dict, truth_known: bool = True):
@@ -140,3 +140,15 @@ def test_the_command_line_takes_a_start_of_another():
     typed = OmegaConf.to_object(cfg).scene.unknowns
     assert typed["a.b"].start == {"of": "c.d_0.data"}
     assert typed["c.d_0.data"].start == 2
+
+
+def test_blurs_narrower_than_single_precision_resolves_are_told():
+    """With the width that is taken instead."""
+    key = "wall.bsdf.roughness.value"
+    found = {}
+    for end in (1e-9, 1e-3):
+        spec = {"start": 0.5, "blur": BlurConfig(start=0.1, end=end)}
+        found[end] = narrow_blurs(list(parsed(dictionary(), {key: spec}).values()))
+    assert found[1e-3] == []
+    (told,) = found[1e-9]
+    assert f"scene.unknowns['{key}'].blur.end=1e-09" in told and "3.1e-05" in told

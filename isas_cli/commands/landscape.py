@@ -16,9 +16,9 @@ from ..errors import InputError, nearest
 from ..records import VALUE_PREFIX, write_atomically
 
 FILE = "landscape.csv"
-_POINTS = {1: 81, 2: 25}  # of an axis, by the number of axes
-# Beyond start, truth and all that the run visited, in widths of the first blur.
-_BEYOND = 1.0
+# Beyond start, truth and all that the run visited, in widths of the first blur: shown, and as far
+# again as there is blur to speak of.
+_BEYOND, _BLURRED = 1.0, 3.0
 
 
 def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
@@ -48,7 +48,9 @@ def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
     _write(found, Path(folder))
     from ..report.landscape import draw
 
-    print(draw(Path(folder)))
+    others = len(names) > len(chosen)
+    stay = "the truth" if problem.truth_known else "the run's end"
+    print(draw(Path(folder), f"the other unknowns: at {stay}" if others else ""))
     return 0
 
 
@@ -65,19 +67,24 @@ def _chosen(along: list[str] | None, names: list[str], folder: Path) -> list[str
 
 def _measured(problem, cfg: DictConfig, run, names: list[str], spp: int, phases):
     from ..estimators.blur import Blur
-    from ..landscape import measure
+    from ..landscape import measure, points
 
     blur = Blur(problem, "isas landscape")
     at = blur.vector(problem.unknowns.truths() or _last(problem, run.folder))
     start, end = (blur.widths(at, progress) for progress in (0.0, 1.0))
     places = _places(problem)
     entries = [places[name] for name in names]
-    axes = []
+    bounds, axes = [], []
     for name, entry in zip(names, entries):
         visited = [*run.history[f"{VALUE_PREFIX}{name}"], at[entry]]
         margin = _BEYOND * start[entry]
         low, high = np.nanmin(visited) - margin, np.nanmax(visited) + margin
-        axes.append(np.linspace(low, high, _POINTS[len(names)]))
+        bounds.append((low, high))
+        tail, count = _BLURRED * start[entry], points(problem, len(names))
+        spacing = (high - low + 2 * tail) / (count - 1)
+        # One of the points is where the minimum should be, which may be sharp.
+        first = at[entry] - spacing * np.floor((at[entry] - low + tail) / spacing)
+        axes.append(first + spacing * np.arange(count))
     # A blur that is narrower than the grid would show the sharp loss.
     spacing = np.array([axis[1] - axis[0] for axis in axes])
     narrower = np.maximum(np.sqrt(start * end)[entries], spacing)
@@ -89,7 +96,8 @@ def _measured(problem, cfg: DictConfig, run, names: list[str], spp: int, phases)
         interrupt.check()
         phases.display.phase(f"landscape {finished} of {total}")
 
-    return measure(problem, loss, at, entries, names, axes, widths, smooth, spp, cfg.seed, done)
+    found = measure(problem, loss, at, entries, names, axes, widths, smooth, spp, cfg.seed, done)
+    return found.within(bounds)
 
 
 def _last(problem, folder: Path) -> dict:

@@ -26,8 +26,8 @@ class Renderings:
     is 1/N Σ_i (…)_{j_i} / p_{j_i}, unbiased where p > 0 wherever the sum is not zero. A rendering
     is the mean of ``spp`` paths a pixel, of ``half`` in each of a residual's two. Where noise times
     noise outweighs the rest (beside the truth, where the residual has no mean, with narrow blurs),
-    the variance falls with spp² N: for the same number of paths fewer pixels with more paths each
-    are better (benchmarks/plateau_variance.py).
+    the variance falls with spp² N: for the same paths of a pair, spp N, fewer pixels with more
+    paths each are better (benchmarks/plateau_variance.py).
 
     A launch traces one state of the scene, as Mitsuba holds one: two a pair, and in image space two
     more for the residual, however many objects move. The scene is updated between them, outside the

@@ -10,6 +10,7 @@ import numpy as np
 
 from .. import streams
 from ..errors import InputError
+from ..parameters import owner
 from ..pixels import PixelDistribution
 from . import smoothing
 from .blur import Blur
@@ -64,6 +65,7 @@ class Stock:
         self.smooth, self.samples = smooth, samples
         self.blur = Blur(problem, "sampler=plateau") if smooth else None
         _check_films(problem)
+        _check_shapes(problem)
         self.integrator = _integrator(problem, silhouettes)
         self.spp = max(1, batch // problem.views.total)
         self._primal = mi.load_dict({"type": "path", **_settings(problem)})
@@ -177,6 +179,19 @@ def _check_films(problem: "Problem") -> None:
             )
 
 
+def _check_shapes(problem: "Problem") -> None:
+    """Raises InputError for poses that move anything but shapes."""
+    unknowns = problem.unknowns
+    for name in unknowns.poses:
+        for key in unknowns.written(name):
+            if not isinstance(owner(unknowns.params, key), mi.Shape):
+                raise InputError(
+                    f"scene.unknowns['{name}'] moves '{key.rpartition('.')[0]}', which is no shape:"
+                    " Mitsuba's derivative reaches shapes alone; take sampler=plateau with "
+                    "sampler.gradient=kernel, or sampler=finite_differences"
+                )
+
+
 def _settings(problem: "Problem") -> dict:
     return {"max_depth": _depth(problem), "hide_emitters": problem.integrator.hide_emitters}
 
@@ -186,4 +201,7 @@ def _integrator(problem: "Problem", silhouettes: str) -> mi.Integrator:
     if not problem.unknowns.poses:
         return mi.load_dict({"type": "prb", **settings})
     settings |= SILHOUETTES[silhouettes]
-    return mi.load_dict({"type": "prb_projective", **settings})
+    found = mi.load_dict({"type": "prb_projective", **settings})
+    # On standard output, where the record's path is all that is printed; said above.
+    found.sample_border_warning = False
+    return found

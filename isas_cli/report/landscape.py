@@ -13,8 +13,9 @@ from ..records import VALUE_PREFIX
 from .figures import COLOURS, STYLE, figure, save
 
 
-def draw(folder: Path) -> Path:
-    """Curves over one number, or maps over two, with the run's way on them. Returns the path."""
+def draw(folder: Path, note: str = "") -> Path:
+    """Curves over one number, or maps over two, with the run's way on them, and ``note`` above.
+    Returns the path."""
     run = records.load(folder)
     table = pandas.read_csv(folder / "landscape.csv")
     names = [c for c in table.columns if f"{VALUE_PREFIX}{c}" in run.history.columns]
@@ -22,11 +23,11 @@ def draw(folder: Path) -> Path:
     way = run.history[[f"{VALUE_PREFIX}{name}" for name in names]].to_numpy()
     path = folder / "plots" / "landscape.png"
     with matplotlib.rc_context(STYLE):
-        (_curves if len(names) == 1 else _maps)(table, names, losses, way, path)
+        (_curves if len(names) == 1 else _maps)(table, names, losses, way, note, path)
     return path
 
 
-def _curves(table: pandas.DataFrame, names: list[str], losses: list[str], way, path: Path) -> None:
+def _curves(table: pandas.DataFrame, names, losses, way, note: str, path: Path) -> None:
     canvas = figure(7.5, 4.2)
     axes = canvas.subplots()
     place = table[names[0]].to_numpy()
@@ -37,12 +38,14 @@ def _curves(table: pandas.DataFrame, names: list[str], losses: list[str], way, p
     axes.plot(way[-1:, 0], np.interp(way[-1:, 0], place, widest), "*", color="black", ms=12)
     axes.set_xlabel(names[0])
     axes.set_ylabel("loss")
+    axes.set_title(note)
     axes.legend()
     save(canvas, path)
 
 
-def _maps(table: pandas.DataFrame, names: list[str], losses: list[str], way, path: Path) -> None:
-    canvas = figure(3.6 * len(losses) + 0.6, 3.8)
+def _maps(table: pandas.DataFrame, names, losses, way, note: str, path: Path) -> None:
+    canvas = figure(3.6 * len(losses) + 0.6, 4.1 if note else 3.8)
+    canvas.suptitle(note)
     x, y = (np.unique(table[name]) for name in names)
     row = canvas.subplots(1, len(losses), sharey=True)
     top = max(table["hard"].max(), 1e-12)  # noise may leave an image of nothing below 0

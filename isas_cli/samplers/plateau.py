@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -157,8 +158,8 @@ class FiniteDifferences(Other):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.step > 0:
-            raise InputError(f"sampler.step={self.step}: must be above 0")
+        if not 0 < self.step < math.inf:
+            raise InputError(f"sampler.step={self.step}: must be a finite number above 0")
         _at_least_one(self, "spp")
 
     def estimator(self, problem, loss, batch: int, freeze: bool = True):
