@@ -74,6 +74,7 @@ class Task:
     ``step`` of `finite_differences_wide`, in last widths.
     ``scheme`` of the plateau-reduced gradients by plain renderings.
     ``search``: the trials that rates are chosen on; ``first`` of those that methods are judged on.
+    ``whole``: variants that are judged on all of these.
     """
 
     seconds: float
@@ -87,6 +88,7 @@ class Task:
     scheme: str = "joint"
     search: tuple[int, ...] = SEARCH
     first: int = 1
+    whole: tuple[str, ...] = ()
     methods: tuple[str, ...] = tuple(method for method in METHODS if method != "plateau_joint")
 
 
@@ -101,6 +103,9 @@ TASKS = {
         spp=32,
         step=3,
         scheme="separate",
+        # The scheme was thought over with the first twenty in view.
+        first=21,
+        whole=("plateau_joint",),
         methods=tuple(METHODS),
     ),
     "sort": Task(
@@ -255,9 +260,12 @@ def compared(task: str, root: Path, chosen: argparse.Namespace) -> pandas.DataFr
     """Both races of a task and what is kept of them."""
     seconds = chosen.seconds or TASKS[task].seconds
     methods = TASKS[task].methods
-    few = min(chosen.starts, FEW)
-    starts = {m: few if task == "sort" or m in VARIANTS else chosen.starts for m in methods}
-    rate = searched(task, root, seconds)
+    few, variants = min(chosen.starts, FEW), set(VARIANTS) - set(TASKS[task].whole)
+    starts = {m: few if task == "sort" or m in variants else chosen.starts for m in methods}
+    if chosen.again:
+        rate = pandas.read_csv(RESULTS / f"plateau_{task}.csv").set_index("method")["factor"]
+    else:
+        rate = searched(task, root, seconds)
     for nth in range(chosen.starts):
         trial = TASKS[task].first + nth
         wanted = [(m, rate[m], trial) for m in methods if nth < starts[m]]
@@ -271,6 +279,7 @@ def main() -> None:
     parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}")
     parser.add_argument("--starts", type=int, default=20)
     parser.add_argument("--seconds", type=float, help="budget of each run, instead of the task's")
+    parser.add_argument("--again", action="store_true", help="at the rates of the table, no search")
     parser.add_argument("--folder", type=Path, help="where the runs go (default: a new folder)")
     chosen = parser.parse_args()
     strange = [task for task in chosen.tasks if task not in TASKS]

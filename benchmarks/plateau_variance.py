@@ -12,7 +12,8 @@ paths together or as many as the pairs have on one side.
 Variance: that of the first side (uniform pixels, a path each; one) over the side's, the geometric
 mean over the entries, with the 95 % interval of a bootstrap over the steps. Gain: the same of
 variance × time; the time is the median over the rounds. It says nothing of other numbers of paths a
-step.
+step. The residual has paths of its own: 2 a pixel where the pair's renderings have one, as many as
+one of these otherwise.
 Writes results/plateau_variance.csv, or plateau_residual.csv.
 """
 
