@@ -256,7 +256,7 @@ def test_a_landscape_is_not_cut_where_it_ends(monkeypatch):
     assert len(rendered) <= 2 * 23 and told == [(number, 33) for number in range(1, 34)]
     found = whole.within([(0.39, 0.81)])
     assert found.axes[0] == pytest.approx(np.linspace(0.4, 0.8, 9))
-    # A quadratic but for its clamped ends: by Gauss-Hermite nodes of the values at the truth.
+    # A quadratic but for its clamped ends, blurred over a fine grid.
     place = np.clip(found.axes[0][:, None] + σ * np.linspace(-5, 5, 401), 0, 1)
     weight = stats.norm.pdf(np.linspace(-5, 5, 401))
     quadratic = np.polyfit(found.axes[0], found.hard, 2)
