@@ -99,7 +99,7 @@ BAD_SETTINGS = {
     'scene=pottery scene.unknowns={"jar":3}': ["scene.unknowns", "start"],
     'scene=pottery scene.unknowns={"jar":{"strt":3}}': ["did you mean 'start'?"],
     'scene=pottery scene.unknowns={"jar":{"start":3}': ["scene.unknowns", "JSON"],
-    'scene=pottery scene.unknowns={"jar":{"lr":"x"}}': ["scene.unknowns: ", "Float"],
+    'scene=pottery scene.unknowns={"jar":{"lr":"x"}}': ["scene.unknowns['jar'].lr: ", "Float"],
     "scene=pottery scene.unknowns={}": ["scene.unknowns={}"],
     "scene=pottery name=a=b": ["name=a=b", "quotes"],
     "scene=pottery hydra.run.dir=": ["hydra.run.dir"],
