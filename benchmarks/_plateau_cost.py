@@ -15,15 +15,18 @@ import _rows
 
 from isas_cli import backend
 
+UPDATES = "updates"  # of `plateau`'s step, what putting its states into the scene takes
 SIDES = {
     "plateau": ["sampler=plateau"],
     "plateau_drawn": ["sampler=plateau", "sampler.base=differences"],
+    UPDATES: ["sampler=plateau"],
     "finite_differences": ["sampler=finite_differences"],
     "direct": ["sampler=mitsuba", "sampler.silhouettes=direct"],
     "uniform": ["sampler=mitsuba", "sampler.silhouettes=uniform"],
     "grid": ["sampler=mitsuba", "sampler.silhouettes=grid"],
     "octree": ["sampler=mitsuba", "sampler.silhouettes=octree"],
 }
+GUIDED = ("grid", "octree")  # of many seconds a step
 
 
 def loops(overrides: dict[str, list[str]]) -> dict:
@@ -55,6 +58,22 @@ def step(loop, number: int) -> float:
     return time.perf_counter() - begun
 
 
+def updates(loop) -> float:
+    """Seconds of putting the states of one joint pair and of its residual into the scene, nothing
+    traced: where geometry moves, most of it is Mitsuba building its BVH anew."""
+    import drjit as dr
+
+    blur = loop.estimator.blur
+    θ = blur.vector(loop.problem.unknowns.starts())
+    σ = blur.widths(θ, 0.5)
+    dr.sync_thread()
+    begun = time.perf_counter()
+    for offset in (σ / 2, -σ / 2, σ, -σ):
+        blur.write(θ + offset)
+        dr.sync_thread()
+    return time.perf_counter() - begun
+
+
 def look(loop) -> float:
     """Seconds of one look at the images, for each step until the next."""
     import drjit as dr
@@ -80,9 +99,12 @@ def main() -> None:
         turn = number % len(sides)
         for side in sides[turn:] + sides[:turn]:
             first = 100 + number * steps
-            found = [step(every[side], first + i) for i in range(steps)]
-            seconds = statistics.median(found) + look(every[side])
-            paths = every[side].estimator.paths_per_step
+            loop, paths = every[side], every[side].estimator.paths_per_step
+            if side == UPDATES:
+                seconds, paths = statistics.median(updates(loop) for _ in range(steps)), 0
+            else:
+                found = [step(loop, first + i) for i in range(steps)]
+                seconds = statistics.median(found) + look(loop)
             row = {"round": number, "side": side, "seconds": seconds, "paths": paths}
             _rows.emit(row)
 

@@ -2,9 +2,11 @@
 
 `_plateau.py` gives both the same billed time, in which Mitsuba takes fewer steps, down to a
 fifteenth: at the rate that keeps it from overshooting it may not come far enough. Here it has the
-median number of `plateau`'s steps (results/plateau_<task>.csv), as in the paper, at four factors on
-the rates. What is left of the start's error per task, factor and start; no times. Writes
-results/plateau_iterations.csv.
+median number of `plateau`'s steps (results/plateau_<task>.csv), as in the paper, at several factors
+on the rates. What is left of the start's error per task, factor and start; no times. Writes
+results/plateau_iterations.csv; with as many more steps slower rates may be the best:
+
+    python benchmarks/plateau_iterations.py shadows --factors 0.1 0.3
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ def settings(task: str, trial: int, factor: float, iterations: int):
     return cfg
 
 
-def measure(task: str, trials: range, iterations: int) -> list[dict]:
+def measure(task: str, trials: range, factors: list[float], iterations: int) -> list[dict]:
     from isas_cli import backend, interrupt, race, records
 
     backend.start()
@@ -40,12 +42,12 @@ def measure(task: str, trials: range, iterations: int) -> list[dict]:
         folder = Path(tempfile.mkdtemp(prefix="isas-iterations-"))
         entries = [
             race.Entry(f"{factor:g}", settings(task, trial, factor, iterations), folder / str(i))
-            for i, factor in enumerate(FACTORS)
+            for i, factor in enumerate(factors)
         ]
         # At a factor that is too large a run may fail, and is of no use.
         if (status := race.run(entries, 5.0, lambda: None)) == interrupt.STATUS:
             raise SystemExit(status)
-        for i, factor in enumerate(FACTORS):
+        for i, factor in enumerate(factors):
             run = records.load(folder / str(i))
             share = _plateau_table.together(_plateau_table.shares(run.history))
             if run.summary["status"] != "done":
@@ -61,19 +63,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}")
     parser.add_argument("--starts", type=int, default=2)
+    parser.add_argument("--factors", type=float, nargs="+", default=FACTORS)
     chosen = parser.parse_args()
     strange = [task for task in chosen.tasks if task not in TASKS]
     if strange:
         parser.error(f"{strange[0]}: no such task; valid: {', '.join(TASKS)}")
-    earlier = pandas.read_csv(OUTPUT) if OUTPUT.exists() else pandas.DataFrame({"task": []})
+    earlier = (
+        pandas.read_csv(OUTPUT) if OUTPUT.exists() else pandas.DataFrame({"task": [], "factor": []})
+    )
     for task in chosen.tasks or TASKS:
         raced = pandas.read_csv(_plateau.RESULTS / f"plateau_{task}.csv").set_index("method")
         iterations = int(raced.loc["plateau", "iterations"])
         first = _plateau.TASKS[task].first
         trials = range(first, first + chosen.starts)
-        rows = pandas.DataFrame(measure(task, trials, iterations))
+        rows = pandas.DataFrame(measure(task, trials, chosen.factors, iterations))
         print(rows.to_string(index=False, float_format="%.3g"), flush=True)
-        earlier = pandas.concat([earlier[earlier["task"] != task], rows])
+        anew = (earlier["task"] == task) & earlier["factor"].isin(chosen.factors)
+        earlier = pandas.concat([earlier[~anew], rows])
         earlier.to_csv(OUTPUT, index=False, float_format="%.4g")
 
 
