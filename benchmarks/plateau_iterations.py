@@ -4,9 +4,11 @@
 fifteenth: at the rate that keeps it from overshooting it may not come far enough. Here it has the
 median number of `plateau`'s steps (results/plateau_<task>.csv), as in the paper, at several factors
 on the rates. What is left of the start's error per task, factor and start; no times. Writes
-results/plateau_iterations.csv; with as many more steps slower rates may be the best:
+results/plateau_iterations.csv. Where an end of the factors was a start's best, farther ones were
+tried as well:
 
-    python benchmarks/plateau_iterations.py shadows --factors 0.1 0.3
+    python benchmarks/plateau_iterations.py shadows caustic global_illumination --factors 0.1 0.3
+    python benchmarks/plateau_iterations.py cup occlusion --factors 100 300
 """
 
 from __future__ import annotations
@@ -68,9 +70,9 @@ def main() -> None:
     strange = [task for task in chosen.tasks if task not in TASKS]
     if strange:
         parser.error(f"{strange[0]}: no such task; valid: {', '.join(TASKS)}")
-    earlier = (
-        pandas.read_csv(OUTPUT) if OUTPUT.exists() else pandas.DataFrame({"task": [], "factor": []})
-    )
+    earlier = pandas.DataFrame(columns=["task", "factor"])
+    if OUTPUT.exists():
+        earlier = pandas.read_csv(OUTPUT)
     for task in chosen.tasks or TASKS:
         raced = pandas.read_csv(_plateau.RESULTS / f"plateau_{task}.csv").set_index("method")
         iterations = int(raced.loc["plateau", "iterations"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import types
 from pathlib import Path
 
 import numpy as np
@@ -40,9 +39,7 @@ def page(monkeypatch):
         written.append((comparison, output))
         return output / "report.html"
 
-    stub = types.SimpleNamespace(write=write)
-    monkeypatch.setitem(sys.modules, "isas_cli.compare.page", stub)
-    monkeypatch.setattr(compare, "page", stub, raising=False)
+    monkeypatch.setattr("isas_cli.compare.page.write", write)
     return written
 
 
