@@ -13,7 +13,7 @@ import statistics
 import sys
 import time
 
-from isas_cli import backend
+from isas_cli.runtime import backend
 
 _WARM_UP = 8
 
@@ -21,11 +21,11 @@ _WARM_UP = 8
 def problem_of(overrides: list[str]):
     from omegaconf import OmegaConf
 
-    from isas_cli import build
-    from isas_cli.compose import compose
+    from isas_cli.config.compose import compose
+    from isas_cli.engine import assemble
 
     cfg = OmegaConf.to_object(compose(overrides))
-    return build.problem(cfg.scene, cfg.target, lambda done, total: None), cfg
+    return assemble.problem(cfg.scene, cfg.target, lambda done, total: None), cfg
 
 
 def stock(batch: int, overrides: list[str]):
@@ -55,8 +55,8 @@ def stock(batch: int, overrides: list[str]):
 
 def isas(batch: int, overrides: list[str], sampler_name: str):
     from isas_cli import losses
-    from isas_cli.adam import Stepper
-    from isas_cli.compose import compose, instantiate
+    from isas_cli.config.compose import compose, instantiate
+    from isas_cli.engine.optimiser import Stepper
     from isas_cli.estimators.two_path import TwoPath
 
     problem, cfg = problem_of(overrides)

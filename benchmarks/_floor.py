@@ -16,7 +16,7 @@ import time
 import _rows
 from _child import problem_of
 
-from isas_cli import backend
+from isas_cli.runtime import backend
 
 _WARM_UP = 5
 SIDES = ("step", "passes", "prb")
@@ -30,8 +30,8 @@ class Sides:
         import drjit as dr
 
         from isas_cli import losses
-        from isas_cli.adam import Stepper
-        from isas_cli.compose import compose, instantiate
+        from isas_cli.config.compose import compose, instantiate
+        from isas_cli.engine.optimiser import Stepper
         from isas_cli.estimators.two_path import TwoPath
 
         self.problem, self.batch, loss = problem, batch, losses.L2()
@@ -50,7 +50,7 @@ class Sides:
     def _spawned(batch: int):
         import drjit as dr
 
-        from isas_cli import rays
+        from isas_cli.rendering import rays
 
         def spawned(sensors, views, distribution, seeds):
             view, column, row, _ = distribution.draw(batch, seeds[0])
@@ -68,7 +68,7 @@ class Sides:
         import drjit as dr
         import mitsuba as mi
 
-        from isas_cli import streams
+        from isas_cli.runtime import streams
 
         purposes = ("draw", "primal", "adjoint")
         return [dr.opaque(mi.UInt32, streams.seed(1, i, purpose)) for purpose in purposes]
@@ -97,7 +97,7 @@ def _stream(seed, ray):
     """The path's random stream where the camera left it: two pairs of numbers are used up."""
     import drjit as dr
 
-    from isas_cli import rays
+    from isas_cli.rendering import rays
 
     stream = rays.stream(seed, dr.width(ray.o))
     stream.next_2d()
@@ -111,7 +111,7 @@ def own_passes(integrator):
     import drjit as dr
     import mitsuba as mi
 
-    from isas_cli.estimators import replay
+    from isas_cli.rendering import replay
 
     def kernel(scene, leaves, both, seeds):
         with dr.suspend_grad():
@@ -131,7 +131,7 @@ def stock_passes(integrator):
     import drjit as dr
     import mitsuba as mi
 
-    from isas_cli.estimators import replay
+    from isas_cli.rendering import replay
 
     def kernel(scene, leaves, both, seeds):
         with dr.suspend_grad():

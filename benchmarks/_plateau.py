@@ -139,7 +139,7 @@ TASKS = {
 @functools.cache
 def composed(task: str, method: str, seconds: float):
     """The configuration of a method's runs, as it is before rates and starts."""
-    from isas_cli.compose import compose, translate
+    from isas_cli.config.compose import compose, translate
 
     own = TASKS[task]
     settings = [f"scene={task}", f"budget.seconds={seconds}", *COMMON]
@@ -176,7 +176,8 @@ def configured(task: str, method: str, trial: int, factor: float, seconds: float
 
 def _lanes(folder: Path, task: str, wanted: list[tuple[str, float, int]], seconds: float) -> None:
     """``wanted``: method, factor on the rates, trial."""
-    from isas_cli import backend, interrupt, race
+    from isas_cli.engine import race
+    from isas_cli.runtime import backend, interrupt
 
     backend.start()
     entries = []

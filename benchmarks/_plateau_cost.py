@@ -13,7 +13,7 @@ import time
 
 import _rows
 
-from isas_cli import backend
+from isas_cli.runtime import backend
 
 UPDATES = "updates"  # of `plateau`'s step, what putting its states into the scene takes
 SIDES = {
@@ -31,10 +31,10 @@ GUIDED = ("grid", "octree")  # of many seconds a step
 
 def loops(overrides: dict[str, list[str]]) -> dict:
     """A loop per side, all on one problem, that of the first."""
-    from isas_cli import experiment
-    from isas_cli.compose import compose, translate
-    from isas_cli.display import RaceDisplay
-    from isas_cli.workshop import Workshop
+    from isas_cli.config.compose import compose, translate
+    from isas_cli.engine import experiment
+    from isas_cli.engine.display import RaceDisplay
+    from isas_cli.engine.workshop import Workshop
 
     cfgs = {side: compose(translate(own)) for side, own in overrides.items()}
     checked = {side: experiment.checked(cfg) for side, cfg in cfgs.items()}

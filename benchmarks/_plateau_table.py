@@ -52,7 +52,7 @@ def sorted_cubes(run) -> dict:
 
     spec = run.config["scene"]["unknowns"]["cubes.place"]["start"]
     arrays, _ = records.load_checkpoint(run.folder)
-    # As `isas_cli.specs` draws it.
+    # As `isas_cli.unknowns.specs` draws it.
     start = np.random.default_rng(spec["seed"]).uniform(*spec["uniform"], 150)
     first, last = in_place(start), in_place(arrays["value/cubes.place"])
     at_start = {f"{name}_at_start": first[name] for name in ("filled", "sorted_mse")}

@@ -17,7 +17,7 @@ import time
 
 import psutil
 
-from isas_cli import backend
+from isas_cli.runtime import backend
 
 _WARM_UP = 5
 _LEAST, _MOST = 2, 12  # steps per turn
@@ -31,11 +31,11 @@ def problem_of(views: int, resolution: int, texture: int, depth: int):
     import numpy as np
     from isas_cli.scenes import pottery
 
-    from isas_cli.config import UnknownConfig
-    from isas_cli.pixels import Views
-    from isas_cli.problem import Problem
-    from isas_cli.specs import parse
-    from isas_cli.unknowns import Unknowns
+    from isas_cli.config.schema import UnknownConfig
+    from isas_cli.rendering.pixels import Views
+    from isas_cli.scene.problem import Problem
+    from isas_cli.unknowns.specs import parse
+    from isas_cli.unknowns.unknowns import Unknowns
 
     dictionary = pottery.build(1, resolution, 64)
     camera = next(name for name in dictionary if name.startswith("sensor"))
@@ -66,9 +66,9 @@ class Point:
 
     def __init__(self, problem, batch: int, name: str):
         from isas_cli import losses
-        from isas_cli.adam import Stepper
-        from isas_cli.compose import compose, instantiate
-        from isas_cli.config import OptimizerConfig
+        from isas_cli.config.compose import compose, instantiate
+        from isas_cli.config.schema import OptimizerConfig
+        from isas_cli.engine.optimiser import Stepper
         from isas_cli.estimators.two_path import TwoPath
 
         self.problem, self.name, self.number = problem, name, 0

@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from isas_cli import backend
+from isas_cli.runtime import backend
 
 RESULTS = Path(__file__).parent / "results"
 SCENES = ["caustic_failure", "dodoco"]
@@ -50,8 +50,8 @@ def measured(scene: str, chosen: argparse.Namespace) -> tuple[list[dict], dict]:
     from _child import problem_of
 
     from isas_cli.losses import L2
-    from isas_cli.samplers.base import Stage1Settings
     from isas_cli.samplers.ours import Ours
+    from isas_cli.samplers.sampler import Stage1Settings
 
     problem, _ = problem_of([f"scene={scene}"])
     sampler = Ours(stage1=Stage1Settings(resolution=chosen.resolution))

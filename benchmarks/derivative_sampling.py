@@ -15,7 +15,7 @@ import statistics
 import time
 from pathlib import Path
 
-from isas_cli import backend
+from isas_cli.runtime import backend
 
 RESULTS = Path(__file__).parent / "results"
 ROUGHNESSES = [0.8, 0.6, 0.4, 0.25, 0.15]
@@ -43,10 +43,10 @@ def main() -> None:
 def measured(problem, roughness: float, chosen: argparse.Namespace) -> dict[str, float]:
     import numpy as np
 
-    from isas_cli.estimators.derivative_sampling import sampled
     from isas_cli.estimators.two_path import TwoPath
     from isas_cli.losses import L2
-    from isas_cli.pixels import PixelDistribution, Tiles
+    from isas_cli.rendering.derivative_sampling import sampled
+    from isas_cli.rendering.pixels import PixelDistribution, Tiles
 
     class Ones(L2):
         """∂ℓ/∂I = 1: the estimate is the image's own derivative."""

@@ -36,7 +36,9 @@ def settings(task: str, trial: int, factor: float, iterations: int):
 
 
 def measure(task: str, trials: range, factors: list[float], iterations: int) -> list[dict]:
-    from isas_cli import backend, interrupt, race, records
+    from isas_cli import records
+    from isas_cli.engine import race
+    from isas_cli.runtime import backend, interrupt
 
     backend.start()
     rows = []

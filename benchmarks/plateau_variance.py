@@ -116,7 +116,7 @@ def ratios(first: np.ndarray, side: np.ndarray) -> np.ndarray:
 
 def child(task: str, chosen: argparse.Namespace) -> None:
     """Prints one row per progress and side."""
-    from isas_cli import backend
+    from isas_cli.runtime import backend
 
     backend.start()
     from _plateau_cost import loops

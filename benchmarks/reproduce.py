@@ -31,7 +31,8 @@ import numpy as np
 import pandas
 from PIL import Image
 
-from isas_cli import images, records
+from isas_cli import records
+from isas_cli.runtime import images
 
 RESULTS = Path(__file__).parent / "results"
 MEASURE = "parameter_rmse"

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas
 
-from isas_cli import backend
+from isas_cli.runtime import backend
 
 RESULTS = Path(__file__).parent / "results"
 REACHES = (0.15, 0.2, 0.3, 0.4)
@@ -24,8 +24,8 @@ PROGRESS = (0.0, 0.6)
 
 def slopes(loop, progress: float, count: int, entries: int, base: int) -> np.ndarray:
     """``(count, entries, 1 + reaches)``: estimates from all pixels, then from near ones."""
-    from isas_cli.estimators import smoothing
     from isas_cli.estimators.locality import Locality
+    from isas_cli.unknowns import smoothing
 
     estimator, problem = loop.estimator, loop.problem
     (unknown,) = problem.unknowns

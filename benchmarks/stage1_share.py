@@ -30,8 +30,8 @@ class Side:
 
     def __init__(self, problem, cfg, name: str, overrides: list[str]):
         from isas_cli import losses
-        from isas_cli.adam import Stepper
-        from isas_cli.compose import compose, instantiate
+        from isas_cli.config.compose import compose, instantiate
+        from isas_cli.engine.optimiser import Stepper
         from isas_cli.estimators.two_path import TwoPath
 
         self.problem, self.name, batch = problem, name, cfg.estimator.batch
@@ -43,7 +43,7 @@ class Side:
         self.firsts, self.looks, self.steps = [], [], []
 
     def _timed(self, into: list, work) -> None:
-        from isas_cli import backend
+        from isas_cli.runtime import backend
 
         backend.sync()
         start = time.perf_counter()
@@ -102,8 +102,8 @@ def one(scene: str, rounds: int, steps: int, more: list[str]) -> None:
     """Prints a row per sampler."""
     from _child import problem_of
 
-    from isas_cli import backend
-    from isas_cli.compose import pixel_samplers
+    from isas_cli.config.compose import pixel_samplers
+    from isas_cli.runtime import backend
 
     backend.start()
     # What a path costs does not depend on how clean the targets are.

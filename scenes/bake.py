@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from isas_cli.scenes.meshes import Surface
 from scipy import ndimage
+
+from .meshes import Surface
 
 # Paint is averaged over at least this many points a side of each texel, and more in small
 # textures, whose texels hold whole strokes. Textures beyond the limit would take too long.

@@ -19,12 +19,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from isas_cli.scenes import library, meshes
-from isas_cli.scenes.cameras import spiral
-from isas_cli.scenes.lathe import turn
-from isas_cli.scenes.noise import fractal_noise
-from isas_cli.scenes.plinth import plinth
 from scipy.interpolate import PchipInterpolator
+
+from . import library, meshes
+from .cameras import spiral
+from .lathe import turn
+from .noise import fractal_noise
+from .plinth import plinth
 
 ROUGHNESS = 0.15
 CREAM = np.array([0.44, 0.40, 0.33], np.float32)

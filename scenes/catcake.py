@@ -23,13 +23,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from isas_cli.scenes import library, meshes
-from isas_cli.scenes.bake import bake
-from isas_cli.scenes.cameras import spiral
-from isas_cli.scenes.plinth import plinth
-from isas_cli.scenes.pottery import HANDLE_TURN
-from isas_cli.scenes.pottery_paint import paint
-from isas_cli.scenes.subdivide import subdivide
+
+from . import library, meshes
+from .bake import bake
+from .cameras import spiral
+from .plinth import plinth
+from .pottery import HANDLE_TURN
+from .pottery_paint import paint
+from .subdivide import subdivide
 
 ROUGHNESS = 0.5
 

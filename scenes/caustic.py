@@ -18,8 +18,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from isas_cli.scenes.cameras import orbit
-from isas_cli.scenes.stage import camera, ground, matt
+from .cameras import orbit
+from .stage import camera, ground, matt
 
 LAMP, LAMP_RADIUS, RADIANCE = [-1.5, 12.0, -1.5], 3.0, 14.0
 

@@ -26,8 +26,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from isas_cli.scenes import library
-from isas_cli.scenes.cameras import orbit, perspective
+from . import library
+from .cameras import orbit, perspective
 
 LOOK_AT = (0.15, 0.2, 0.1)
 BALL_RADIUS = 0.42

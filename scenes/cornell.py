@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from isas_cli.scenes.cameras import perspective
+from .cameras import perspective
 
 WHITE, RED, GREEN = [0.73, 0.71, 0.68], [0.57, 0.05, 0.05], [0.12, 0.42, 0.10]
 LAMP_COLOUR = [1.0, 0.85, 0.6]

@@ -20,9 +20,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from isas_cli.scenes import library, meshes
-from isas_cli.scenes.cameras import orbit
-from isas_cli.scenes.stage import camera, ground, matt, shared
+
+from . import library, meshes
+from .cameras import orbit
+from .stage import camera, ground, matt, shared
 
 # Of the model: the body's axis stands at this z, off the middle of the box around it all.
 AXIS, HEIGHT = -0.124, 0.7617

@@ -19,7 +19,7 @@ as a single image determines a single number; more views stand on an arc before 
 What was arranged, so that the scene poses figure 3's problem: much residual where little depends
 on the unknown. It shows what Eq. (12) can gain over |∂ℒ|, not what it gains in general. What
 counts is the mirror's share a of Σ_j √A_j, the mass that the best pmf gives it (see
-`isas_cli.variance`), and its share m of Σ_j |∂ℒ/∂I_j|: |∂ℒ|'s variance is about
+`isas_cli.measure.variance`), and its share m of Σ_j |∂ℒ/∂I_j|: |∂ℒ|'s variance is about
 a²/m + (1-a)²/(1-m) times the best one. In an earlier arrangement the mirror stood on a light floor
 and covered 59 % of the image; |∂ℒ|'s variance was 0.69 of uniform's, that of `ours` 0.67 and the
 best pmf's 0.62: nothing to choose between them. Now the mirror covers an eighth of the image, and a
@@ -50,8 +50,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from isas_cli.scenes import library, meshes
-from isas_cli.scenes.cameras import orbit, perspective
+
+from . import library, meshes
+from .cameras import orbit, perspective
 
 ROUGHNESS = 0.15
 MIRROR_Z = -0.75

@@ -19,9 +19,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from isas_cli.scenes import library, meshes
-from isas_cli.scenes.cameras import spiral
-from isas_cli.scenes.plinth import plinth
+from . import library, meshes
+from .cameras import spiral
+from .plinth import plinth
 
 
 def build(views: int, resolution: int, texture: int) -> dict[str, Any]:

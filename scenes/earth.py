@@ -26,10 +26,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from isas_cli.scenes import library, meshes
-from isas_cli.scenes.cameras import orbit, perspective
-from isas_cli.scenes.lathe import turn
-from isas_cli.scenes.plinth import plinth
+
+from . import library, meshes
+from .cameras import orbit, perspective
+from .lathe import turn
+from .plinth import plinth
 
 RADIUS, GLOBE_Y = 0.40, 0.56
 BELL_RADIUS, BELL_HEIGHT = 0.50, 0.58  # of the cylinder; a dome closes it

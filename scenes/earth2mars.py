@@ -29,9 +29,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from isas_cli.scenes import library
-from isas_cli.scenes.cameras import spiral
-from isas_cli.scenes.plinth import plinth
+from . import library
+from .cameras import spiral
+from .plinth import plinth
 
 RADIUS, SHELL = 0.38, 0.46
 EARTH_X, MARS_X = -0.45, 0.45

@@ -23,9 +23,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from isas_cli.scenes import meshes
-from isas_cli.scenes.cornell import cornell_box
-from isas_cli.scenes.stage import boxes, camera, matt, turned
+
+from . import meshes
+from .cornell import cornell_box
+from .stage import boxes, camera, matt, turned
 
 WALL = [0.75, 0.3, 0.25]
 MIDDLE = [-0.25, 0.55, -0.15]

@@ -21,10 +21,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from isas_cli.scenes import library, meshes
-from isas_cli.scenes.cameras import spiral
-from isas_cli.scenes.plinth import plinth
-from isas_cli.scenes.subdivide import subdivide
+from . import library, meshes
+from .cameras import spiral
+from .plinth import plinth
+from .subdivide import subdivide
 
 ROUGHNESS = 0.2
 

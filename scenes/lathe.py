@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from isas_cli.scenes.meshes import Surface, corner_normals, from_corners
+
+from .meshes import Surface, corner_normals, from_corners
 
 
 def turn(profile: np.ndarray, segments: int = 128) -> Surface:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from isas_cli.errors import InputError
+from ..runtime.errors import InputError
 
 ASSETS = Path(__file__).resolve().parent / "assets"
 

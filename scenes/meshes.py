@@ -1,6 +1,6 @@
 """Triangle meshes: read an OBJ file, check it, place it, make a shape of it.
 
-What is checked, and why, says `isas_cli.mesh_checks`.
+What is checked, and why, says `isas_cli.scene.mesh_checks`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from isas_cli.errors import InputError
-from isas_cli.mesh_checks import check, degenerate
+from ..runtime.errors import InputError
+from ..scene.mesh_checks import check, degenerate
 
 
 @dataclass(frozen=True)

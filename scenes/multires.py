@@ -24,10 +24,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from isas_cli.scenes import library, meshes
-from isas_cli.scenes.bake import bake
-from isas_cli.scenes.cornell import cornell_box
-from isas_cli.scenes.noise import fractal_noise
+
+from . import library, meshes
+from .bake import bake
+from .cornell import cornell_box
+from .noise import fractal_noise
 
 BIN_COLOUR = [0.16, 0.34, 0.55]
 PLAIN = {"Cream": [0.85, 0.70, 0.68], "Cherry": [0.55, 0.04, 0.05], "Tail": [0.12, 0.20, 0.05]}

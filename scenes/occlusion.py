@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from isas_cli.scenes.stage import camera, ground, matt
+from .stage import camera, ground, matt
 
 TRUTH = 1.3  # z of the red ball
 AT_HEIGHT = 0.75

@@ -20,12 +20,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from isas_cli.scenes import library, meshes
-from isas_cli.scenes.bake import bake
-from isas_cli.scenes.cameras import spiral
-from isas_cli.scenes.plinth import plinth
-from isas_cli.scenes.pottery_paint import AXIS_X, paint
-from isas_cli.scenes.subdivide import subdivide
+from . import library, meshes
+from .bake import bake
+from .cameras import spiral
+from .plinth import plinth
+from .pottery_paint import AXIS_X, paint
+from .subdivide import subdivide
 
 ROUGHNESS = 0.3
 # Degrees that bring the handle of the model to the -x side.

@@ -7,8 +7,9 @@ the -x side and its spout on the +x side.
 from __future__ import annotations
 
 import numpy as np
-from isas_cli.scenes.library import BRIGHTEST, DARKEST
-from isas_cli.scenes.noise import fractal_noise, solid_noise
+
+from .library import BRIGHTEST, DARKEST
+from .noise import fractal_noise, solid_noise
 
 # Handle and spout put the axis of the turned body off the centre of the bounding box.
 AXIS_X = 0.094

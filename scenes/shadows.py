@@ -23,9 +23,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from isas_cli.scenes import library
-from isas_cli.scenes.cameras import orbit
-from isas_cli.scenes.stage import camera, ground, matt
+from . import library
+from .cameras import orbit
+from .stage import camera, ground, matt
 
 BALL, RADIUS = [-1.6, 1.3, -0.6], 0.25
 LAMP, INTENSITY = [-3.5, 4.5, -1.8], 50.0

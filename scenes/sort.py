@@ -24,8 +24,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from isas_cli.scenes import meshes
-from isas_cli.scenes.stage import boxes, camera, ground, matt
+
+from . import meshes
+from .stage import boxes, camera, ground, matt
 
 SIDE, GAP = 0.11, 0.2  # of a cube, and between the middles of two neighbours
 COLOURS = ([0.62, 0.07, 0.06], [0.08, 0.45, 0.10], [0.07, 0.13, 0.60])

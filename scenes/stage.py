@@ -6,8 +6,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from isas_cli.scenes.cameras import perspective
-from isas_cli.scenes.meshes import Surface
+
+from .cameras import perspective
+from .meshes import Surface
 
 
 def camera(

@@ -10,9 +10,9 @@ Reference: Charles Loop, "Smooth Subdivision Surfaces Based on Triangles", 1987.
 from __future__ import annotations
 
 import numpy as np
-from isas_cli.scenes.meshes import Surface, corner_normals, from_corners
 
-from isas_cli.errors import InputError
+from ..runtime.errors import InputError
+from .meshes import Surface, corner_normals, from_corners
 
 
 def subdivide(surface: Surface, levels: int, name: str) -> Surface:

@@ -23,8 +23,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from isas_cli.scenes import library, meshes
-from isas_cli.scenes.cornell import cornell_box
+from . import library, meshes
+from .cornell import cornell_box
 
 ROUGHNESS = 0.25
 

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .. import streams
-from ..pixels import PixelDistribution
-from . import smoothing
-from .blur import Blur
+from ..rendering.pixels import PixelDistribution
+from ..runtime import streams
+from ..unknowns import smoothing
+from ..unknowns.blur import Blur
 from .renderings import Renderings
 
 if TYPE_CHECKING:
-    from ..problem import Problem
+    from ..scene.problem import Problem
 
 
 class FiniteDifferences:

@@ -9,14 +9,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import rays
-from ..errors import InputError
-from .blur import Blur
-from .smoothing import Pair
+from ..rendering import rays
+from ..runtime.errors import InputError
+from ..unknowns.blur import Blur
+from ..unknowns.smoothing import Pair
 
 if TYPE_CHECKING:
-    from ..poses import Pose
-    from ..problem import Problem
+    from ..scene.problem import Problem
+    from ..unknowns.poses import Pose
 
 _MOST_LANES = 1 << 28  # a few gigabytes
 

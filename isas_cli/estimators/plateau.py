@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .. import streams
-from ..config import MOST_LANES
-from ..errors import InputError
-from ..pixels import PixelDistribution
-from . import smoothing
-from .blur import Blur
+from ..config.schema import MOST_LANES
+from ..rendering.pixels import PixelDistribution
+from ..runtime import streams
+from ..runtime.errors import InputError
+from ..unknowns import smoothing
+from ..unknowns.blur import Blur
 from .renderings import Renderings
 
 if TYPE_CHECKING:
-    from ..problem import Problem
+    from ..scene.problem import Problem
 
 SCHEMES = {"joint": smoothing.joint, "separate": smoothing.separate}
 

@@ -8,15 +8,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import rays
-from ..pixels import PixelDistribution
-from . import replay
-from .blur import Blur
+from ..rendering import rays, replay
+from ..rendering.pixels import PixelDistribution
+from ..unknowns.blur import Blur
+from ..unknowns.smoothing import Pair
 from .locality import Locality
-from .smoothing import Pair
 
 if TYPE_CHECKING:
-    from ..problem import Problem
+    from ..scene.problem import Problem
 
 
 class Renderings:

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import drjit as dr
 import mitsuba as mi
 
-from .. import rays, streams
-from ..errors import InputError
-from ..pixels import PixelDistribution
-from . import replay
+from ..rendering import rays, replay
+from ..rendering.pixels import PixelDistribution
+from ..runtime import streams
+from ..runtime.errors import InputError
 
 if TYPE_CHECKING:
-    from ..problem import Problem
+    from ..scene.problem import Problem
 
 
 class TwoPath:

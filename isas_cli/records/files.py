@@ -14,7 +14,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 import yaml
 
-from ..errors import InputError, IsasError
+from ..runtime.errors import InputError, IsasError
 
 # 2: history.csv has gradient_noise; checkpoints hold counters, times and the weights of moments.
 SCHEMA_VERSION = 2

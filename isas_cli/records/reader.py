@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from ..errors import InputError
+from ..runtime.errors import InputError
 from .files import (
     AFTER_KEYS,
     BEFORE_KEYS,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..runtime.errors import InputError
 from .files import (
     AFTER_KEYS,
     BEFORE_KEYS,
@@ -175,7 +175,7 @@ class RunWriter:
         """frames/<name>.exr, the arguments those of `images.write_exr`; with an ``exposure`` also
         frames/<name>.png, as `images.write_preview` shows it."""
         # Imported here: images stands on this module, and readers need no OpenImageIO.
-        from ..images import write_exr, write_preview
+        from ..runtime.images import write_exr, write_preview
 
         path = self.folder / "frames" / f"{name}.exr"
         write_exr(path, image, channels, metadata)

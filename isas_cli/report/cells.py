@@ -13,8 +13,8 @@ from matplotlib.colors import Colormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from .. import images
-from ..errors import InputError
+from ..runtime import images
+from ..runtime.errors import InputError
 
 LARGEST = 512  # pixels a side: a sheet shows less than that
 _MAGENTA = (255, 0, 255)  # no colour map here holds it: it marks NaN and infinite pixels

@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from .base import Moments
+from .sampler import Moments
 
 
 def masses(sensitivity: dict, curvature: dict, moments: Moments | None, least: float) -> dict:

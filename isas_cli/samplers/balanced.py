@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import InputError
-from ..parameters import unflat
-from .base import Sampler, Stage1Settings
-from .denoise import Denoiser
-from .stage1 import Stage1
+from ..runtime.errors import InputError
+from ..unknowns.parameters import unflat
+from .sampler import Sampler, Stage1Settings
+from .stage1.cell_moments import Stage1
+from .stage1.denoise import Denoiser
 
 
 @dataclass

@@ -9,13 +9,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import streams
-from ..errors import InputError
-from ..estimators import replay, smoothing
-from ..estimators.blur import Blur
-from .base import Sampler, Stage1Settings
+from ..rendering import replay
+from ..runtime import streams
+from ..runtime.errors import InputError
+from ..unknowns import smoothing
+from ..unknowns.blur import Blur
 from .gradient import Gradient
-from .stage1 import cell_mean, cell_moments, spawned
+from .sampler import Sampler, Stage1Settings
+from .stage1.cell_moments import cell_mean, cell_moments, spawned
 
 
 @dataclass

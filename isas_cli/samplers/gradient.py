@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from .base import Sampler
-from .denoise import Denoiser
-from .stage1 import Stage1
+from .sampler import Sampler
+from .stage1.cell_moments import Stage1
+from .stage1.denoise import Denoiser
 
 
 @dataclass

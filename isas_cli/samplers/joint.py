@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from .base import Sampler
-from .denoise import Denoiser
-from .product import Product
+from .sampler import Sampler
+from .stage1.denoise import Denoiser
+from .stage1.product import Product
 
 
 @dataclass

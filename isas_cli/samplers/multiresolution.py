@@ -8,10 +8,10 @@ from typing import ClassVar
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import InputError
-from .base import Sampler
-from .cells import Cells
+from ..runtime.errors import InputError
 from .ours import Ours
+from .sampler import Sampler
+from .stage1.cells import Cells
 
 
 @dataclass

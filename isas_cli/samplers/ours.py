@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from .base import Sampler
 from .gradient import Gradient
+from .sampler import Sampler
 
 
 @dataclass

@@ -7,13 +7,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from ..config import MOST_LANES
-from ..errors import InputError
-from ..estimators.blur import Blur
-from ..estimators.stock import SILHOUETTES, Stock
-from .base import Sampler
+from ..config.schema import MOST_LANES
+from ..estimators.mitsuba import SILHOUETTES, Stock
+from ..runtime.errors import InputError
+from ..unknowns.blur import Blur
 from .differences import Differences
 from .gradient import Gradient
+from .sampler import Sampler
 from .uniform import Uniform
 
 

@@ -9,9 +9,9 @@ from typing import ClassVar
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import InputError
-from .base import Moments
+from ..runtime.errors import InputError
 from .ours import Ours
+from .sampler import Moments
 
 
 @dataclass

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import InputError
-from ..parameters import flat, unflat
+from ..runtime.errors import InputError
+from ..unknowns.parameters import flat, unflat
 from .allocation import tangents
-from .base import Moments, Sampler, Stage1Settings
-from .denoise import Denoiser
-from .path_cost import PathCost
-from .stage1 import Stage1
+from .sampler import Moments, Sampler, Stage1Settings
+from .stage1.cell_moments import Stage1
+from .stage1.denoise import Denoiser
+from .stage1.path_cost import PathCost
 
 # Paths of one pass over the cells, about: in batches, and at most.
 _BATCHES, _LANES = 8, 1 << 18

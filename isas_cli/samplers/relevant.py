@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import drjit as dr
 import mitsuba as mi
 
-from .base import Sampler, Stage1Settings
-from .stage1 import Stage1
+from .sampler import Sampler, Stage1Settings
+from .stage1.cell_moments import Stage1
 
 
 @dataclass

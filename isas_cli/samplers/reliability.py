@@ -6,8 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .base import Sampler
 from .gradient import Gradient
+from .sampler import Sampler
 
 # Share of the draws that a density of one look sends elsewhere than that of LOOKS looks. Single
 # measurements at the start of five scenes, at two sizes and two batches: `ours` 0.1 to 0.3; on

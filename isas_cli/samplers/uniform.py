@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from ..pixels import PixelDistribution
-from .base import Sampler
+from ..rendering.pixels import PixelDistribution
+from .sampler import Sampler
 
 
 @dataclass

@@ -1,0 +1,211 @@
+"""The command line: which command, and what its errors look like.
+
+Nothing heavy is imported before a command is known: `isas --help` must answer at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import traceback
+from pathlib import Path
+
+from .. import __version__
+from ..runtime import interrupt
+from ..runtime.errors import InputError, IsasError, nearest
+
+_RUN_HELP = """\
+usage: isas run scene=NAME [sampler=NAME] [loss=NAME] [size=NAME] [KEY=VALUE ...]
+
+Recover a scene's unknown parameters from its images and leave a record of it.
+
+  isas run scene=pottery sampler=ours                   one run, 60 billed seconds
+  isas run scene=pottery sampler=balanced budget.seconds=20 seed=2
+  isas run scene=jumpydumpy loss=relative_l2 size=tiny budget.iterations=50
+  isas run scene=file scene.path=my.xml 'scene.unknowns={"jar.bsdf.base_color.data": {"start": 0}}'
+  isas run scene=pottery hydra.run.dir=DIR              put the record into DIR
+  isas run resume=DIR [budget.seconds=120]              go on with a run that ended early
+  isas run -m scene=pottery sampler=uniform,ours seed=1,2      one run each, in turn
+  isas run scene=pottery --cfg job                      print the configuration and stop
+
+Every setting of the printed configuration can be given as KEY=VALUE.
+Status: 0 done, 2 bad configuration or input, 3 numerical failure, 130 interrupted."""
+
+_RACE_HELP = """\
+usage: isas race scene=NAME samplers=[A,B,…] [seed=[1,2,…]] [KEY=VALUE ...]
+       isas race scene=NAME contestants=[{KEY:VALUE,…},{…}] [seed=[1,2,…]] [KEY=VALUE ...]
+       isas race resume=DIR [budget.seconds=…]
+
+Let several configurations take turns in one process until each has had the same billed budget,
+and compare them. Scene, targets and compiled kernels are shared; a drift of the machine falls on
+all alike. Each contestant and seed leaves an ordinary run folder below the race's.
+
+  isas race scene=pottery 'samplers=[uniform,gradient,ours]' budget.seconds=60 'seed=[1,2,3]'
+  isas race scene=pottery 'contestants=[{sampler:ours,optimizer.lr:0.01},{sampler:uniform}]'
+  isas race scene=pottery 'samplers=[uniform,ours]' hydra.run.dir=DIR slice=0.5
+
+slice is a turn's length in billed seconds (default 1). Everything else is as in isas run --help.
+Status: 0 done, 2 bad configuration or input, 3 numerical failure of one, 130 interrupted."""
+
+_VARIANCE_HELP = """\
+usage: isas variance scene=NAME [samplers=[A,B,…]] [repeats=1024] [at=0] [best=256] [KEY=VALUE ...]
+       isas variance scene=NAME contestants=[{sampler:NAME,sampler.KEY:VALUE,…},{…}] [...]
+
+Estimate the loss gradient at a fixed point again and again with each sampler, equally many pixels
+each (estimator.batch), and compare variance, time and efficiency. Nothing is optimised.
+
+  isas variance scene=dodoco                            all samplers, and the best pmf
+  isas variance scene=dodoco 'samplers=[uniform,gradient,ours]' at=0.8 estimator.batch=4096
+  isas variance scene=dodoco 'contestants=[{sampler:ours,sampler.stage1.average:0.8}]'
+
+repeats  estimates with each sampler; every 16 of them, or a 64th where that is less, get a new look
+at       where: 0 the start values, 1 the truth. At the start the images are wrong, and residuals
+         say where; at the truth they are noise, and a sampler has nothing to go by but noise.
+         An order found at one end need not hold at the other.
+best     paths per pixel that measure each pixel's share of the variance, for the best pmf that
+         there can be; 0 leaves it out
+uniform and gradient are always measured: ratios refer to them. Everything else is as in
+isas run --help. Status: 0 done, 2 bad configuration or input, 130 interrupted."""
+
+
+_SUMMARIES = {
+    "run": "recover a scene's unknowns (isas run --help)",
+    "race": "let configurations take turns at equal time (isas race --help)",
+    "variance": "how noisy the gradient is with each sampler (isas variance --help)",
+    "compare": "tables, plots and a page over finished runs",
+    "watch": "show how a run is going on",
+    "scenes": "list the scenes, samplers and losses",
+    "doctor": "say whether this machine can run it",
+    "landscape": "the loss along a run's unknowns, hard and blurred, and the way it took",
+    "report": "write a run's plots and page anew",
+}
+
+
+class _Parser(argparse.ArgumentParser):
+    """One line for a wrong argument, like for every other error."""
+
+    def error(self, message: str):
+        raise InputError(f"{message}; see {self.prog} --help")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="isas",
+        description="Inverse rendering by gradient descent through a path tracer, "
+        "and what its accuracy costs in time.",
+    )
+    parser.add_argument("--version", action="version", version=f"isas {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    # Three are here for the help only: their arguments are Hydra's, passed on unparsed.
+    commands.add_parser("run", help=_SUMMARIES["run"], add_help=False)
+    commands.add_parser("race", help=_SUMMARIES["race"], add_help=False)
+    commands.add_parser("variance", help=_SUMMARIES["variance"], add_help=False)
+    compare = commands.add_parser("compare", help=_SUMMARIES["compare"])
+    compare.add_argument("folders", nargs="+", metavar="DIR", help="runs, or folders of runs")
+    compare.add_argument("--output", metavar="DIR", help="where to (default: DIR/comparison)")
+    compare.add_argument(
+        "--baseline", metavar="METHOD", help="what others are set against (default: uniform)"
+    )
+    watch = commands.add_parser("watch", help=_SUMMARIES["watch"])
+    watch.add_argument("folder", metavar="DIR", help="a run's folder, or one of several runs")
+    watch.add_argument("--once", action="store_true", help="show the present state and leave")
+    commands.add_parser("scenes", help=_SUMMARIES["scenes"])
+    doctor = commands.add_parser("doctor", help=_SUMMARIES["doctor"])
+    doctor.add_argument("--variant", default="auto", help="Mitsuba variant (default: auto)")
+    landscape = commands.add_parser("landscape", help=_SUMMARIES["landscape"])
+    landscape.add_argument("folder", metavar="DIR", help="a run's folder")
+    landscape.add_argument(
+        "--along", nargs="+", metavar="KEY", help="one or two numbers (default: all, of few)"
+    )
+    landscape.add_argument("--spp", type=int, default=32, help="paths a pixel and point, twice")
+    report = commands.add_parser("report", help=_SUMMARIES["report"])
+    report.add_argument("folder", help="a run's folder")
+    return parser
+
+
+def _dispatch(arguments: list[str]) -> int:
+    command = arguments[0] if arguments else ""
+    if command == "run":
+        if {"-h", "--help"} & set(arguments[1:]):
+            print(_RUN_HELP)
+            return 0
+        from .run import main as run
+
+        return run(arguments[1:])
+    if command == "race":
+        if {"-h", "--help"} & set(arguments[1:]):
+            print(_RACE_HELP)
+            return 0
+        from .race import main as race
+
+        return race(arguments[1:])
+    if command == "variance":
+        if {"-h", "--help"} & set(arguments[1:]):
+            print(_VARIANCE_HELP)
+            return 0
+        from .variance import main as variance
+
+        return variance(arguments[1:])
+    if command and not command.startswith("-") and command not in _SUMMARIES:
+        raise InputError(f"{command}: no such command; {nearest(command, _SUMMARIES)}")
+    parsed = _parser().parse_args(arguments)
+    if parsed.command == "scenes":
+        from .scenes import main as scenes
+
+        return scenes()
+    if parsed.command == "doctor":
+        from .doctor import report
+
+        return report(parsed.variant)
+    if parsed.command == "compare":
+        from .compare import main as compare
+
+        output = Path(parsed.output) if parsed.output else None
+        return compare([Path(folder) for folder in parsed.folders], output, parsed.baseline)
+    if parsed.command == "watch":
+        from .watch import main as watch
+
+        return watch(Path(parsed.folder), parsed.once)
+    if parsed.command == "landscape":
+        from .landscape import main as landscape
+
+        return landscape(Path(parsed.folder), parsed.along, parsed.spp)
+    if parsed.command == "report":
+        from ..report import write
+
+        print(write(Path(parsed.folder)))
+        return 0
+    _parser().print_help()
+    return 0
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point. Returns the exit status."""
+    try:
+        return _dispatch(sys.argv[1:] if arguments is None else arguments)
+    except IsasError as error:
+        print(f"isas: {' '.join(str(error).splitlines())}", file=sys.stderr)
+        return error.status
+    except KeyboardInterrupt:
+        return _interrupted()
+    except BrokenPipeError:
+        return _deaf()
+    except Exception:
+        if interrupt.asked():  # it may come out as another exception
+            return _interrupted()
+        traceback.print_exc()
+        what = "this is a defect of isas: please report it with the lines above"
+        print(f"isas: {what}", file=sys.stderr)
+        return 1
+
+
+def _interrupted() -> int:
+    print("isas: interrupted", file=sys.stderr)
+    return interrupt.STATUS
+
+
+def _deaf() -> int:
+    """Whoever read the output has gone: say nothing more, also not while Python ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 1

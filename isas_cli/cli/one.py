@@ -1,0 +1,65 @@
+"""One run: what single runs and the jobs of sweeps have in common."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from ..runtime.errors import InputError
+
+
+@contextlib.contextmanager
+def argv(arguments: list[str]) -> Iterator[None]:
+    saved, sys.argv = sys.argv, arguments
+    try:
+        yield
+    finally:
+        sys.argv = saved
+
+
+def run(cfg: DictConfig, name: str) -> int:
+    if not name:
+        raise InputError("hydra.run.dir is empty: give hydra.run.dir=DIR")
+    folder = Path(name)
+    check_folder(folder, cfg.overwrite)
+
+    from ..engine import experiment
+
+    return experiment.run(cfg, folder)
+
+
+def check_folder(folder: Path, overwrite: bool) -> None:
+    """Refuse an unusable output folder before anything is computed, and leave nothing there."""
+    existing = folder.absolute()
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    try:
+        tempfile.TemporaryFile(dir=existing).close()
+    except OSError as error:
+        raise InputError(
+            f"cannot write to the output folder {folder}: {existing}: "
+            f"{error.strerror or error}; choose another with hydra.run.dir=DIR"
+        ) from error
+    if (folder / "manifest.json").exists() and not overwrite:
+        raise InputError(
+            f"{folder} already holds a run: choose another folder with hydra.run.dir=DIR, "
+            "or replace it with overwrite=true"
+        )
+
+
+def remove_empty(folder: Path) -> None:
+    """Remove a folder that is empty, and those above it that are, up to the present one."""
+    folder = Path(os.path.abspath(folder))
+    here = Path.cwd()
+    with contextlib.suppress(OSError):
+        folder.rmdir()
+        for parent in folder.parents:
+            if here not in parent.parents:
+                break
+            parent.rmdir()

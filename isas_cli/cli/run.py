@@ -1,0 +1,70 @@
+"""`isas run`: one configuration here; sweeps, and the flags that only print, through Hydra."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import open_dict
+
+from ..config.compose import compose, translate
+from ..runtime import interrupt
+from ..runtime.errors import InputError
+from . import one
+from .sweeps import sweep
+
+
+def main(arguments: list[str]) -> int:
+    """Run what ``arguments`` (as typed) say. Raises IsasError; else returns the exit status."""
+    flags, overrides = _split(arguments)
+    continued = [o for o in overrides if o.startswith("resume=")]
+    if continued:
+        if flags or len(continued) > 1:
+            raise InputError("resume=DIR goes on with one run: give no flags and one folder")
+        return _resume(arguments, continued[0], [o for o in overrides if o not in continued])
+    overrides = translate(overrides)
+    # So that the record's command line is the one typed, however this was called.
+    with one.argv(["isas", "run", *arguments]), interrupt.prompt():
+        if flags:
+            return sweep.by_hydra(flags, overrides)
+        cfg = compose(overrides, hydra=True)
+        if cfg.hydra.mode == RunMode.MULTIRUN:
+            return sweep.by_hydra(["--multirun"], overrides)
+        HydraConfig.instance().set_config(cfg)
+        folder = cfg.hydra.run.dir
+        with open_dict(cfg):
+            del cfg["hydra"]
+        return one.run(cfg, folder)
+
+
+def _resume(arguments: list[str], wanted: str, overrides: list[str]) -> int:
+    from ..engine import experiment, resumption
+
+    folder = wanted.partition("=")[2].strip("\"'")
+    if not folder:
+        raise InputError("resume is empty: give resume=DIR, a run's folder")
+    changes = resumption.parse(overrides)
+    with one.argv(["isas", "run", *arguments]), interrupt.prompt():
+        return experiment.resume(Path(folder), changes)
+
+
+def _split(arguments: list[str]) -> tuple[list[str], list[str]]:
+    """Hydra's flags and the overrides among them. Raises InputError for flags that Hydra lacks."""
+    from hydra._internal.utils import get_args_parser
+
+    parser = get_args_parser()
+
+    def refuse(message: str) -> None:
+        raise InputError(f"{message}; see isas run --help")
+
+    parser.error = refuse
+    overrides = parser.parse_intermixed_args(arguments).overrides
+    remaining = list(overrides)
+    flags = []
+    for argument in arguments:
+        if argument in remaining:
+            remaining.remove(argument)
+        else:
+            flags.append(argument)
+    return flags, overrides

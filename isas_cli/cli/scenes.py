@@ -1,0 +1,39 @@
+"""`isas scenes`: what there is to choose from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from omegaconf import OmegaConf
+from rich.console import Console
+from rich.table import Column, Table
+
+from ..config import schema
+from ..config.compose import options
+
+
+def _comment(path: Path) -> str:
+    first = path.read_text(encoding="utf-8").splitlines()[0]
+    return first.lstrip("# ").strip() if first.startswith("#") else ""
+
+
+def main() -> int:
+    """Print scenes with their unknowns and sizes, then samplers and losses."""
+    console = Console()
+    # For copying: never cut.
+    names, keys = Column("scene", no_wrap=True), Column("unknowns", no_wrap=True)
+    sizes = Column("sizes", no_wrap=True)
+    table = Table(names, "problem", keys, sizes, title="isas run scene=NAME size=SIZE")
+    for name in options("scene"):
+        node = OmegaConf.load(Path(schema.folder()) / "scene" / f"{name}.yaml")
+        unknowns = "\n".join(node.get("unknowns") or {}) or "scene.unknowns=…"
+        table.add_row(
+            name, node.get("description", ""), unknowns, "\n".join(node.get("sizes") or [])
+        )
+    console.print(table)
+    for group in ("sampler", "loss"):
+        table = Table(group, "what it does", title=f"{group}=NAME")
+        for name in options(group):
+            table.add_row(name, _comment(Path(schema.folder()) / group / f"{name}.yaml"))
+        console.print(table)
+    return 0

@@ -1,0 +1,1 @@
+"""Sweeps: many runs of one command line, through Hydra's sweepers and launchers."""

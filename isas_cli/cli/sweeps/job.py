@@ -1,0 +1,184 @@
+"""One job of a sweep: what its folder says, doing it, and recording how it failed."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+
+from omegaconf import DictConfig, OmegaConf
+
+from ...records import files, load_checkpoint
+from ...runtime import interrupt
+from ...runtime.errors import InputError, IsasError
+from .. import one
+from . import fingerprint
+from .outcome import Outcome, outcome, read_summary
+
+# What a folder holds before the job begins.
+NOTHING, DONE, FAILED, UNFINISHED, OTHER = "nothing", "done", "failed", "unfinished", "other"
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is planned: a name for messages, the settings that were typed or chosen, the run's
+    folder and its resolved configuration."""
+
+    label: str
+    overrides: list[str]
+    folder: Path
+    cfg: DictConfig
+
+    def found(self) -> str:
+        """What the folder holds: one of the names above. OTHER is a run with other settings."""
+        if not (self.folder / "config.yaml").exists():
+            return NOTHING
+        if not fingerprint.same(self.cfg, self.folder):
+            return OTHER if (self.folder / "manifest.json").exists() else NOTHING
+        summary = read_summary(self.folder) or {}
+        status = summary.get("status")
+        if status == "done" and summary.get("complete", True):
+            return DONE
+        # "done" without the rest of its record: killed while its pictures were made.
+        stopped = status in (None, "interrupted", "done") or summary.get("killed")
+        checkpoint = (self.folder / "checkpoint" / "state.npz").exists()
+        return UNFINISHED if stopped and checkpoint else FAILED
+
+    def skipped(self) -> Outcome | None:
+        """The outcome of a job that needs not be done again; else None."""
+        if self.cfg.overwrite or self.found() != DONE:
+            return None
+        return outcome(self.label, self.folder, "skipped")
+
+
+@dataclass(frozen=True)
+class Report:
+    """How an attempt ended: exit status, error in one line, traceback of an unexpected one;
+    ``killed``: its process died, which is all that is known; ``stopped``: Ctrl-C came meanwhile,
+    so that no other job may begin, however this one ended."""
+
+    status: int
+    error: str = ""
+    trace: str = ""
+    resumed: bool = False
+    killed: bool = False
+    stopped: bool = False
+
+
+def attempt(job: Job, command: list[str], threads: int | None) -> Report:
+    """Do the job in this process. ``command``: what was typed; ``threads``: where the settings
+    leave them open. Whatever goes wrong is in the report."""
+    cfg = job.cfg.copy()
+    cfg.threads = cfg.threads or threads or 0
+    with one.argv(command), interrupt.prompt():
+        try:
+            return _go(cfg, job)
+        except IsasError as error:
+            return Report(error.status, " ".join(str(error).splitlines()))
+        except KeyboardInterrupt:
+            return Report(interrupt.STATUS)
+        except BaseException as error:
+            if interrupt.asked():  # it may come out as another exception
+                return Report(interrupt.STATUS)
+            text = " ".join([f"{type(error).__name__}:", *str(error).split()]).rstrip(":")
+            return Report(1, text, traceback.format_exc())
+
+
+def _go(cfg: DictConfig, job: Job) -> Report:
+    from ...engine import experiment
+
+    found = job.found()
+    if found == UNFINISHED and not cfg.overwrite:
+        _refuse_if_alive(job.folder)
+        try:
+            changes = {"threads": cfg.threads} if cfg.threads else {}
+            return Report(experiment.resume(job.folder, changes), resumed=True)
+        except InputError as error:
+            if _has_checkpoint(job.folder):  # nothing that was computed is thrown away
+                raise
+            print(f"not resumed, begun anew: {error}", file=sys.stderr)
+    if found in (UNFINISHED, FAILED):
+        cfg.overwrite = True
+    return Report(one.run(cfg, str(job.folder)))
+
+
+def _has_checkpoint(folder: Path) -> bool:
+    """Whether there is one that this isas reads."""
+    try:
+        load_checkpoint(folder)
+    except InputError:
+        return False
+    return True
+
+
+def _refuse_if_alive(folder: Path) -> None:
+    from ...records.manifest import alive
+
+    with contextlib.suppress(OSError, ValueError):
+        if alive(json.loads((folder / "manifest.json").read_text(encoding="utf-8"))):
+            raise InputError(f"{folder} is still being written: its process has not ended")
+
+
+def supervise(
+    job: Job, command: list[str], threads: int | None, quiet: bool
+) -> tuple[Outcome, bool]:
+    """Do the job in a process of its own and record how it ended, also when that process dies.
+
+    Returns the outcome, and whether Ctrl-C was pressed.
+    """
+    from . import worker
+
+    skipped = job.skipped()
+    if skipped:
+        return skipped, False
+    found, before = job.found(), stamp(job.folder)
+    report = worker.run(job, command, threads, quiet)
+    if report.status == 0:
+        status = "resumed" if report.resumed else "done"
+    elif report.status == interrupt.STATUS:
+        status = "interrupted"
+        one.remove_empty(job.folder)  # Hydra made it
+    else:
+        status = "failed"
+        if found not in (DONE, OTHER) or stamp(job.folder) != before:
+            record_failure(job, report, begun=stamp(job.folder) != before)
+    return outcome(job.label, job.folder, status, report.status, report.error), report.stopped
+
+
+def stamp(folder: Path) -> int | None:
+    """Another one each time that a run opens its record in ``folder``, or goes on with it."""
+    with contextlib.suppress(OSError):
+        return (folder / "manifest.json").stat().st_mtime_ns
+    return None
+
+
+def record_failure(job: Job, report: Report, begun: bool) -> None:
+    """Leave the error in the folder's summary.json, and a traceback in error.txt.
+
+    ``begun``: the attempt had opened its record, whose own summary, where there is one, stays and
+    gets the error. A failure of writing is not a second one: the table shows the error anyway.
+    """
+    cfg = job.cfg
+    summary = {
+        "status": "failed",
+        "scene": cfg.scene.name,
+        "sampler": cfg.sampler.name,
+        "loss": cfg.loss.name,
+        "seed": cfg.seed,
+        **((read_summary(job.folder) or {}) if begun else {}),
+        "overrides": job.overrides,
+        "error": report.error,
+    }
+    if report.killed:
+        summary["killed"] = True
+    with contextlib.suppress(IsasError, OSError):
+        if not (job.folder / "config.yaml").exists():
+            files.write_text(job.folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
+        files.write_json(job.folder / "summary.json", summary)
+        if report.trace:
+            files.write_text(job.folder / "error.txt", report.trace)
+        else:
+            (job.folder / "error.txt").unlink(missing_ok=True)  # of an earlier attempt

@@ -1,0 +1,117 @@
+"""A process for each job of a sweep: when it dies, the sweep goes on.
+
+Jobs share nothing that way, neither Dr.Jit's memory nor its number of threads nor the variant: each
+runs as a single run would. What that costs, a second or two to begin, is not billed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import faulthandler
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from multiprocessing.connection import wait
+
+from ...runtime import interrupt
+from .job import Job, Report, attempt
+
+_POLL_SECONDS = 0.2
+_EXIT_SECONDS = 30.0  # after its report; what takes longer hangs
+_PROGRAM = """\
+import pickle, sys
+sys.path[:] = pickle.load(sys.stdin.buffer)
+from isas_cli.commands import worker
+worker.main(int(sys.argv[1]))
+"""
+
+
+def run(job: Job, command: list[str], threads: int | None, quiet: bool) -> Report:
+    """``attempt`` in a new process. ``quiet``: what it prints goes to log.txt in the job's folder.
+
+    Ctrl-C is passed on, so that the record is finished; a second one kills the process.
+    """
+    source, sink = os.pipe()
+    # Not multiprocessing: its processes take over the start method of whose worker this may be.
+    with _blocked():
+        process = subprocess.Popen(
+            [sys.executable, "-c", _PROGRAM, str(sink)], stdin=subprocess.PIPE, pass_fds=[sink]
+        )
+    os.close(sink)
+    try:
+        with interrupt.graceful(lambda: process.send_signal(signal.SIGINT)) as stop:
+            with contextlib.suppress(BrokenPipeError):  # it died: there will be no report
+                for content in (sys.path, (job, command, threads, quiet)):
+                    process.stdin.write(pickle.dumps(content))
+                process.stdin.flush()
+            with os.fdopen(source, "rb") as reports:
+                while not wait([reports], _POLL_SECONDS):
+                    stop()
+                report = _received(reports, process)
+            return dataclasses.replace(report, stopped=stop())
+    finally:
+        process.kill()
+        process.wait()
+        with contextlib.suppress(BrokenPipeError):
+            process.stdin.close()
+
+
+def _received(reports, process: subprocess.Popen) -> Report:
+    """What the process says, or, when the pipe ends before that, how it died."""
+    content = reports.read()
+    try:
+        code = process.wait(_EXIT_SECONDS)
+    except subprocess.TimeoutExpired:
+        code = 0
+    if content:
+        return pickle.loads(content)
+    return Report(1, _cause(code), killed=True)
+
+
+def main(sink: int) -> None:
+    """The process's own side: ``sink`` is where the report goes, standard input brings the job."""
+    # A process group of its own: the terminal's Ctrl-C goes to the parent, which passes it on.
+    os.setpgid(0, 0)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # forgets one that came before
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number in (signal.SIGUSR1, signal.SIGUSR2):  # of a cluster, to the parent: time is up
+        signal.signal(number, signal.SIG_IGN)
+    job, command, threads, quiet = pickle.load(sys.stdin.buffer)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if quiet:
+        log = os.open(job.folder / "log.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+        os.dup2(log, sys.stderr.fileno())
+    faulthandler.enable()
+    report = attempt(job, command, threads)
+    with os.fdopen(sink, "wb") as reports:
+        reports.write(pickle.dumps(report))
+
+
+def _end_with_parent() -> None:
+    """Nobody would know what an orphan does, and the next start of the sweep would meet it."""
+    os.read(sys.stdin.fileno(), 1)  # the pipe ends when the parent does
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _cause(code: int) -> str:
+    if code >= 0:
+        return f"its process ended without a word (exit status {code})"
+    name = signal.Signals(-code).name
+    hint = " (out of memory?)" if name == "SIGKILL" else ""
+    return f"its process was killed by {name}{hint}"
+
+
+@contextlib.contextmanager
+def _blocked() -> Iterator[None]:
+    """Ctrl-C waits: a process that starts takes over what is blocked."""
+    earlier = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, earlier)

@@ -1,0 +1,119 @@
+"""`isas variance`: how noisy the loss gradient is with each sampler, at one fixed point."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..config.compose import compose, options, override, pixel_samplers, translate
+from ..runtime import interrupt
+from ..runtime.errors import InputError
+from . import one, race
+
+_OWN = ("samplers", "contestants", "repeats", "at", "best", "hydra.run.dir")
+_REPEATS, _BEST = 1024, 256
+# What ratios are of: measured even when it is not asked for.
+_REFERENCES = ("uniform", "gradient")
+# Settings of runs that mean nothing here, and would pass for something that does.
+_NO_USE = ("budget", "evaluation", "tracker", "profile", "frames.spp", "frames.snapshots")
+
+
+def main(arguments: list[str]) -> int:
+    """Measure what ``arguments`` (as typed) say. Raises IsasError; else returns the exit status."""
+    for argument in arguments:
+        if argument.startswith("-"):
+            raise InputError(f"{argument}: no such flag; see isas variance --help")
+    own, overrides = _own(arguments)
+    with one.argv(["isas", "variance", *arguments]), interrupt.prompt():
+        settings = {
+            "repeats": _whole("repeats", own.get("repeats", str(_REPEATS)), 2),
+            "at": _share(own.get("at", "0")),
+            "best": _whole("best", own.get("best", str(_BEST)), 0),
+        }
+        cfgs = _configurations(own, overrides)
+        common = next(iter(cfgs.values()))
+        folder = _folder(own, common)
+        one.check_folder(folder, common.overwrite)
+        # The first import of Mitsuba, which takes a second.
+        from ..measure.variance.run import Plan, run
+
+        return run(Plan(cfgs, folder, **settings))
+
+
+def _own(arguments: list[str]) -> tuple[dict[str, str], list[str]]:
+    """The command's own settings by name, and the overrides that all samplers share."""
+    own, overrides = {}, []
+    for argument in arguments:
+        key, equals, value = argument.partition("=")
+        if equals and key in _OWN:
+            if key in own:
+                raise InputError(f"{argument}: {key} is given twice")
+            own[key] = value
+            continue
+        group = key.lstrip("+~").split("@")[0]
+        if group.split(".")[0] == "sampler":
+            raise InputError(
+                f"{argument}: there are several: samplers=[A,B], or "
+                "contestants=[{sampler:ours,sampler.floor:0.1},…]"
+            )
+        if any(group == name or group.startswith(f"{name}.") for name in _NO_USE):
+            raise InputError(f"{argument}: isas variance has no use for it; leave it out")
+        overrides.append(argument)
+    return own, overrides
+
+
+def _configurations(own: dict[str, str], overrides: list[str]) -> dict:
+    """What each sampler's configuration is, by its label; the references come first."""
+    if "samplers" not in own and "contestants" not in own:
+        own = {**own, "samplers": f"[{','.join(pixel_samplers())}]"}
+    differences = race.differences(own)
+    for difference in differences:
+        if "sampler" not in difference:
+            raise InputError("contestants: each needs its sampler: {sampler:ours,…}")
+        if difference["sampler"] in set(options("sampler")) - set(pixel_samplers()):
+            raise InputError(
+                f"sampler={difference['sampler']}: variances of path replay's gradient are shown, "
+                f"pixels drawn by {', '.join(pixel_samplers())}"
+            )
+        for key in difference:
+            if key.split(".")[0] != "sampler":
+                raise InputError(
+                    f"contestants: {key}: all estimate the same gradient and differ in their "
+                    "sampler's settings only; give it once, as KEY=VALUE"
+                )
+    plain = [{"sampler": name} for name in _REFERENCES]
+    differences = plain + [d for d in differences if d not in plain]
+    common, cfgs = translate(overrides), {}
+    for difference in differences:
+        more = translate([f"{key}={override(value)}" for key, value in difference.items()])
+        cfgs[_label(difference)] = compose([*common, *more])
+    return cfgs
+
+
+def _label(difference: dict) -> str:
+    others = [f"{k.removeprefix('sampler.')}={v}" for k, v in difference.items() if k != "sampler"]
+    return " ".join([str(difference["sampler"]), *others])
+
+
+def _whole(name: str, text: str, least: int) -> int:
+    if not text.isascii() or not text.isdigit() or int(text) < least:
+        raise InputError(f"{name}={text}: a whole number, at least {least}")
+    return int(text)
+
+
+def _share(text: str) -> float:
+    try:
+        at = float(text)
+    except ValueError:
+        at = -1.0
+    if not 0 <= at <= 1:
+        raise InputError(f"at={text}: a number from 0, the start values, to 1, the truth")
+    return at
+
+
+def _folder(own: dict[str, str], cfg) -> Path:
+    given = own.get("hydra.run.dir", "").strip("\"'")
+    if given:
+        return Path(given)
+    if "hydra.run.dir" in own:
+        raise InputError("hydra.run.dir is empty: give hydra.run.dir=DIR")
+    return Path("runs") / "variance" / cfg.scene.name / str(cfg.name)

@@ -1,0 +1,256 @@
+"""Composing the configuration with Hydra, and saying in one line what is wrong with it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir
+from hydra.errors import HydraException, OverrideParseException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from ..runtime.errors import InputError, nearest
+from . import schema
+
+# These take keys that no schema can list; '++' lets Hydra add them.
+_UNKNOWNS = "scene.unknowns="
+_NAMED = {_UNKNOWNS: schema.UnknownConfig, "scene.poses=": schema.PoseConfig}
+_GROUPS = ("scene", "sampler", "loss")
+# Taken as they stand, whatever letters a path has.
+_PATHS = ("scene.path", "hydra.run.dir", "hydra.sweep.dir")
+# The sampler that another goes around: a choice within a choice, as typed and as Hydra takes it.
+_BASE, _BASE_OF_HYDRA = "sampler.base", "sampler@sampler.base"
+_CHOICES = ("sampler", _BASE, "loss")
+# Samplers that bring a gradient of their own, and the one that chooses pixels for these.
+_OTHER_GRADIENTS = ("plateau", "mitsuba", "finite_differences", "differences")
+_LABELS = tuple(f"{choice}.{label}" for choice in _CHOICES for label in ("name", "_target_"))
+
+
+def translate(overrides: Iterable[str]) -> list[str]:
+    """Overrides as typed → overrides as Hydra's grammar takes them.
+
+    ``scene.unknowns={"a.b": {"start": 0.5}}`` is JSON, whose quoted keys Hydra's grammar does not
+    know: it is rewritten with bare keys. Otherwise nothing can be added with '+' or removed with
+    '~': what is not in the configuration has no effect, and all that is in it is needed.
+    """
+    return [_translate(override) for override in overrides]
+
+
+def _translate(override: str) -> str:
+    bare = override.lstrip("+")
+    for setting, entry in _NAMED.items():
+        if bare.startswith(setting):
+            return _translate_named(bare, setting, entry)
+    key, equals, value = bare.partition("=")
+    if key in _PATHS and value and value[0] not in "'\"":
+        sweep = key == "scene.path" and "," in value and not Path(value).exists()
+        return bare if sweep else f"{key}={_hydra(value)}"
+    if bare.startswith("hydra") or bare.startswith("~hydra"):
+        return override
+    if bare.startswith("~"):
+        raise InputError(f"{bare}: a setting cannot be removed, only changed: KEY=VALUE")
+    if not equals or not key:
+        raise InputError(f"'{override}' is no setting: give KEY=VALUE, such as scene=pottery")
+    if key in _LABELS:
+        raise InputError(
+            f"{bare}: names a choice and makes none: say {key.rpartition('.')[0]}=NAME"
+        )
+    if key in (*_GROUPS, _BASE) and (not value or value[0] in "[{"):
+        names = options(key.partition(".")[0])
+        raise InputError(f"{bare}: give one name; valid: {', '.join(names)}")
+    return f"{_BASE_OF_HYDRA}={value}" if key == _BASE else bare
+
+
+def _translate_named(override: str, setting: str, entry_type: type) -> str:
+    """``setting={name: entry, …}`` in JSON, each an ``entry_type``."""
+    text = override[len(setting) :]
+    try:
+        parsed = json.loads(text)
+    except json.JSONDecodeError as error:
+        if text.startswith('{"'):
+            raise InputError(f"{override}: no valid JSON: {error}") from error
+        return "++" + override  # perhaps it is in Hydra's own notation
+    entries = list(parsed.values()) if isinstance(parsed, dict) else []
+    if not entries or not all(isinstance(entry, dict) for entry in entries):
+        example = '{"key": {"start": 0.5}}: keys of the scene, each with a start and, if wanted, a '
+        example += "range and an lr"
+        if setting != _UNKNOWNS:
+            example = '{"name": {"kind": "rotation", "objects": ["id"]}}: names of your own'
+        raise InputError(f"{override}: give {example}")
+    fields = [f.name for f in dataclasses.fields(entry_type)]
+    for key, entry in parsed.items():
+        for name in entry:
+            if name not in fields:
+                raise InputError(
+                    f"{setting[:-1]}['{key}'].{name}: no such entry; {nearest(name, fields)}"
+                )
+        _check_entry(f"{setting[:-1]}['{key}']", entry_type, entry)
+    return f"++{setting}{_hydra(parsed)}"
+
+
+def _check_entry(where: str, entry_type: type, entry: dict) -> None:
+    """Raises InputError for values of types that ``entry_type`` does not take."""
+    blur = entry.get("blur")
+    if blur is not None and not isinstance(blur, dict):
+        raise InputError(f"{where}.blur={blur}: give {{start: …, end: …}}, widths in its unit")
+    fields = [f.name for f in dataclasses.fields(schema.BlurConfig)]
+    for name in blur or {}:
+        if name not in fields:
+            raise InputError(f"{where}.blur.{name}: no such entry; {nearest(name, fields)}")
+    try:
+        OmegaConf.merge(OmegaConf.structured(entry_type), entry)
+    except OmegaConfBaseException as error:
+        field = f".{error.full_key}" if error.full_key else ""
+        raise InputError(f"{where}{field}: {str(error).splitlines()[0]}") from error
+
+
+def override(value) -> str:
+    """A setting's value in Hydra's override grammar; plain words as they are."""
+    if isinstance(value, str) and re.fullmatch(r"[\w.+/-]+", value):
+        return value
+    return _hydra(value)
+
+
+def _hydra(value) -> str:
+    """A JSON value in Hydra's override grammar."""
+    if isinstance(value, dict):
+        return "{" + ",".join(f"{_key(k)}:{_hydra(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ",".join(_hydra(v) for v in value) + "]"
+    if isinstance(value, str):
+        # A backslash escapes only before a quote and at the end.
+        escaped = re.sub(r"(\\*)('|$)", lambda m: 2 * m[1] + ("\\'" if m[2] else ""), value)
+        return f"'{escaped}'"
+    return json.dumps(value)
+
+
+def _key(key: str) -> str:
+    return re.sub(r"([\\()\[\]{}:=, \t])", r"\\\1", key)
+
+
+def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
+    """The composed configuration. Raises InputError, one line, when it cannot be."""
+    schema.register()
+    try:
+        with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
+            cfg = hydra_compose("config", overrides, return_hydra_config=hydra)
+            OmegaConf.resolve(cfg.scene)
+    except (HydraException, OmegaConfBaseException) as error:
+        text = explain(error, overrides).replace(_BASE_OF_HYDRA, _BASE)
+        raise InputError(text) from error
+    return cfg
+
+
+def options(group: str) -> list[str]:
+    """Names that a configuration group offers, in alphabetical order."""
+    return sorted(p.stem for p in (Path(schema.folder()) / group).glob("*.yaml"))
+
+
+def pixel_samplers() -> list[str]:
+    """The samplers that choose pixels for path replay; the others take gradients otherwise."""
+    return [name for name in options("sampler") if name not in _OTHER_GRADIENTS]
+
+
+def explain(error: Exception, overrides: list[str]) -> str:
+    """One line for what Hydra or OmegaConf refuse about ``overrides``."""
+    text = str(error)
+    missing = re.search(r"Could not find '([^'/]+)/([^']+)'", text)
+    if missing:
+        group, name = missing.groups()
+        typed = _BASE if f"{_BASE_OF_HYDRA}={name}" in overrides else group
+        return f"{typed}={name}: no such {group}; {nearest(name, options(group))}"
+    unspecified = re.search(r"You must specify '(\w+)'", text)
+    if unspecified:
+        group = unspecified.group(1)
+        return f"{group} is not given: say {group}=NAME; valid: {', '.join(options(group))}"
+    unknown = re.search(r"Could not override '([^']+)'", text)
+    if unknown:
+        return _explain_key(unknown.group(1).split("@")[-1], overrides)
+    size = re.search(r"Interpolation key 'scene\.sizes\.([^.]+)\.", text)
+    if size:
+        return f"size={size.group(1)}: {nearest(size.group(1), _sizes(overrides))}"
+    if isinstance(error, OverrideParseException) and "Ambiguous" not in text:
+        reason = " ".join(text.split("\n")[0].split())
+        return (
+            f"{error.override}: cannot be read ({reason}): put a value with any of "
+            ", = : ( ) [ ] { } or quotes into quotes of its own: \"KEY='VALUE'\""
+        )
+    ambiguous = re.search(r"Ambiguous value for argument '([^']+)'", text)
+    if ambiguous:
+        return (
+            f"{ambiguous.group(1)}: several values: add -m to sweep over them, "
+            "or write a list as KEY=[A,B]"
+        )
+    merging = re.search(r"Error merging override (\S.*)", text)
+    if merging:
+        cause = " ".join(str(error.__cause__ or "does not fit").split("\n")[0].split())
+        if "is not a ListConfig" in cause:
+            cause = "must be a list: [A,B]"
+        what = merging.group(1).lstrip("+")
+        # As Hydra saw it, which is not as it was typed.
+        named = next((setting for setting in _NAMED if what.startswith(setting)), None)
+        return f"{named[:-1] if named else what}: {cause}"
+    return " ".join(text.split("\nSee ")[0].split())
+
+
+def _sizes(overrides: list[str]) -> list[str]:
+    cfg = _raw([o for o in overrides if not o.startswith("size=")])
+    return list(cfg.scene.sizes) if cfg is not None else []
+
+
+def _explain_key(key: str, overrides: list[str]) -> str:
+    cfg = _raw([o for o in overrides if o.split("=")[0].lstrip("+~").split("@")[-1] != key])
+    *parents, last = key.split(".")
+    node, found = cfg, []
+    for parent in parents:
+        if not isinstance(node, DictConfig) or parent not in node:
+            last = parent
+            break
+        node = node._get_node(parent)
+        found.append(parent)
+    valid = [".".join([*found, str(k)]) for k in node] if isinstance(node, DictConfig) else []
+    valid = [name for name in valid if name not in _LABELS]
+    return f"{key}: no such setting; {nearest('.'.join([*found, last]), valid)}"
+
+
+def _raw(overrides: list[str]) -> DictConfig | None:
+    """Composed without resolving anything, or None where that fails too."""
+    try:
+        with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
+            return hydra_compose("config", overrides)
+    except (HydraException, OmegaConfBaseException):
+        return None
+
+
+def instantiate(node: DictConfig, where: str):
+    """The object that a node's ``_target_`` names: a dataclass, its fields type-checked.
+
+    ``name`` is the group option's own label and is not passed on. A field may be such a node
+    again. Raises InputError naming the field for a value of the wrong type; the dataclass itself
+    checks ranges.
+    """
+    import importlib
+
+    plain = OmegaConf.to_container(node, resolve=True)
+    module, _, name = plain.pop("_target_").rpartition(".")
+    plain.pop("name", None)
+    target = getattr(importlib.import_module(module), name)
+    inner = [key for key, value in plain.items() if isinstance(value, dict) and "_target_" in value]
+    parts = {key: instantiate(OmegaConf.create(plain.pop(key)), f"{where}.{key}") for key in inner}
+    try:
+        fields = OmegaConf.merge(OmegaConf.structured(target), plain)
+        for key, part in parts.items():
+            fields[key] = part
+        return OmegaConf.to_object(fields)
+    except InputError as error:
+        # A class names its fields as if it were the choice at the top.
+        raise InputError(str(error).replace(where.split(".")[0], where, 1)) from error
+    except OmegaConfBaseException as error:
+        message = str(error).split("\n")[0]
+        field = f"{where}.{error.full_key}" if error.full_key else where
+        raise InputError(f"{field}: {message}") from error

@@ -1,0 +1,342 @@
+"""The configuration's schema. Values out of range are refused here, before anything starts."""
+
+from __future__ import annotations
+
+import importlib.resources
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any, Dict, List, Optional
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import MISSING, DictConfig, OmegaConf
+
+from ..runtime.errors import InputError
+from ..runtime.schedule import factor
+
+# Dr.Jit counts the lanes of a kernel in 32 bits.
+MOST_LANES = 2**31
+# Parameters of a lobe that `estimator.derivative_sampling` draws directions for.
+ROUGHNESSES = ("roughness", "alpha")
+
+
+def roughness_of(key: str) -> str | None:
+    """Which of ROUGHNESSES an unknown is, by its key: 'roughness' of 'wall.bsdf.roughness.value',
+    'alpha' of 'ball.bsdf.alpha'; None for others."""
+    return next((word for word in key.split(".")[:-3:-1] if word in ROUGHNESSES), None)
+
+
+def _at_least(least: int, **values: Optional[int]) -> None:
+    """Refuse values below ``least``; names are the settings', with __ for a dot."""
+    for name, value in values.items():
+        if value is not None and value < least:
+            raise InputError(f"{name.replace('__', '.')}={value}: at least {least}")
+
+
+# The scene's numbers are of single precision, and are squared.
+_WIDEST = 1e15
+
+
+@dataclass
+class BlurConfig:
+    """Width of the Gaussian that ``sampler=plateau`` blurs an unknown with, in the unknown's unit:
+    ``start`` up to the share ``hold`` of the budget, then linearly to ``end``, which it is from the
+    share ``until`` on: the blurred objective's minimum lies elsewhere than the sharp one's, and a
+    learning rate that falls as fast as the width would not arrive. ``reach``: of a
+    translation, how far from its middle a part is felt in the images, scene units (None:
+    everywhere), for gradients from plain renderings; see ``estimators.locality``."""
+
+    start: float = 0.0
+    end: float = 0.0
+    hold: float = 0.0
+    until: float = 1.0
+    reach: Optional[float] = None
+
+    def __post_init__(self) -> None:
+        for name in ("start", "end"):
+            value = getattr(self, name)
+            if not 0 < value <= _WIDEST:
+                raise InputError(
+                    f"blur.{name}={value}: must be above 0, in the unknown's unit, and at most "
+                    f"{_WIDEST:g}"
+                )
+        if self.end > self.start:
+            raise InputError(
+                f"blur.end={self.end}: above start={self.start}, but the width falls over the "
+                "budget; at most start"
+            )
+        if not 0 <= self.hold < 1:
+            raise InputError(f"blur.hold={self.hold}: a share of the budget, in [0, 1)")
+        if not self.hold < self.until <= 1:
+            raise InputError(
+                f"blur.until={self.until}: a share of the budget, above hold={self.hold}, at most 1"
+            )
+        if self.reach is not None and not 0 < self.reach < math.inf:
+            raise InputError(f"blur.reach={self.reach}: must be above 0, in scene units")
+
+
+@dataclass
+class UnknownConfig:
+    """One unknown: start value (number, list, image file, ``{of: other key}`` or ``{uniform: [low,
+    high], seed: n}``), legal range, own learning rate, and the blur of ``sampler=plateau``."""
+
+    start: Any = None
+    range: Optional[List[float]] = None
+    lr: Optional[float] = None
+    blur: Optional[BlurConfig] = None
+
+
+_BLURRING = ("plateau", "finite_differences")  # samplers that need every unknown's blur
+# Which kind of pose a setting is of.
+_POSE_KINDS = {
+    "axis": "rotation",
+    "origin": "rotation",
+    "period": "rotation",
+    "directions": "translation",
+}
+
+
+@dataclass
+class PoseConfig:
+    """A movement of ``objects`` (ids, or patterns of them), an unknown of a name of its own.
+
+    ``kind``: rotation, by one angle in degrees about ``axis`` through ``origin``; or translation,
+    by one length per entry of ``directions``, in scene units. ``at``: the value at which the scene
+    stands as it was loaded (None: 0). ``parts``: a mesh is as many equal runs of vertices, each
+    moved by itself (of several meshes: the first part of each alike, and so on). ``period``: the
+    degrees after which a turned object looks the same, by which errors are counted.
+    """
+
+    kind: str = MISSING
+    objects: List[str] = MISSING
+    axis: List[float] = field(default_factory=lambda: [0.0, 1.0, 0.0])
+    origin: List[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    # OmegaConf would take no whole number for a float inside lists of lists.
+    directions: List[Any] = field(
+        default_factory=lambda: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    )
+    at: Optional[List[float]] = None
+    parts: int = 1
+    period: float = 360.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.period <= 360:
+            raise InputError(f"pose.period={self.period}: degrees, above 0, at most 360")
+        if self.kind not in (MISSING, "rotation", "translation"):
+            raise InputError(f"pose.kind={self.kind}: valid: rotation, translation")
+        _at_least(1, pose__parts=self.parts)
+        usual = {f.name: f.default_factory for f in fields(self) if f.name in _POSE_KINDS}
+        usual["period"] = lambda: 360.0
+        for name, kind in _POSE_KINDS.items():
+            if self.kind not in (MISSING, kind) and getattr(self, name) != usual[name]():
+                raise InputError(f"pose.{name}: a {self.kind} has no use for it; leave it out")
+        for name in ("objects", "directions"):
+            if not getattr(self, name):
+                raise InputError(f"pose.{name}=[]: at least one")
+        for name, vectors in (
+            ("axis", [self.axis]),
+            ("origin", [self.origin]),
+            ("directions", self.directions),
+        ):
+            for vector in vectors:
+                if not _is_vector(vector) or (name != "origin" and not any(vector)):
+                    several = " (a list of such)" if name == "directions" else ""
+                    raise InputError(f"pose.{name}: {vector} is no [x, y, z]{several}")
+
+
+def _is_vector(value) -> bool:
+    numbers = isinstance(value, (list, tuple)) and len(value) == 3
+    return numbers and all(type(x) in (int, float) and math.isfinite(x) for x in value)
+
+
+@dataclass
+class SceneConfig:
+    """Where the scene comes from and what in it is unknown."""
+
+    name: str = MISSING
+    description: str = ""
+    builder: Optional[str] = None
+    sizes: Dict[str, Any] = field(default_factory=dict)
+    arguments: Dict[str, Any] = field(default_factory=dict)
+    path: Optional[str] = None
+    max_depth: Optional[int] = None
+    targets: Optional[List[str]] = None
+    masks: Optional[List[str]] = None
+    poses: Dict[str, PoseConfig] = field(default_factory=dict)
+    unknowns: Dict[str, UnknownConfig] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _at_least(-1, scene__max_depth=self.max_depth)
+
+
+@dataclass
+class TargetConfig:
+    """Rendered targets: paths per pixel, and the seed of a stream of their own."""
+
+    spp: int = 128
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _at_least(1, target__spp=self.spp)
+        _at_least(0, target__seed=self.seed)
+
+
+@dataclass
+class BudgetConfig:
+    """When to stop: the first of those given. None of them: 60 billed seconds."""
+
+    seconds: Optional[float] = None
+    iterations: Optional[int] = None
+    paths: Optional[float] = None
+
+
+@dataclass
+class OptimizerConfig:
+    """Adam. ``lr``: of unknowns without a rate of their own; ``factor``: on all rates, those too;
+    ``schedule``: constant, cosine or exponential over the budget, down to ``final`` of the rates;
+    ``mask_updates``: leave entries alone whose gradient is exactly zero."""
+
+    lr: float = 0.02
+    factor: float = 1.0
+    schedule: str = "exponential"
+    final: float = 0.02
+    beta_1: float = 0.9
+    beta_2: float = 0.999
+    mask_updates: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("lr", "factor"):
+            if not (getattr(self, name) > 0 and math.isfinite(getattr(self, name))):
+                raise InputError(
+                    f"optimizer.{name}={getattr(self, name)}: must be a finite number above 0"
+                )
+        for name in ("beta_1", "beta_2"):
+            if not 0 <= getattr(self, name) < 1:
+                raise InputError(f"optimizer.{name}={getattr(self, name)}: must lie in [0, 1)")
+        factor(self.schedule, self.final)
+
+
+@dataclass
+class EstimatorConfig:
+    """``batch``: pixels drawn per step; ``derivative_sampling``: draw directions for
+    the derivative by roughness; ``freeze``: record kernels once."""
+
+    batch: int = 65536
+    derivative_sampling: bool = False
+    freeze: bool = True
+
+    def __post_init__(self) -> None:
+        _at_least(1, estimator__batch=self.batch)
+        if self.batch > MOST_LANES:
+            raise InputError(f"estimator.batch={self.batch}: at most {MOST_LANES}")
+
+
+@dataclass
+class EvaluationConfig:
+    """Unbilled measuring: times over the run, pixels and paths per pixel each time."""
+
+    count: int = 30
+    pixels: int = 262144
+    spp: int = 4
+
+    def __post_init__(self) -> None:
+        _at_least(1, evaluation__count=self.count, evaluation__pixels=self.pixels)
+        if self.spp < 2 or self.spp % 2:
+            raise InputError(f"evaluation.spp={self.spp}: must be even and at least 2 (two halves)")
+
+
+@dataclass
+class FramesConfig:
+    """Pictures at the end: how many views, paths per pixel; ``snapshots`` on the way, at most."""
+
+    views: int = 4
+    spp: int = 64
+    snapshots: int = 12
+
+    def __post_init__(self) -> None:
+        _at_least(0, frames__views=self.views, frames__snapshots=self.snapshots)
+        _at_least(1, frames__spp=self.spp)
+
+
+@dataclass
+class Config:
+    """Everything of one run."""
+
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    sampler: Dict[str, Any] = field(default_factory=dict)
+    loss: Dict[str, Any] = field(default_factory=dict)
+    size: str = "default"
+    name: str = MISSING
+    seed: int = 1
+    variant: str = "auto"
+    threads: int = 0
+    overwrite: bool = False
+    tracker: str = "none"
+    profile: bool = False
+    report: bool = True
+    budget: BudgetConfig = field(default_factory=BudgetConfig)
+    target: TargetConfig = field(default_factory=TargetConfig)
+    optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    frames: FramesConfig = field(default_factory=FramesConfig)
+
+    def __post_init__(self) -> None:
+        _at_least(0, seed=self.seed, threads=self.threads)
+        scene = self.scene
+        if scene.builder is None and scene.path is None:
+            raise InputError(f"scene={scene.name} needs a file: give scene.path=FILE.xml")
+        if scene.builder is not None:
+            for name in ("path", "max_depth"):
+                if getattr(scene, name) is not None:
+                    raise InputError(
+                        f"scene.{name}={getattr(scene, name)}: only scene=file has it, "
+                        f"not scene={scene.name}"
+                    )
+        if not scene.sizes and self.size != Config.size:
+            raise InputError(
+                f"size={self.size}: scene={scene.name} has no sizes: its films say how large it is"
+            )
+        for key in scene.unknowns if self.estimator.derivative_sampling else ():
+            if roughness_of(key) is None:
+                raise InputError(
+                    f"estimator.derivative_sampling=true: '{key}' is no roughness; it draws for "
+                    f"derivatives by {' or '.join(ROUGHNESSES)} alone: leave it out, or this "
+                    "unknown"
+                )
+        for key, unknown in scene.unknowns.items():
+            # Where there are poses, a key that is none of them may be a slip: told with the scene.
+            named = key in scene.poses or not scene.poses
+            if named and unknown.blur is None and self.sampler.get("name") in _BLURRING:
+                raise InputError(
+                    f"scene.unknowns['{key}'] has no blur, which sampler={self.sampler['name']} "
+                    "needs: give blur: {start: 0.5, end: 0.01}, widths of a Gaussian in its unit"
+                )
+        if scene.targets is None and scene.masks is not None:
+            raise InputError("scene.masks needs scene.targets: rendered targets have no masks")
+        if scene.targets is not None and self.target != TargetConfig():
+            raise InputError("target.… is for rendered targets, but scene.targets are given")
+
+
+def typed(cfg: DictConfig) -> Config:
+    """The configuration as objects, which check what they hold. Raises InputError, and OmegaConf's
+    errors for what is missing."""
+    for group in ("poses", "unknowns"):
+        for key, entry in cfg.scene[group].items():
+            for name in OmegaConf.missing_keys(entry):
+                last = name.rpartition(".")[2]
+                raise InputError(f"scene.{group}['{key}'].{last} is missing")
+            try:
+                OmegaConf.to_object(entry)
+            except InputError as error:  # an object does not know whose it is
+                raise InputError(f"scene.{group}['{key}']: {error}") from None
+    return OmegaConf.to_object(cfg)
+
+
+def register() -> None:
+    """Make the schema known to Hydra as ``schema``."""
+    ConfigStore.instance().store(name="schema", node=Config)
+
+
+def folder() -> str:
+    """The folder of the configuration groups, in a checkout as in an installed wheel."""
+    return str(importlib.resources.files("isas_cli.configs"))

@@ -1,0 +1,86 @@
+"""Which light transport is simulated, which is not, and what in the scene says so.
+
+Read off the scene as it was loaded, nothing is measured: a statement for each effect and its
+evidence, for the record. What a scene does not call for is not simulated.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import mitsuba as mi
+
+from ..rendering import attached
+from ..rendering.derivative_sampling import DerivativeSampling
+
+if TYPE_CHECKING:
+    from ..scene.problem import Problem
+
+
+_UNLIMITED = 2**32 - 1  # what Mitsuba makes of max_depth=-1
+
+
+def plan(problem: "Problem") -> dict[str, str]:
+    """Effect → what is done about it, and why, in the order in which a reader asks."""
+    shapes = problem.scene.shapes()
+    depth = problem.integrator.max_depth
+    return {
+        "light": _counted([e.class_name() for e in problem.scene.emitters()]),
+        "paths": _depth(depth),
+        "refraction": _transmission(shapes),
+        "media": _media(shapes),
+        "moving silhouettes": _moving(problem.unknowns.poses),
+        "colour": "linear RGB, no spectra, no polarisation",
+        "derivatives": _derivatives(problem),
+    }
+
+
+def _moving(poses: list[str]) -> str:
+    if poses:
+        return f"{', '.join(poses)} move objects: compared at several places, or sampled"
+    return "not differentiated: no unknown moves geometry"
+
+
+def _derivatives(problem: "Problem") -> str:
+    integrator = problem.integrator
+    if problem.unknowns.poses:
+        return "not by path replay: as the sampler says"
+    if isinstance(integrator, DerivativeSampling):
+        return "by roughness, directions drawn for the derivative's two parts"
+    if attached.handles(integrator):
+        return "short paths unrolled and differentiated in one go"
+    return "path replay backpropagation"
+
+
+def _depth(depth: int) -> str:
+    """What a longest path of so many edges carries to the camera."""
+    if depth == _UNLIMITED:
+        return "of any length, ended by Russian roulette: all interreflection"
+    if depth <= 1:
+        return "of 1 edge: emission only, no surface is lit"
+    bounces = depth - 2
+    indirect = f"interreflection of up to {bounces} bounces" if bounces else "no interreflection"
+    return f"of up to {depth} edges: direct light, {indirect}"
+
+
+def _transmission(shapes: list) -> str:
+    """Whether light passes through any surface."""
+    through = [
+        shape.id()
+        for shape in shapes
+        if shape.bsdf() is not None and mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Transmission)
+    ]
+    if through:
+        return f"simulated: light passes through {', '.join(through)}"
+    return "not met: no surface lets light through"
+
+
+def _media(shapes: list) -> str:
+    if any(shape.is_medium_transition() for shape in shapes):
+        return "not simulated: what fills shapes is ignored"
+    return "not met: no shape is filled"
+
+
+def _counted(names: list[str]) -> str:
+    return ", ".join(f"{count} × {name}" for name, count in sorted(Counter(names).items()))

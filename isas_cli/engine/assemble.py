@@ -1,0 +1,146 @@
+"""From a configured scene to a ``Problem``."""
+
+from __future__ import annotations
+
+import gc
+import hashlib
+import importlib
+import inspect
+import typing
+from collections.abc import Callable
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..config.schema import SceneConfig, TargetConfig
+from ..rendering import coverage, targets
+from ..rendering.pixels import Views
+from ..runtime import backend
+from ..runtime.errors import InputError, nearest
+from ..scene import mesh_checks, scene_file
+from ..scene.problem import Problem
+from ..unknowns.parameters import textures
+from ..unknowns.poses import Poses
+from ..unknowns.specs import narrow_blurs, parse
+from ..unknowns.unknowns import Unknowns
+
+
+def problem(
+    scene: SceneConfig,
+    target: TargetConfig,
+    progress: Callable[[int, int], None],
+    phase: Callable[[str], None] = lambda name: None,
+    check: Callable[[Problem], None] = lambda made: None,
+) -> Problem:
+    """Load the scene, check its unknowns, find out what is seen, get the targets.
+
+    ``phase(name)`` is told when work of another kind begins ('load', 'targets', 'coverage').
+    ``check(problem)`` may refuse what has neither targets nor coverage yet.
+    """
+    phase("load")
+    # Earlier scenes that nobody uses: collected in the middle of a frozen kernel, they break it.
+    gc.collect()
+    with backend.loading():
+        if scene.path is not None:
+            loaded, integrator, description = scene_file.load(scene.path, scene.max_depth)
+        else:
+            loaded = _from_builder(scene)
+            integrator = loaded.integrator()
+            description = f"{scene.builder} {dict(scene.arguments)}"
+    sensors = loaded.sensors()
+    if not sensors:
+        raise InputError(f"{_where(scene)} has no sensor: add at least one camera")
+    if not loaded.emitters():
+        raise InputError(f"{_where(scene)} has no emitter: without light all images are black")
+    sizes = [tuple(int(x) for x in s.film().crop_size()) for s in sensors]
+    pixels = sum(width * height for width, height in sizes)
+    if pixels >= 2**32 - 1:
+        raise InputError(f"{pixels} pixels in all views together: fewer than 2^32 can be indexed")
+    params = mi.traverse(loaded)
+    content = _content_hash(loaded, integrator, params, description)
+    photographs = scene.targets is not None
+    poses = Poses(scene.poses, params)
+    found = parse(params, scene.unknowns, not photographs, poses)
+    # Traversed anew: reading a parameter marks it as a candidate for an update.
+    unknowns = Unknowns(mi.traverse(loaded), found, poses)
+    result = Problem(
+        scene.name,
+        loaded,
+        integrator,
+        loaded.sensors_dr(),
+        sizes,
+        Views.of(sizes),
+        unknowns,
+        content,
+        warnings=[
+            *mesh_checks.check_scene(loaded, textures(params, unknowns.keys)),
+            *narrow_blurs(found),
+        ],
+    )
+    check(result)
+    if photographs:
+        phase("targets")
+        result.set_targets(*targets.load(result, scene.targets, scene.masks))
+    phase("coverage")
+    # Not the run's own seed: runs are compared over the same entries.
+    coverage.fill_in(result, target.seed)
+    # Last, because this may take minutes and nothing can be refused after it.
+    if not photographs:
+        phase("targets")
+        rendered, digest = targets.render(result, target.spp, target.seed, progress)
+        result.set_targets(rendered, None, digest)
+    return result
+
+
+def _where(scene: SceneConfig) -> str:
+    return f"scene.path={scene.path}" if scene.path is not None else f"scene={scene.name}"
+
+
+def _from_builder(scene: SceneConfig) -> mi.Scene:
+    module, _, function = scene.builder.rpartition(".")
+    try:
+        build = getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(f"scene.builder={scene.builder}: cannot be imported ({error})") from error
+    _check_arguments(scene, build)
+    dictionary = build(**scene.arguments)
+    # Merging equal materials would turn two unknowns with equal starts into one.
+    return mi.load_dict(dictionary, optimize=False)
+
+
+def _check_arguments(scene: SceneConfig, build: Callable) -> None:
+    """All that the builder asks for, nothing else, each of its type, whole numbers from 1 on."""
+    kinds = typing.get_type_hints(build)
+    wanted = inspect.signature(build).parameters
+    for name, value in scene.arguments.items():
+        if name not in wanted:
+            raise InputError(f"scene.arguments.{name}: no such argument; {nearest(name, wanted)}")
+        kind = kinds.get(name)
+        if kind is int and (not isinstance(value, int) or isinstance(value, bool) or value < 1):
+            raise InputError(f"scene.arguments.{name}={value}: a whole number, at least 1")
+    for name, parameter in wanted.items():
+        if name not in scene.arguments and parameter.default is parameter.empty:
+            raise InputError(f"scene.arguments.{name} is missing: {scene.builder} needs it")
+
+
+def _content_hash(
+    scene: mi.Scene, integrator, params: mi.SceneParameters, description: str = ""
+) -> str:
+    """Hash of what a rendering depends on: the scene's description and all its arrays.
+
+    ``description``: what the scene was made from. Mitsuba's own texts leave properties out, such
+    as a bitmap's wrap mode or an integrator's hidden emitters.
+    """
+    hashed = hashlib.blake2b(digest_size=16)
+    hashed.update(str(scene).encode())
+    hashed.update(f"{integrator} {getattr(integrator, 'hide_emitters', None)}".encode())
+    hashed.update(description.encode())
+    for key in sorted(params.keys()):
+        value = params[key]
+        hashed.update(key.encode())
+        if dr.is_array_v(value) and not dr.is_special_v(value):
+            hashed.update(np.ascontiguousarray(np.array(value)).tobytes())
+        else:
+            hashed.update(str(value).encode())
+    return hashed.hexdigest()

@@ -1,0 +1,186 @@
+"""What a person sees while a run goes on."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+from rich.table import Column
+
+from ..runtime.budget import Budget
+
+# Plain lines: one per evaluation; for targets at most one every so many seconds.
+_QUIET_SECONDS = 5.0
+# Redrawing is host time: not more often than a person can read.
+_REDRAW_SECONDS = 0.25
+_ROOMY = 100  # columns of a terminal from which on the bar may be long
+_BESIDE = 12  # columns of the spinner, the longest phase's name and the gaps
+
+
+def _number(value) -> str:
+    return "–" if value is None or value != value else f"{value:.3g}"
+
+
+class Display:
+    """A live line in a terminal, plain lines elsewhere. Writes to standard error."""
+
+    def __init__(self, budget: Budget | None) -> None:
+        self.console = Console(stderr=True)
+        self.live = self.console.is_terminal and sys.stderr.isatty()
+        self.budget = budget
+        self._bar_width = 16 if self.console.width >= _ROOMY else 8
+        self._bar: Progress | None = None
+        self._last = 0.0
+
+    def __enter__(self) -> "Display":
+        if self.live:
+            one_line = Column(no_wrap=True, overflow="ellipsis")
+            self._bar = Progress(
+                SpinnerColumn(),
+                TextColumn("{task.description}", table_column=Column(no_wrap=True)),
+                BarColumn(bar_width=self._bar_width),
+                TextColumn("{task.fields[text]}", table_column=one_line, markup=False),
+                console=self.console,
+                transient=True,
+                # Drawn between iterations: a thread of its own would draw in billed time.
+                auto_refresh=False,
+            )
+            self._task = self._bar.add_task("", total=1.0, text="")
+            self._bar.start()
+        return self
+
+    def __exit__(self, *unused) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """Take the live line away; what follows are lasting lines."""
+        if self._bar:
+            self._bar.stop()
+            self._bar = None
+
+    def say(self, text: str) -> None:
+        """A lasting line."""
+        self.console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    def interrupted(self) -> None:
+        """Ctrl-C was pressed, and the record is being finished."""
+        self.say("interrupted: finishing the record (Ctrl-C again: stop at once)")
+
+    def phase(self, name: str) -> None:
+        """Work of another kind begins."""
+        if self._bar:
+            self._bar.update(self._task, description=name, completed=0.0, text="", refresh=True)
+        self._last = time.monotonic()
+
+    def targets(self, done: int, total: int) -> None:
+        """Progress of rendering targets, in light paths."""
+        if self._bar:
+            text = f"{done / 1e6:.1f} of {total / 1e6:.1f} M paths"
+            self._bar.update(self._task, completed=done / total, text=text, refresh=True)
+        elif time.monotonic() - self._last > _QUIET_SECONDS or done == total:
+            self._last = time.monotonic()
+            self.say(f"targets {100 * done / total:.0f} %")
+
+    def evaluated(self, row: dict) -> None:
+        """A new row of the history: always a line where there is no terminal."""
+        if not self.live:
+            self.say("  ".join(self._fields(row)))
+
+    def stepped(self, loop, progress: float) -> None:
+        """After each iteration; redraws at most a few times a second."""
+        now = time.monotonic()
+        if not self._bar or now - self._last < _REDRAW_SECONDS:
+            return
+        self._last = now
+        room = self.console.width - self._bar_width - _BESIDE
+        text = _fitting(self._fields(self._present(loop)), room)
+        self._bar.update(self._task, completed=progress, text=text, refresh=True)
+
+    @staticmethod
+    def _present(loop) -> dict:
+        """The last row with what has been spent since."""
+        return (loop.last or {}) | {
+            "iteration": loop.position.iteration,
+            "seconds": loop.clock.seconds,
+            "paths": loop.position.paths,
+        }
+
+    def _fields(self, row: dict) -> list[str]:
+        """Time, iteration, errors and speed; the first of them in the order of importance."""
+        budget, seconds = self.budget, row["seconds"]
+        spent = f"/{budget.seconds:g}" if budget and budget.seconds is not None else ""
+        steps = f"/{budget.iterations}" if budget and budget.iterations is not None else ""
+        rate = f"{row['paths'] / seconds / 1e6:.2f}" if seconds else "–"
+        fields = [f"{seconds:5.1f}{spent} s", f"it {row['iteration']:3d}{steps}"]
+        if "parameter_rmse" in row:
+            fields.append(f"param {_number(row['parameter_rmse'])}")
+        fields.append(f"image {_number(row.get('image_rmse'))}")
+        fields.append(f"loss {_number(row.get('loss'))}")
+        fields.append(f"{rate} M paths/s")
+        return fields
+
+
+class Lane:
+    """One contestant's share of a race's display."""
+
+    def __init__(self, race: "RaceDisplay", name: str):
+        self.race, self.name, self.progress = race, name, 0.0
+
+    def phase(self, name: str) -> None:
+        self.race.phase(f"{name} {self.name}")
+
+    def evaluated(self, row: dict) -> None:
+        if not self.race.live:
+            self.race.say(f"{self.name}:  " + "  ".join(self.race._fields(row)))
+
+    def stepped(self, loop, progress: float) -> None:
+        self.progress = progress
+        self.race.redraw(self, loop)
+
+
+class RaceDisplay(Display):
+    """One line for all contestants of a race: whose turn it is, and how far all are together."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__(None)
+        self.lanes: list[Lane] = []
+        self.count = count
+
+    def lane(self, name: str) -> Lane:
+        self.lanes.append(Lane(self, name))
+        return self.lanes[-1]
+
+    def redraw(self, lane: Lane, loop) -> None:
+        """After an iteration of one contestant."""
+        now = time.monotonic()
+        if not self._bar or now - self._last < _REDRAW_SECONDS:
+            return
+        self._last = now
+        together = sum(each.progress for each in self.lanes) / self.count
+        row = self._present(loop)
+        room = self.console.width - self._bar_width - _BESIDE - len(lane.name)
+        self._bar.update(
+            self._task,
+            description=lane.name,
+            completed=together,
+            text=_fitting(self._fields(row), room),
+            refresh=True,
+        )
+
+    def ended(self, name: str, status: str, first: dict, last: dict) -> None:
+        """A contestant's record is finished."""
+        measure = "parameter_rmse" if "parameter_rmse" in last else "image_rmse"
+        change = f"{measure} {_number(first.get(measure))} → {_number(last.get(measure))}"
+        self.say(f"{name}: {status}, {change}")
+
+
+def _fitting(fields: list[str], width: int) -> str:
+    """As many of the fields, from the first on, as fit into one line."""
+    line = fields[0]
+    for field in fields[1:]:
+        if len(line) + 2 + len(field) > width:
+            break
+        line += "  " + field
+    return line

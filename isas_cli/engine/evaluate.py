@@ -1,0 +1,121 @@
+"""Measuring where a run stands, with pixels, seeds and samples of its own."""
+
+from __future__ import annotations
+
+import math
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..records import VALUE_PREFIX
+from ..rendering.renderer import Renderer
+from ..runtime import streams
+from ..scene.problem import Problem
+from ..unknowns.parameters import as_numpy
+
+# An unknown of at most so many numbers is followed number by number.
+_FEW = 8
+
+
+class Evaluator:
+    """Loss, image error and parameter error at given values; never billed.
+
+    Renders a fixed stratified set of ``pixels`` (all of them where there are fewer) with ``spp``
+    paths each, in two independent halves A and B, with the same seeds every time.
+
+    ``image_rmse`` is √mean_j,c (A - A*)(B - B*). Where the truth is known, A* and B* are the
+    truth rendered with the very same random numbers: the expectation of the product is the
+    squared difference of the *mean* images, its noise vanishes as the images agree, and neither
+    the evaluation's noise nor the targets' passes for error. For photographs A* and B* are both
+    the photograph, whose noise remains. (Clamped at 0 where noise makes the mean negative.)
+    ``loss`` is ℒ from A and B against the targets, whose noise it contains, and A's and B's own
+    only where the loss is not quadratic.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        loss,
+        pixels: int,
+        spp: int,
+        base: int,
+        renderer: Renderer | None = None,
+    ):
+        self.problem, self.loss, self.spp, self.base = problem, loss, spp, base
+        counting = np.arange(problem.views.total, dtype=np.uint32)
+        if problem.mask is not None:
+            counting = counting[np.array(problem.mask) > 0]
+        count = min(pixels, counting.size)
+        rng = np.random.default_rng(streams.seed(base, 0, "evaluation_place"))
+        strata = (np.arange(count) + rng.random(count)) * (counting.size / count)
+        if count < counting.size:
+            counting = counting[np.minimum(strata.astype(np.int64), counting.size - 1)]
+        self.pixels = mi.UInt32(counting)
+        self.renderer = Renderer(problem, renderer)
+        self.target = dr.gather(mi.Color3f, problem.targets, self.pixels)
+        self.references = (self.target, self.target)
+        if problem.truth_known:
+            self.references = self._halves(problem.unknowns.truths())
+
+    def _halves(self, values: dict) -> tuple[mi.Color3f, mi.Color3f]:
+        """Two independent renderings of the chosen pixels at ``values``. Evaluates."""
+        self.problem.unknowns.write(values)
+        half = self.spp // 2
+        halves = tuple(
+            self.renderer.pixels(
+                self.pixels,
+                half,
+                lambda s, h=h: streams.seed(self.base, h * half + s, "evaluation"),
+            )
+            for h in (0, 1)
+        )
+        dr.eval(halves)
+        return halves
+
+    def __call__(self, values: dict) -> dict[str, float]:
+        """``loss``, ``image_rmse``, ``parameter_rmse``, ``parameter_rmse/<key>``, and ``few``."""
+        first, second = self._halves(values)
+        weight = mi.Float(1)
+        if self.problem.mask is not None:
+            weight = dr.gather(mi.Float, self.problem.mask, self.pixels)
+        squared = dr.sum((first - self.references[0]) * (second - self.references[1])) * weight
+        loss = dr.sum(self.loss.measured(first, second, self.target)) * weight
+        norm = 3.0 * dr.width(self.pixels)
+        if self.problem.mask is not None:
+            norm = 3.0 * float(dr.sum(weight)[0])
+        result = {
+            "loss": float(dr.sum(loss)[0]) / norm,
+            "image_rmse": math.sqrt(max(0.0, float(dr.sum(squared)[0]) / norm)),
+        }
+        return result | self.parameter_errors(values) | self.few(values)
+
+    def few(self, values: dict) -> dict[str, float]:
+        """The numbers themselves of unknowns that have few: ``value/<key>``, or
+        ``value/<key>/<i>`` where there are several."""
+        found = {}
+        for key, value in values.items():
+            numbers = as_numpy(value).reshape(-1)
+            if numbers.size == 1:
+                found[f"{VALUE_PREFIX}{key}"] = float(numbers[0])
+            elif numbers.size <= _FEW:
+                names = (f"{VALUE_PREFIX}{key}/{i}" for i in range(numbers.size))
+                found |= dict(zip(names, map(float, numbers)))
+        return found
+
+    def parameter_errors(self, values: dict) -> dict[str, float]:
+        """RMSE over the entries that some view sees, per key, and over all keys together.
+
+        ``parameter_rmse`` is the root of the mean over *keys* of the squared errors, in the
+        parameters' own units: a scalar weighs as much as a texture.
+        """
+        if not self.problem.truth_known:
+            return {}
+        errors = {}
+        for unknown in self.problem.unknowns:
+            difference = (as_numpy(values[unknown.key]) - unknown.truth)[unknown.seen]
+            if unknown.period:  # the shorter way round
+                difference -= unknown.period * np.round(difference / unknown.period)
+            errors[f"parameter_rmse/{unknown.key}"] = float(np.sqrt(np.mean(difference**2)))
+        together = math.sqrt(sum(e * e for e in errors.values()) / len(errors))
+        return {"parameter_rmse": together} | errors

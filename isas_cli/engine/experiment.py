@@ -1,0 +1,178 @@
+"""One run from its configuration to its record: the only place where all parts meet."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omegaconf import DictConfig
+
+from ..config import schema
+from ..config.compose import instantiate
+from ..config.schema import Config
+from ..records import trackers
+from ..runtime import backend, interrupt
+from ..runtime.budget import Budget
+from ..runtime.errors import NumericalError
+from .display import Display
+
+if TYPE_CHECKING:
+    from ..scene.problem import Problem
+    from .recorder import Recorder
+
+
+def run(cfg: DictConfig, folder: Path) -> int:
+    """Run ``cfg`` and leave its record in ``folder``. Returns 0, or 130 after Ctrl-C.
+
+    Raises InputError before anything is computed where that is possible and before there is a
+    record, and NumericalError after the record has been finished with the last good state.
+    """
+    typed, budget = checked(cfg)
+    machine = started([cfg], typed)
+    with _recorder(cfg, typed, budget, Path(folder)) as recorder:
+        return _go(recorder, lambda: recorder.open(machine))
+
+
+def resume(folder: Path, changes: dict | None = None) -> int:
+    """Go on with the run in ``folder`` from its last checkpoint. Returns 0, or 130 after Ctrl-C.
+
+    ``changes``: new values by key, such as ``{"budget.seconds": 120}``; the budget is the whole
+    run's, what was spent before included. Parameters, moments, the sampler's cells and the random
+    streams continue as if there had been no stop. Raises InputError when there is nothing to
+    continue, when the scene or its targets have changed since, or when the run is still going on.
+    """
+    from .resumption import check_same, prepare
+
+    earlier = prepare(Path(folder), changes or {})
+    typed, budget = checked(earlier.cfg)
+    machine = started([earlier.cfg], typed)
+    with _recorder(earlier.cfg, typed, budget, earlier.folder) as recorder:
+        check_same(recorder.loop.problem, machine, earlier.manifest, earlier.folder)
+        return _go(recorder, lambda: recorder.reopen(machine, earlier))
+
+
+def checked(cfg: DictConfig) -> tuple[Config, Budget]:
+    """The typed configuration and its budget. Raises InputError for what can be told without
+    Mitsuba."""
+    typed = schema.typed(cfg)
+    budget = Budget(typed.budget.seconds, typed.budget.iterations, typed.budget.paths)
+    trackers.check(typed.tracker)
+    return typed, budget
+
+
+def started(cfgs: list[DictConfig], typed: Config) -> backend.Backend:
+    """The backend, started; then loss and sampler of each configuration are made once, so that
+    they can refuse their settings before a scene is loaded."""
+    machine = backend.start(typed.variant, typed.threads)
+    for cfg in cfgs:
+        instantiate(cfg.loss, "loss")
+        instantiate(cfg.sampler, "sampler")
+    return machine
+
+
+class Phases:
+    """Unbilled phases before a loop has a clock of its own. Ctrl-C is heeded between them."""
+
+    def __init__(self, display):
+        self.display = display
+        self.seconds: dict[str, float] = {}
+        self._name, self._since = None, time.perf_counter()
+
+    def begin(self, name: str | None) -> None:
+        """End the phase that runs and begin the next."""
+        interrupt.check()
+        now = time.perf_counter()
+        if self._name:
+            spent = now - self._since
+            self.seconds[self._name] = self.seconds.get(self._name, 0.0) + spent
+        self._name, self._since = name, now
+        if name:
+            self.display.phase(name)
+
+    def rendered(self, done: int, total: int) -> None:
+        """Progress of the targets."""
+        interrupt.check()
+        self.display.targets(done, total)
+
+
+def built(typed: Config, phases: Phases, cfgs: Iterable[DictConfig] = ()) -> "Problem":
+    """The problem of a configuration, its phases timed. Raises InputError before there are targets
+    where the sampler of one of ``cfgs``, which are to run on it, cannot."""
+    # Mitsuba's types exist only once the backend has started.
+    from . import assemble
+
+    def check(problem: "Problem") -> None:
+        for cfg in cfgs:
+            loss, sampler = instantiate(cfg.loss, "loss"), instantiate(cfg.sampler, "sampler")
+            sampler.check(problem, loss, cfg.estimator.batch)
+
+    return assemble.problem(typed.scene, typed.target, phases.rendered, phases.begin, check)
+
+
+@contextmanager
+def _recorder(cfg: DictConfig, typed: Config, budget: Budget, folder: Path) -> Iterator["Recorder"]:
+    """Everything up to the loop, compiled; no folder is written yet."""
+    with Display(budget) as display:
+        phases = Phases(display)
+        problem = built(typed, phases, [cfg])
+        phases.begin("prepare")
+        from .recorder import Recorder
+        from .workshop import Workshop
+
+        workshop = Workshop(problem)
+        loop = workshop.loop(cfg, typed, budget)
+        phases.begin(None)
+        loop.clock.unbilled_seconds.update(phases.seconds)
+        yield Recorder(cfg, typed, loop, folder, display, workshop.renderer)
+
+
+def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
+    """Rehearse, run, record. The record is finished when the budget, Ctrl-C or a numerical failure
+    ends the loop; after any other end its checkpoint can be continued.
+
+    There is no folder before everything is known to work, and from then on Ctrl-C waits.
+    """
+    loop, display = recorder.loop, recorder.display
+    display.phase("compile")
+    loop.rehearse()
+    interrupt.check()
+    with interrupt.graceful(display.interrupted) as stop:
+        display.phase("pictures")
+        begin()
+        display.phase(str(recorder.cfg.sampler.name))
+        try:
+            status = loop.run(recorder.hooks(stop))
+        except NumericalError:
+            recorder.close("numerical failure")
+            _announce(recorder, "numerical failure", recorder.illustrate())
+            raise
+        recorder.close(status)
+        # Stopped once, a run has its pictures made; stopped while they are made, it does not.
+        given_up = stop if status == "done" else lambda: False
+        _announce(recorder, status, recorder.illustrate(given_up))
+        if given_up():
+            status = "interrupted"
+    return interrupt.STATUS if status == "interrupted" else 0
+
+
+def _announce(recorder: "Recorder", status: str, page: Path) -> None:
+    first, last = recorder.ends
+    recorder.display.stop()
+    say = recorder.display.say
+    for name in ("image_rmse", "parameter_rmse"):
+        if name in first and name in last:
+            say(f"{name}: {first[name]:.4g} → {last[name]:.4g}")
+    if recorder.profile is not None:
+        from .profiling import table
+
+        recorder.display.console.print(table(recorder.profile), highlight=False)
+    for warning in recorder.warnings:
+        say(f"warning: {warning}")
+    if status == "interrupted":
+        say("interrupted: the record is complete up to here; go on with")
+        say(f"  isas run resume={recorder.folder}")
+    # The one line on standard output: where the result is.
+    print(f"{'report' if recorder.typed.report else 'record'}: {page}")

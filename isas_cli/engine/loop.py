@@ -1,0 +1,296 @@
+"""The loop: refresh the distribution, estimate, check finite, step, project, record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..runtime.budget import Budget
+from ..runtime.clock import Clock
+from ..runtime.errors import NumericalError
+from ..samplers import reliability
+from ..samplers.sampler import Sampler
+from ..scene.problem import Problem
+from ..unknowns.parameters import flat
+from .evaluate import Evaluator
+from .optimiser import Stepper
+
+# Recording a frozen kernel takes two or three calls; from the fourth on a step is steady.
+_REHEARSAL_STEPS = 5
+# Evaluations crowd towards the start, where the error falls fastest.
+_EVALUATION_POWER = 1.5
+# If more than this share of the touched gradient entries since the last evaluation is not finite,
+# going on makes no sense.
+_NONFINITE_LIMIT = 0.5
+# Iteration numbers of the rehearsal: out of reach of any run, so that no stream repeats (but for
+# samplers that take eight streams an iteration, whose looks are then those of the run's begin).
+_REHEARSAL_BASE = 1 << 24
+
+
+class Estimator(Protocol):
+    """What estimates gradients: ``estimators``."""
+
+    @property
+    def paths_per_step(self) -> int: ...
+
+    def estimate(
+        self, values: dict, distribution, base: int, iteration: int, progress: float
+    ) -> dict: ...
+
+
+@dataclass
+class Position:
+    """Where a run stands: everything a continuation needs besides parameters and moments."""
+
+    iteration: int = 0
+    paths: int = 0
+    evaluations: int = 0
+    # What was spent before the first step: billed seconds, light paths.
+    before: tuple[float, int] = (0.0, 0)
+
+
+@dataclass
+class Hooks:
+    """Whom the loop tells. None of these is billed."""
+
+    evaluated: Callable[[dict], None] = lambda row: None
+    stepped: Callable[["Loop", float], None] = lambda loop, progress: None
+    stop: Callable[[], bool] = lambda: False
+
+
+class Loop:
+    """One run of Adam on one problem with one sampler and one estimator."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        sampler: Sampler,
+        stepper: Stepper,
+        evaluator: Evaluator,
+        budget: Budget,
+        estimator: Estimator,
+        seed: int,
+        evaluations: int,
+    ):
+        self.problem, self.sampler, self.stepper = problem, sampler, stepper
+        self.evaluator, self.budget, self.seed = evaluator, budget, seed
+        self.evaluations = evaluations
+        self.clock = Clock()
+        self.position = Position()
+        self.last: dict | None = None
+        self.lost = 0  # paths of evaluations that came out non-finite
+        self.estimator = estimator
+        self.warnings: list[str] = []
+        self._weights = self._distribution = self._gradients = None
+        self._counted = 0, 0
+
+    @property
+    def progress(self) -> float:
+        p = self.position
+        return self.budget.progress(self.clock.seconds, p.iteration, p.paths)
+
+    @property
+    def scheduled(self) -> float:
+        """Progress of the learning rate's schedule, which runs from the first step to the end of
+        the budget: a sampler whose first look takes long must not begin at a rate half decayed."""
+        seconds, paths = self.position.before
+        before = self.budget.progress(seconds, 0, paths)
+        return (self.progress - before) / (1 - before) if before < 1 else 1.0
+
+    def rehearse(self) -> None:
+        """Compile everything the run will launch, measure the gradient's scale, start afresh."""
+        with self.clock.unbilled("rehearsal"):
+            gradients = []
+            for i in range(_REHEARSAL_STEPS):
+                iteration = _REHEARSAL_BASE + i
+                # Twice, because the first expansion of the cells is still being recorded.
+                if i < 2 or self.sampler.refresh:
+                    self._look(iteration)
+                gradients.append(self._estimate(iteration))
+                self.stepper.step(gradients[-1], 0.0)
+            self.stepper.calibrate(gradients)
+            starts = self.problem.unknowns.starts()
+            doubt = reliability.warning(self.sampler, starts, self.seed, _REHEARSAL_BASE)
+            self.warnings = [doubt] if doubt else []
+            self.stepper.restart(starts)
+            self._weights = self._distribution = None
+
+    def run(self, hooks: Hooks) -> str:
+        """Go on until the budget is spent. Returns 'done' or 'interrupted'.
+
+        Raises NumericalError when the estimates are mostly non-finite; values and moments are
+        then those of the last step, which are finite.
+        """
+        self.begin(hooks)
+        return "done" if self.advance(hooks) else self.halt(hooks)
+
+    def begin(self, hooks: Hooks) -> None:
+        """Evaluate the start, which a continued run has behind it."""
+        if self.last is None:
+            self._evaluate(hooks)
+        self._count_evaluations()
+        if self.progress >= 1 and self.last["iteration"] != self.position.iteration:
+            self._evaluate(hooks)
+
+    def advance(self, hooks: Hooks, seconds: float = math.inf) -> bool:
+        """Iterate for about ``seconds`` of billed time, at least once; True: the budget is spent.
+
+        Raises NumericalError like ``run``.
+        """
+        until = self.clock.seconds + seconds
+        while self.progress < 1:
+            if hooks.stop():
+                return False
+            self._iterate()
+            progress = self.progress
+            if progress >= 1 or progress >= self._next_evaluation():
+                self._evaluate(hooks)
+            hooks.stepped(self, progress)
+            if self.clock.seconds >= until:
+                break
+        return self.progress >= 1
+
+    def halt(self, hooks: Hooks) -> str:
+        """Stop before the budget is spent, with a row that says where. Returns 'interrupted'."""
+        if self.last["iteration"] != self.position.iteration:
+            self._evaluate(hooks)
+        return "interrupted"
+
+    def _iterate(self) -> None:
+        p = self.position
+        if self.sampler.due(p.iteration):
+            with self.clock.billed("stage1"):
+                self._look(p.iteration)
+            p.paths += self.sampler.paths_per_look
+            if p.iteration == 0:
+                p.paths += self.sampler.paths_before
+        if p.iteration == 0:
+            p.before = self.clock.seconds, p.paths
+        with self.clock.billed("step"):
+            scheduled = self.scheduled
+            self._gradients = self._estimate(p.iteration)
+            self.stepper.step(self._gradients, scheduled)
+        p.paths += self.estimator.paths_per_step
+        p.iteration += 1
+
+    def _look(self, iteration: int) -> None:
+        moments = None
+        if self.sampler.needs_moments and self.stepper.taken:
+            moments = self.stepper.moments(self.scheduled)
+        self.sampler.scheduled = self.scheduled
+        found = self.sampler.look(self.stepper.values, self.seed, iteration, moments)
+        self._weights = self.sampler.blended(self._weights, found)
+        self._spread()
+
+    def _spread(self) -> None:
+        """From the cells' weights to the distribution that draws follow."""
+        self._distribution = self.sampler.distribution(self._weights)
+        dr.eval(self._distribution.cdf)
+
+    def _estimate(self, iteration: int) -> dict:
+        where = self._distribution, self.seed, iteration
+        return self.estimator.estimate(self.stepper.values, *where, self.scheduled)
+
+    def _count_evaluations(self) -> None:
+        """How many evaluations are behind this progress, whether one stood for several that a
+        long iteration jumped over, or the budget has grown since."""
+        p = self.position
+        p.evaluations = 1
+        while self._next_evaluation() <= self.progress < 1:
+            p.evaluations += 1
+
+    def _next_evaluation(self) -> float:
+        return (self.position.evaluations / self.evaluations) ** _EVALUATION_POWER
+
+    def _evaluate(self, hooks: Hooks) -> None:
+        p = self.position
+        with self.clock.unbilled("evaluation"):
+            before = self.evaluator.renderer.nonfinite
+            row = self.evaluator(self.stepper.values)
+            self.lost += self.evaluator.renderer.nonfinite - before
+            nonfinite = int(self.stepper.nonfinite[0])
+            norm = self._gradient_norm()
+            noise = self._gradients and self.stepper.noise(self._gradients)
+        self._count_evaluations()
+        row |= {
+            "iteration": p.iteration,
+            "seconds": self.clock.seconds,
+            "paths": p.paths,
+            "gradient_norm": norm,
+            "gradient_noise": noise,
+            "nonfinite": nonfinite,
+            "stage1_seconds": self.clock.billed_seconds["stage1"],
+            "learning_rate": self.stepper.rate(self.scheduled),
+        }
+        self.last = row
+        hooks.evaluated(row)
+        self._check(nonfinite, int(self.stepper.touched[0]))
+
+    def _check(self, nonfinite: int, touched: int) -> None:
+        bad, all_ = nonfinite - self._counted[0], touched - self._counted[1]
+        self._counted = nonfinite, touched
+        if bad > _NONFINITE_LIMIT * all_:
+            raise NumericalError(
+                f"{bad} of the last {all_} gradient entries were not finite (zeros left out): the "
+                "last good values are kept; look for values at the edge of their range"
+            )
+
+    def _gradient_norm(self) -> float:
+        """‖⟨dℒ/dθ⟩‖ of the last estimate over its finite entries, all unknowns together."""
+        if self._gradients is None:
+            return float("nan")
+        total = 0.0
+        for gradient in self._gradients.values():
+            entries = np.array(flat(gradient), dtype=np.float64)
+            total += float(np.sum(entries[np.isfinite(entries)] ** 2))
+        return total**0.5
+
+    def export(self) -> tuple[dict[str, np.ndarray], dict]:
+        """Everything that a continuation needs, as arrays and JSON state. Random streams are
+        functions of the base seed and the iteration, so the iteration is their state."""
+        arrays, state = self.stepper.export()
+        if self._weights is not None:
+            arrays["cells"] = np.array(self._weights)
+        p = self.position
+        state |= {
+            "seed": self.seed,
+            "iteration": p.iteration,
+            "paths": p.paths,
+            "before": p.before,
+            "counted": self._counted,
+            "lost": self.lost,
+            "billed": dict(self.clock.billed_seconds),
+            "unbilled": dict(self.clock.unbilled_seconds),
+        }
+        return arrays, state
+
+    def restore(self, arrays: dict[str, np.ndarray], state: dict) -> None:
+        """Go on where ``export`` was called: after ``rehearse``, before ``run``. Raises KeyError
+        or ValueError where something is missing or does not fit."""
+        self.stepper.restore(arrays, state)
+        if "cells" in arrays:
+            self._weights = mi.Float(arrays["cells"])
+            self._spread()
+        # Checkpoints of earlier versions lack it: their schedule began with the budget.
+        seconds, paths = state.get("before", (0.0, 0))
+        self.position = Position(int(state["iteration"]), int(state["paths"]))
+        self.position.before = float(seconds), int(paths)
+        self._counted, self.lost = tuple(state["counted"]), state["lost"]
+        self.clock.billed_seconds.update(state["billed"])
+        for phase, seconds in state["unbilled"].items():
+            self.clock.unbilled_seconds[phase] += seconds
+        self._count_evaluations()
+
+    def density(self) -> np.ndarray | None:
+        """p_j n of every pixel at present (1: as often as uniformly), or None before a look."""
+        if self._distribution is None:
+            return None
+        views = self.problem.views
+        pixel = views.locate(dr.arange(mi.UInt32, views.total))
+        return np.array(self._distribution.probability(*pixel) * views.total)

@@ -1,0 +1,172 @@
+"""Adam's step on the unknowns: finite, scaled, inside the legal ranges."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..config.schema import OptimizerConfig
+from ..runtime.schedule import factor
+from ..samplers.sampler import Moments
+from ..unknowns.parameters import as_numpy, flat, unflat
+from ..unknowns.unknowns import Unknowns
+
+
+class Stepper:
+    """Dr.Jit's Adam with what an inverse problem needs around it.
+
+    - Non-finite gradient entries are counted (``nonfinite``; ``touched`` counts these and all that
+      are not zero) and replaced by zero before they
+      reach a moment: one NaN would poison its entry for good.
+    - Adam divides by √v̂ + ε with ε = 1e-8. A loss that is a mean over millions of pixels has
+      gradients of that size, and ε would slow it silently. ``scale`` (per unknown, fixed for the
+      run, from a rehearsal's root mean square) brings them to order 1; Adam is invariant to it
+      but for ε.
+    - After the step, values are clamped to their legal ranges.
+    """
+
+    def __init__(self, unknowns: Unknowns, settings: OptimizerConfig):
+        self.unknowns, self.settings = unknowns, settings
+        scheduled = factor(settings.schedule, settings.final)
+        self.factor = lambda progress: settings.factor * scheduled(progress)
+        self.scale = {key: 1.0 for key in unknowns.keys}
+        self.restart(unknowns.starts())
+
+    def restart(self, values: dict) -> None:
+        """Fresh moments, given values."""
+        s = self.settings
+        self.adam = mi.ad.Adam(
+            lr=s.lr, beta_1=s.beta_1, beta_2=s.beta_2, mask_updates=s.mask_updates
+        )
+        for key, value in values.items():
+            self.adam[key] = value
+        self.nonfinite, self.touched = mi.UInt64(0), mi.UInt64(0)
+        # The steps that each entry has taken part in, for the moments' bias corrections.
+        self.visits = {key: dr.zeros(mi.Float, dr.width(flat(values[key]))) for key in values}
+        # Opaque: as literals they would be compiled into the first step.
+        dr.make_opaque(self.nonfinite, self.touched, self.visits)
+
+    @property
+    def values(self) -> dict:
+        return {key: dr.detach(self.adam[key]) for key in self.unknowns.keys}
+
+    @property
+    def taken(self) -> int:
+        """Steps since the start."""
+        return int(self.adam.state[self.unknowns.keys[0]][3][0][0])
+
+    def rate(self, progress: float) -> float:
+        """The learning rate of unknowns without their own, at this progress of the budget."""
+        return self.settings.lr * self.factor(progress)
+
+    def step(self, gradients: dict, progress: float) -> None:
+        """One Adam step along ``gradients`` (by key, any scale). Evaluates the new values."""
+        factor = self.factor(progress)
+        rates, bad, touched = {}, mi.UInt64(0), mi.UInt64(0)
+        for unknown in self.unknowns:
+            key = unknown.key
+            rates[key] = (unknown.lr or self.settings.lr) * factor
+            entries = flat(gradients[key])
+            finite = dr.isfinite(entries)
+            bad += mi.UInt64(dr.count(~finite))
+            touched += mi.UInt64(dr.count(~finite | (entries != 0)))
+            # Opaque, because the factor differs from run to run and would compile anew.
+            scale = dr.opaque(mi.Float, self.scale[key])
+            clean = dr.select(finite, entries * scale, 0)
+            took_part = (clean != 0) | (not self.settings.mask_updates)
+            self.visits[key] += dr.select(took_part, mi.Float(1), 0)
+            dr.set_grad(self.adam[key], unflat(gradients[key], clean))
+        self.nonfinite += bad
+        self.touched += touched
+        self.adam.set_learning_rate(rates)
+        self.adam.step(eval=False)
+        for unknown in self.unknowns:
+            if np.isfinite(unknown.low) or np.isfinite(unknown.high):
+                value = self.adam[unknown.key]
+                self.adam[unknown.key] = dr.clip(dr.detach(value), unknown.low, unknown.high)
+        dr.eval(self.adam.state, self.nonfinite, self.touched, self.visits)
+
+    def calibrate(self, gradients: list[dict]) -> None:
+        """Fix ``scale`` as 1 / (root mean square of the non-zero finite entries), per unknown."""
+        for key in self.unknowns.keys:
+            entries = np.concatenate([np.array(flat(g[key])) for g in gradients])
+            entries = entries[np.isfinite(entries) & (entries != 0)].astype(np.float64)
+            size = float(np.sqrt(np.mean(entries**2))) if entries.size else 0.0
+            self.scale[key] = 1.0 / size if size > 0 else 1.0
+
+    def noise(self, gradients: dict) -> float:
+        """How far the gradient lies from its running mean: PBDR Eq. (9) of one iteration t,
+
+            1/N Σ_k (g_t,k^smoothed - g_t,k^unsmoothed)²,
+
+        g^unsmoothed the estimate ``gradients``, g^smoothed Adam's first moment after the step,
+        bias-corrected for the steps that each entry took part in (``mask_updates`` leaves entries
+        out, for which Adam's own correction, by the number of all steps, would be wrong). The
+        paper does not say what N is: here the entries k that the estimate touched at least the
+        second time, as the first time the mean is the gradient itself. In the gradient's own
+        unit, squared; NaN without such an entry. On the host.
+        """
+        total, count = 0.0, 0
+        for key in self.unknowns.keys:
+            first = flat(self.adam.state[key][3][1])
+            entries = np.array(flat(gradients[key]), dtype=np.float64)
+            steps = np.array(self.visits[key], dtype=np.float64)
+            touched = np.isfinite(entries) & (entries != 0) & (steps > 1)
+            weight = 1 - self.settings.beta_1 ** steps[touched]
+            smoothed = np.array(first, dtype=np.float64)[touched] / weight
+            total += float(np.sum((smoothed / self.scale[key] - entries[touched]) ** 2))
+            count += int(touched.sum())
+        return total / count if count else float("nan")
+
+    def moments(self, progress: float) -> Moments:
+        """Adam's moments after at least one step, as samplers read them. Evaluates."""
+        first, second, noise = {}, {}, {}
+        β = self.settings.beta_1
+        for key in self.unknowns.keys:
+            t, m, v, _ = self.adam.state[key][3]
+            m, v, steps = flat(m), flat(v), int(t[0])
+            unit = dr.opaque(mi.Float, 1 / self.scale[key])
+            took_part = self.visits[key] * dr.opaque(mi.Float, 1 / steps)
+            forgotten = dr.power(mi.Float(β), self.visits[key])
+            part = 1 - forgotten
+            first[key] = dr.select(part > 0, took_part * m / part, 0) * unit
+            second[key] = v * dr.opaque(mi.Float, 1 / (1 - self.settings.beta_2**steps))
+            second[key] *= dr.square(unit)
+            # Σ of squared weights of a mean over n steps that forgets by β.
+            share = (1 - β) / (1 + β) * (1 + forgotten) / part
+            seen = 1 - dr.power(mi.Float(self.settings.beta_2), self.visits[key])
+            touched = dr.select(seen > 0, v / seen, 0) * dr.square(unit)  # E[g²] where touched
+            noise[key] = dr.select(part > 0, dr.square(took_part) * share * touched, 0)
+        dr.eval(first, second, noise)
+        rates = {u.key: (u.lr or self.settings.lr) * self.factor(progress) for u in self.unknowns}
+        return Moments(first, second, noise, rates)
+
+    def export(self) -> tuple[dict[str, np.ndarray], dict]:
+        """Values and moments as arrays; step counts, scales and counters as JSON."""
+        arrays, steps = {}, {}
+        for key in self.unknowns.keys:
+            count, first, second, _ = self.adam.state[key][3]
+            arrays[f"value/{key}"] = as_numpy(self.adam[key])
+            arrays[f"first/{key}"] = np.array(first)
+            arrays[f"second/{key}"] = np.array(second)
+            arrays[f"visits/{key}"] = np.array(self.visits[key])
+            steps[key] = int(count[0])
+        counters = {"nonfinite": int(self.nonfinite[0]), "touched": int(self.touched[0])}
+        return arrays, {"steps": steps, "scale": self.scale, **counters}
+
+    def restore(self, arrays: dict[str, np.ndarray], state: dict) -> None:
+        """Take over what ``export`` gave, to the last bit. KeyError where something is missing."""
+        values = {key: arrays[f"value/{key}"] for key in self.unknowns.keys}
+        self.restart(self.unknowns.values_of(values))
+        for key in self.unknowns.keys:
+            value, promoted, rate, (count, first, second, most) = self.adam.state[key]
+            moments = [type(first)(arrays[f"{name}/{key}"]) for name in ("first", "second")]
+            steps = type(count)(state["steps"][key])
+            self.adam.state[key] = value, promoted, rate, (steps, *moments, most)
+            self.visits[key] = mi.Float(arrays[f"visits/{key}"])
+        self.scale = dict(state["scale"])
+        self.nonfinite = mi.UInt64(state["nonfinite"])
+        self.touched = mi.UInt64(state["touched"])
+        dr.make_opaque(self.nonfinite, self.touched)
+        dr.eval(self.adam.state)

@@ -1,0 +1,114 @@
+"""The frames of a run: target, start, result, error and sampling density of some views."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+
+from ..records import RunWriter, safe_name
+from ..rendering.renderer import Renderer
+from ..runtime import images, streams
+from ..scene.problem import Problem
+from ..unknowns.parameters import as_numpy
+
+_RGB = ["R", "G", "B"]
+# Snapshots: about a million paths each, whatever the films' size.
+_SNAPSHOT_SIDE, _SNAPSHOT_SPP = 256, 16
+
+
+class Pictures:
+    """Writes frames/*.exr for up to ``views`` views spread evenly over the problem's."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        writer: RunWriter,
+        views: int,
+        spp: int,
+        base: int,
+        tags: dict,
+        renderer: Renderer | None = None,
+    ):
+        count = len(problem.film_sizes)
+        chosen = np.linspace(0, count, min(views, count), endpoint=False)
+        self.views = [int(v) for v in chosen]
+        self.problem, self.writer, self.tags = problem, writer, tags
+        self.spp, self.base = spp, base
+        self.renderer = Renderer(problem, renderer)
+        # One exposure for all pictures of a run, so that they can be compared.
+        self.exposure = images.exposure_for([problem.target_image(v) for v in self.views])
+
+    def _write(
+        self,
+        name: str,
+        image: np.ndarray,
+        channels: list[str],
+        what: str,
+        exposure: float | None = None,
+        **more,
+    ) -> None:
+        self.writer.frame(name, image, channels, {**self.tags, "what": what, **more}, exposure)
+
+    def values(self, kind: str, values: dict, iteration: int) -> None:
+        """Every view at ``values``, and their texture unknowns. ``kind``: start or result."""
+        self.problem.unknowns.write(values)
+        for view in self.views:
+            image = self.renderer.view(
+                view, self.spp, lambda s, v=view: streams.seed(self.base, (v << 16) + s, "frame")
+            )
+            tags = {"view": view, "iteration": iteration}
+            self._write(f"{kind}_v{view:02d}", image, _RGB, kind, self.exposure, **tags)
+            if kind == "result":
+                error = np.abs(image - self.problem.target_image(view))
+                self._write(f"error_v{view:02d}", error, _RGB, "|result - target|", **tags)
+        self._textures(kind, {k: as_numpy(v) for k, v in values.items()}, iteration)
+
+    def snapshot(self, values: dict, iteration: int, seconds: float) -> np.ndarray:
+        """The first view at ``values``, every n-th pixel of it, for an animation afterwards.
+
+        Returns it, ``(H, W, 3) float32``, linear, at most 256 pixels a side. All snapshots use the
+        same random numbers, so that only what is found moves.
+        """
+        self.problem.unknowns.write(values)
+        width, height = self.problem.film_sizes[0]
+        step = -(-max(width, height) // _SNAPSHOT_SIDE)
+        rows, columns = np.arange(step // 2, height, step), np.arange(step // 2, width, step)
+        pixel = mi.UInt32((rows[:, None] * width + columns).astype(np.uint32).ravel())
+        mean = self.renderer.pixels(
+            pixel, _SNAPSHOT_SPP, lambda s: streams.seed(self.base, s, "snapshot")
+        )
+        image = np.array(mean).T.reshape(rows.size, columns.size, 3)
+        tags = {"view": 0, "iteration": iteration, "seconds": seconds}
+        self._write(f"progress_v00_i{iteration:06d}", image, _RGB, "snapshot", **tags)
+        return image
+
+    def targets(self) -> None:
+        """Targets of the chosen views and, where known, true textures."""
+        for view in self.views:
+            self._write(
+                f"target_v{view:02d}",
+                self.problem.target_image(view),
+                _RGB,
+                "target",
+                self.exposure,
+                view=view,
+            )
+        if self.problem.truth_known:
+            self._textures("truth", {u.key: u.truth for u in self.problem.unknowns}, 0)
+
+    def density(self, density: np.ndarray, iteration: int) -> None:
+        """Pixel probability times number of pixels: 1 is uniform."""
+        offset = 0
+        for view, (width, height) in enumerate(self.problem.film_sizes):
+            if view in self.views:
+                image = density[offset : offset + width * height].reshape(height, width, 1)
+                tags = {"view": view, "iteration": iteration}
+                self._write(f"density_v{view:02d}", image, ["Y"], "p_j n", **tags)
+            offset += width * height
+
+    def _textures(self, kind: str, arrays: dict[str, np.ndarray], iteration: int) -> None:
+        for key, array in arrays.items():
+            if array.ndim == 3 and array.shape[2] in (1, 3):
+                channels = _RGB if array.shape[2] == 3 else ["Y"]
+                tags = {"key": key, "iteration": iteration}
+                self._write(f"{kind}_{safe_name(key)}", array, channels, kind, 1.0, **tags)

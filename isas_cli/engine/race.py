@@ -1,0 +1,188 @@
+"""Contestants of one process taking turns, until each has had the same billed budget."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from omegaconf import DictConfig, OmegaConf
+
+from .. import records
+from ..config.schema import Config
+from ..runtime import backend, interrupt
+from ..runtime.budget import Budget
+from ..runtime.errors import NumericalError
+from . import resumption
+from .display import RaceDisplay
+from .experiment import Phases, built, checked, started
+
+
+@dataclass
+class Entry:
+    """One contestant with one seed: ``label`` names what it is, ``folder`` where it is recorded."""
+
+    label: str
+    cfg: DictConfig
+    folder: Path
+    earlier: resumption.Continuation | None = None  # of a run that goes on
+    typed: Config = field(init=False)
+    budget: Budget = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.typed, self.budget = checked(self.cfg)
+
+    @property
+    def name(self) -> str:
+        return f"{self.label} seed {self.cfg.seed}"
+
+    @property
+    def problem_key(self) -> str:
+        """Equal for entries that share scene and targets."""
+        return OmegaConf.to_yaml({"scene": self.cfg.scene, "target": self.cfg.target}, resolve=True)
+
+
+def continued(label: str, folder: Path, changes: dict) -> Entry | None:
+    """The entry that goes on in ``folder``; None where it is complete and its budget spent, or
+    where it failed."""
+    run = records.load(folder)
+    if run.complete and run.summary["status"] == "numerical failure":
+        return None
+    try:
+        earlier = resumption.prepare(folder, changes)
+    except resumption.Spent:
+        return None
+    return Entry(label, earlier.cfg, folder, earlier)
+
+
+def run(entries: list[Entry], slice_seconds: float, begin: Callable[[], None]) -> int:
+    """Race ``entries`` in slices of about ``slice_seconds`` billed. Each leaves an ordinary run.
+
+    ``begin`` is called once, when everything is known to work and before any record.
+
+    All share one process and, where scene and targets are the same, these and every compiled
+    kernel. Each round every entry gets one slice, the order rotating by one, so that a drift of
+    the machine falls on all alike. One that fails numerically is recorded as such and the others
+    go on. Returns 0, the first failure's status, or 130 after Ctrl-C.
+    """
+    machine = started([entry.cfg for entry in entries], entries[0].typed)
+    with RaceDisplay(len(entries)) as display:
+        lanes = _Lanes(entries, display, machine)
+        with interrupt.graceful(display.interrupted) as stop:
+            begin()
+            lanes.open()
+            return lanes.run(slice_seconds, stop)
+
+
+class _Lanes:
+    """The loops of a race and their records, side by side."""
+
+    def __init__(self, entries: list[Entry], display: RaceDisplay, machine: backend.Backend):
+        from .recorder import Recorder
+        from .workshop import Workshop
+
+        self.entries, self.display, self.machine = entries, display, machine
+        phases = Phases(display)
+        problems = {}
+        # All scenes before the first kernel: a material that comes later compiles all anew.
+        for entry in entries:
+            if entry.problem_key not in problems:
+                sharing = [e.cfg for e in entries if e.problem_key == entry.problem_key]
+                problems[entry.problem_key] = built(entry.typed, phases, sharing)
+        phases.begin("prepare")
+        workshops = {key: Workshop(problem) for key, problem in problems.items()}
+        self.recorders: list[Recorder] = []
+        for entry in entries:
+            interrupt.check()
+            workshop = workshops[entry.problem_key]
+            if entry.earlier is not None:
+                earlier = entry.earlier.manifest
+                resumption.check_same(workshop.problem, machine, earlier, entry.folder)
+            loop = workshop.loop(entry.cfg, entry.typed, entry.budget)
+            lane = display.lane(entry.name)
+            renderer = workshop.renderer
+            self.recorders.append(
+                Recorder(entry.cfg, entry.typed, loop, entry.folder, lane, renderer)
+            )
+        phases.begin(None)
+        for recorder in self.recorders:  # shared by all, so each names the whole
+            recorder.loop.clock.unbilled_seconds.update(phases.seconds)
+        for entry, recorder in zip(entries, self.recorders):
+            interrupt.check()
+            display.phase(f"compile {entry.label}")
+            recorder.loop.rehearse()
+            self._detach(recorder)
+
+    def open(self) -> None:
+        """Begin all records before any loop, so that a kill leaves each of them."""
+        self.display.phase("pictures")
+        for entry, recorder in zip(self.entries, self.recorders):
+            if entry.earlier is None:
+                recorder.open(self.machine)
+            else:
+                recorder.reopen(self.machine, entry.earlier)
+
+    def run(self, slice_seconds: float, stop) -> int:
+        """Slices in turn until all have ended; then their records."""
+        hooks = [recorder.hooks(stop) for recorder in self.recorders]
+        everyone = range(len(hooks))
+        ends: dict[int, str] = {}
+        failures: list[NumericalError] = []
+
+        def begin(n: int) -> None:
+            self._loop(n).begin(hooks[n])
+
+        def advance(n: int) -> None:
+            if self._loop(n).advance(hooks[n], slice_seconds):
+                ends[n] = "done"
+
+        def halt(n: int) -> None:
+            ends[n] = self._loop(n).halt(hooks[n])
+
+        for number in everyone:
+            self._guarded(number, ends, failures, begin)
+        turn = 0
+        while len(ends) < len(hooks) and not stop():
+            for number in ((turn + i) % len(hooks) for i in everyone):
+                if number not in ends and not stop():
+                    self._guarded(number, ends, failures, advance)
+            turn += 1
+        for number in everyone:
+            if number not in ends:
+                self._guarded(number, ends, failures, halt)
+        return self._finish(ends, failures, stop)
+
+    def _finish(self, ends: dict[int, str], failures: list, stop) -> int:
+        """What was dear to compute first, of all; then the pictures. Returns the exit status."""
+        for number, recorder in enumerate(self.recorders):
+            recorder.close(ends[number])
+        interrupted = "interrupted" in ends.values()
+        # Stopped once, a race has its pictures made; stopped while they are made, it does not.
+        given_up = (lambda: False) if interrupted else stop
+        for number, recorder in enumerate(self.recorders):
+            if not given_up():
+                recorder.illustrate(given_up)
+            self.display.ended(self.entries[number].name, ends[number], *recorder.ends)
+        if interrupted or given_up():
+            return interrupt.STATUS
+        return failures[0].status if failures else 0
+
+    def _loop(self, number: int):
+        return self.recorders[number].loop
+
+    def _guarded(self, number: int, ends: dict, failures: list, act) -> None:
+        """``act(number)``; a numerical failure ends this entry and no other."""
+        try:
+            act(number)
+        except NumericalError as error:
+            ends[number] = "numerical failure"
+            failures.append(error)
+            self.display.say(f"{self.entries[number].name}: {error}")
+        finally:
+            self._detach(self.recorders[number])
+
+    @staticmethod
+    def _detach(recorder) -> None:
+        """Leave no gradients on the scene: they would break passes through another one."""
+        loop = recorder.loop
+        loop.problem.unknowns.write(loop.stepper.values)

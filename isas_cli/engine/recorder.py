@@ -1,0 +1,258 @@
+"""One loop and the folder that its record goes to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omegaconf import DictConfig, OmegaConf
+
+from ..config.schema import Config
+from ..records import RunWriter, manifest, trackers
+from ..rendering.renderer import Renderer
+from ..runtime.errors import InputError
+from .loop import Hooks, Loop
+from .pictures import Pictures
+from .resumption import Continuation
+
+if TYPE_CHECKING:
+    from .profiling import Profile
+
+# Written besides the billed time; a kill loses about this much work, or, where writing is slow
+# (large textures), as much as keeps writing below this share of the time.
+_CHECKPOINT_SECONDS = 5.0
+_CHECKPOINT_SHARE = 0.01
+
+
+class Recorder:
+    """Writes what a loop does: begin with ``open`` or ``reopen``, hand ``hooks`` to the loop, end
+    with ``close`` and ``illustrate``, whatever ended the loop. ``display`` has ``evaluated(row)``,
+    ``stepped(loop, progress)`` and ``phase(name)``.
+    """
+
+    def __init__(
+        self,
+        cfg: DictConfig,
+        typed: Config,
+        loop: Loop,
+        folder: Path,
+        display,
+        renderer: Renderer | None = None,
+    ):
+        self.cfg, self.typed, self.loop, self.display = cfg, typed, loop, display
+        self.folder, self._renderer = Path(folder), renderer
+        self._first: dict = {}
+        self._resumed: list[dict] = []
+        self._saved = 0.0
+        self._pause = _CHECKPOINT_SECONDS
+        self._snapshots = 0
+        self.profile: Profile | None = None  # once made, where the configuration asks for it
+
+    def open(self, machine) -> None:
+        """Begin the record: configuration, manifest, a checkpoint of the start, and the pictures
+        that are known by now. Raises InputError when the folder holds a run already."""
+        loop, typed = self.loop, self.typed
+        with loop.clock.unbilled("writing"):
+            self._take(RunWriter(self.folder, overwrite=typed.overwrite))
+            self._config()
+            self.writer.manifest(
+                manifest.describe(machine, loop.problem, typed.seed, typed.target.seed)
+            )
+        self._checkpoint()
+        with loop.clock.unbilled("writing"):
+            self.pictures.targets()
+
+    def reopen(self, machine, earlier: Continuation) -> None:
+        """Go on with a record from its checkpoint. Raises InputError where that does not fit or
+        another process writes the record."""
+        loop, state = self.loop, earlier.state
+        try:
+            loop.restore(earlier.arrays, state)
+        except (KeyError, ValueError, TypeError) as error:
+            what = "/checkpoint/state.npz does not fit this run"
+            raise InputError(f"{self.folder}{what}: {error!r}") from error
+        with loop.clock.unbilled("writing"):
+            # The row of this iteration stays; trackers drop what comes after it.
+            writer = RunWriter.reopen(self.folder, state["iteration"])
+            self._take(writer, purge_step=state["iteration"] + 1)
+            rows = self.writer.rows
+            if rows:
+                self._first, loop.last = rows[0], rows[-1]
+            self._config()
+            entry = manifest.continuation(
+                machine, state["iteration"], loop.clock.seconds, earlier.earlier_budget
+            )
+            self._resumed = [*earlier.manifest.get("resumed", []), entry]
+            self.writer.manifest({**earlier.manifest, "resumed": self._resumed})
+        self._snapshots = self._snapshots_due(loop.position.evaluations)
+        self._saved = self._own_seconds()
+
+    def _take(self, writer: RunWriter, purge_step: int | None = None) -> None:
+        typed = self.typed
+        self.writer = writer
+        text = OmegaConf.to_yaml(self.cfg, resolve=True)
+        self.tracker = trackers.open(typed.tracker, self.folder, text, purge_step)
+        self.pictures = Pictures(
+            self.loop.problem,
+            writer,
+            typed.frames.views,
+            typed.frames.spp,
+            typed.seed,
+            {
+                "scene": typed.scene.name,
+                "scene_hash": self.loop.problem.content_hash,
+                "target_hash": self.loop.problem.target_hash,
+                "sampler": self.cfg.sampler.name,
+                "loss": self.cfg.loss.name,
+                "seed": typed.seed,
+            },
+            self._renderer,
+        )
+
+    def _config(self) -> None:
+        self.writer.config(OmegaConf.to_yaml(self.cfg, resolve=True))
+
+    def hooks(self, stop) -> Hooks:
+        return Hooks(self._evaluated, self._stepped, stop)
+
+    def _evaluated(self, row: dict) -> None:
+        self._first = self._first or row
+        loop = self.loop
+        with loop.clock.unbilled("writing"):
+            self.writer.evaluation(row)
+            self.tracker.evaluation(row)
+        due = self._snapshots_due(loop.position.evaluations)
+        if due > self._snapshots or (due and loop.progress >= 1):
+            self._snapshots = due
+            with loop.clock.unbilled("pictures"):
+                image = self.pictures.snapshot(
+                    loop.stepper.values, row["iteration"], row["seconds"]
+                )
+                self.tracker.image("snapshot", image, row["iteration"], self.pictures.exposure)
+        self.display.evaluated(row)
+
+    def _snapshots_due(self, evaluations: int) -> int:
+        """How many snapshots there should be after so many evaluations, evenly spread."""
+        wanted, total = self.typed.frames.snapshots, self.typed.evaluation.count
+        return min(wanted, -(-evaluations * wanted // total))
+
+    def _stepped(self, loop: Loop, progress: float) -> None:
+        self.display.stepped(loop, progress)
+        if self._own_seconds() - self._saved > self._pause:
+            self._checkpoint()
+
+    def _own_seconds(self) -> float:
+        """Time that this loop has had: in a race, the others' turns do not count."""
+        clock = self.loop.clock
+        return clock.seconds + sum(clock.unbilled_seconds.values())
+
+    def _checkpoint(self) -> None:
+        begun = self._own_seconds()
+        with self.loop.clock.unbilled("writing"):
+            arrays, state = self.loop.export()
+            self.writer.checkpoint(arrays, state)
+        self._saved = self._own_seconds()
+        self._pause = max(_CHECKPOINT_SECONDS, (self._saved - begun) / _CHECKPOINT_SHARE)
+
+    def close(self, status: str) -> None:
+        """Checkpoint and summary: what was dear to compute. ``illustrate`` completes the record."""
+        self._status = status
+        self._checkpoint()
+        self._summary(status, complete=False)
+
+    def illustrate(self, given_up: Callable[[], bool] = lambda: False) -> Path:
+        """Profile (of a run that is done), pictures and report, after ``close``. Returns the path
+        of the report's page, or the folder where the configuration wants no report.
+
+        ``given_up``: asked now and then; what is not made yet is left to a continuation.
+        """
+        loop = self.loop
+        done = self._status == "done" and loop.position.iteration > 0
+        if self.typed.profile and done and not given_up():
+            self._measure()
+        self.display.phase("pictures")
+        # The start as well: rendered before the loop it would only delay it.
+        for make in (self._result, self._start, self._density):
+            if not given_up():
+                with loop.clock.unbilled("pictures"):
+                    make()
+        self._summary(self._status, complete=not given_up())
+        self.tracker.close()
+        if not self.typed.report:
+            return self.folder
+        from ..report import write
+
+        self.display.phase("report")
+        return write(self.folder)
+
+    def _measure(self) -> None:
+        from . import profiling
+
+        self.display.phase("profile")
+        with self.loop.clock.unbilled("profile"):
+            self.profile = profiling.measure(self.loop, self.typed.estimator.freeze)
+            profiling.write(self.profile, self.folder)
+
+    def _start(self) -> None:
+        self.pictures.values("start", self.loop.problem.unknowns.starts(), 0)
+
+    def _result(self) -> None:
+        loop = self.loop
+        self.pictures.values("result", loop.stepper.values, loop.position.iteration)
+
+    def _density(self) -> None:
+        density = self.loop.density()
+        if density is not None:
+            self.pictures.density(density, self.loop.position.iteration)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a reader of the figures should know."""
+        warnings = self.loop.problem.warnings + self.loop.warnings
+        lost = self.loop.lost + self.pictures.renderer.nonfinite
+        if lost:
+            warnings.append(f"{lost} paths of evaluations and pictures were not finite: left out")
+        if not self.loop.evaluator.loss.linear:
+            warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
+        for entry in self._resumed:
+            if entry.get("earlier_budget"):
+                blurred = self.cfg.sampler.name == "plateau"
+                what = "the learning rate and the blurs' widths" if blurred else "the learning rate"
+                warnings.append(
+                    f"the budget was {entry['earlier_budget']} up to iteration "
+                    f"{entry['iteration']}: {what} followed another schedule"
+                )
+        return warnings
+
+    @property
+    def ends(self) -> tuple[dict, dict]:
+        """First and last row of the history."""
+        return self._first, self.loop.last or {}
+
+    def _summary(self, status: str, complete: bool) -> None:
+        """``complete``: pictures and report are there as well."""
+        errors = ("loss", "image_rmse", "parameter_rmse")
+
+        def of(row: dict) -> dict:
+            return {k: v for k, v in row.items() if k in errors or k.startswith("parameter_rmse/")}
+
+        loop = self.loop
+        self.writer.summary(
+            {
+                "status": status,
+                "complete": complete,
+                "scene": self.typed.scene.name,
+                "sampler": self.cfg.sampler.name,
+                "loss": self.cfg.loss.name,
+                "seed": self.typed.seed,
+                "iterations": loop.position.iteration,
+                "paths": loop.position.paths,
+                "seconds_billed": loop.clock.seconds,
+                "seconds_by_phase": dict(loop.clock.billed_seconds),
+                "seconds_unbilled": dict(loop.clock.unbilled_seconds),
+                "start": of(self._first),
+                "final": of(loop.last),
+                "warnings": self.warnings,
+            }
+        )

@@ -1,0 +1,138 @@
+"""Going on with a run that ended early: what must be the same, and what may change."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from .. import records
+from ..config import schema
+from ..config.schema import Config
+from ..records import manifest
+from ..runtime.budget import Budget
+from ..runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from ..runtime.backend import Backend
+    from ..scene.problem import Problem
+
+# Everything else decides what is computed next; a run continued otherwise would be two runs.
+_FREE = ("budget.seconds", "budget.iterations", "budget.paths", "threads", "tracker", "profile")
+
+
+def parse(overrides: list[str]) -> dict:
+    """``["budget.seconds=120"]`` → ``{"budget.seconds": 120}``. Raises InputError for a setting
+    that a continuation cannot change."""
+    changes = {}
+    for text in overrides:
+        try:
+            override = OverridesParser.create().parse_override(text.lstrip("+"))
+            value = override.value()
+        except HydraException as error:
+            raise InputError(f"{text}: cannot be read: give KEY=VALUE") from error
+        if override.is_delete() or override.is_sweep_override():
+            raise InputError(f"{text}: a continued run takes one value: KEY=VALUE")
+        if override.key_or_group not in _FREE:
+            raise InputError(
+                f"{text}: a continued run keeps its settings; only these may change: "
+                f"{', '.join(_FREE)}"
+            )
+        changes[override.key_or_group] = value
+    return changes
+
+
+class Spent(InputError):
+    """There is nothing left to do for a run."""
+
+
+@dataclass(frozen=True)
+class Continuation:
+    """A run to go on with: its configuration as changed, its manifest, the budget it had so far
+    where that has changed, and its checkpoint."""
+
+    folder: Path
+    cfg: DictConfig
+    manifest: dict
+    earlier_budget: str | None
+    arrays: dict[str, np.ndarray]
+    state: dict
+
+
+def prepare(folder: Path, changes: dict) -> Continuation:
+    """What to go on with. Reads records only.
+
+    Raises InputError, one line, when ``folder`` holds nothing that can be continued: also when
+    all is done and the budget spent. A run that was killed after its last iteration and before
+    the end of its record is finished by a continuation.
+    """
+    run = records.load(folder)
+    if manifest.alive(run.manifest):
+        raise InputError(f"{folder} is still being written: its process has not ended")
+    cfg, before = configuration(folder, changes)
+    arrays, state = records.load_checkpoint(folder)
+    budget = _budget(cfg)
+    spent = (sum(state["billed"].values()), state["iteration"], state["paths"])
+    if run.complete and budget.progress(*spent) >= 1:
+        raise Spent(f"{folder}: its budget is spent: {_larger(budget, *spent)}")
+    earlier = None if before == budget else str(before)
+    return Continuation(folder, cfg, run.manifest, earlier, arrays, state)
+
+
+def _larger(budget: Budget, seconds: float, iterations: int, paths: int) -> str:
+    """The limits that have been reached, and what would lift them."""
+    spent = {"seconds": seconds, "iterations": iterations, "paths": paths}
+    reached = [name for name, used in spent.items() if used >= (getattr(budget, name) or math.inf)]
+    limits = ", ".join(f"{name}={getattr(budget, name):g}" for name in reached)
+    more = " ".join(f"budget.{name}={2 * getattr(budget, name):g}" for name in reached)
+    return f"{limits}; give a larger one, such as {more}"
+
+
+def _budget(cfg: DictConfig) -> Budget:
+    return Budget(cfg.budget.seconds, cfg.budget.iterations, cfg.budget.paths)
+
+
+def configuration(folder: Path, changes: dict) -> tuple[DictConfig, Budget]:
+    """The configuration as changed, and the budget before that."""
+    try:
+        cfg = OmegaConf.merge(OmegaConf.structured(Config), OmegaConf.load(folder / "config.yaml"))
+        before = _budget(cfg)
+        schema.typed(cfg)
+    except (OSError, OmegaConfBaseException) as error:
+        reason = str(error).split("\n")[0]
+        raise InputError(f"{folder}/config.yaml does not give a run: {reason}") from error
+    return changed(cfg, changes), before
+
+
+def changed(cfg: DictConfig, changes: dict) -> DictConfig:
+    """``cfg`` with new values by key. Raises InputError for one that does not fit."""
+    for key, value in changes.items():
+        try:
+            OmegaConf.update(cfg, key, value)
+        except OmegaConfBaseException as error:
+            raise InputError(f"{key}={value}: {str(error).splitlines()[0]}") from error
+    return cfg
+
+
+def check_same(problem: "Problem", machine: "Backend", earlier: dict, folder: Path) -> None:
+    """Raises InputError unless scene, targets and variant are those that the run began with."""
+    if earlier.get("variant") != machine.variant:
+        raise InputError(
+            f"{folder} began with variant={earlier.get('variant')}, and this machine takes "
+            f"{machine.variant}: billed seconds of both would not be comparable"
+        )
+    now = {"scene_hash": problem.content_hash, "target_hash": problem.target_hash}
+    for name, value in now.items():
+        if earlier.get(name) != value:
+            what = name.split("_")[0]
+            raise InputError(
+                f"{folder}: its {what} has changed since (hash {earlier.get(name)}, now {value}): "
+                "start a new run"
+            )

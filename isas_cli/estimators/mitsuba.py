@@ -1,0 +1,207 @@
+"""Mitsuba's own derivatives of whole images, as its users take them; blurred on request."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..rendering.pixels import PixelDistribution
+from ..runtime import streams
+from ..runtime.errors import InputError
+from ..unknowns import smoothing
+from ..unknowns.blur import Blur
+from ..unknowns.parameters import owner
+
+if TYPE_CHECKING:
+    from ..scene.problem import Problem
+
+# What ``silhouettes`` says to the projective integrator.
+SILHOUETTES = {
+    "octree": {"guiding": "octree"},
+    "grid": {"guiding": "grid"},
+    "uniform": {"guiding": "none"},
+    "direct": {"sppi": 0},
+}
+
+
+class Stock:
+    """dℒ/dθ by ``mi.render`` and ``dr.backward``: with ``prb``, or, where an unknown moves objects,
+    with ``prb_projective``, which samples silhouettes.
+
+    ``smooth=None``: at θ itself, the baseline; an image at seed s for ∂ℒ/∂I, its derivative at
+    another seed, both of ``spp`` paths a pixel (``batch`` shared out over all pixels, at least 1).
+
+    ``smooth="image"`` or ``"loss"``: κ∂P (PRDPT Eq. 8), the mean over ``samples`` of the derivative
+    at θ + τ, τ ~ κ. In image space ∂ℒ/∂I is taken at an independent τ' (without bias for
+    dℒ(Q)/dθ, Q = κ ⋆ P, for losses of linear derivative); in loss space at the same τ (for
+    ∂(κ ⋆ ℒ)/∂θ).
+
+    Outside an unknown's range the derivative is 0, as values are clamped there.
+
+    Bias: none where the integrator has none. ``prb_projective`` does not differentiate through
+    ideally specular surfaces (glass, mirrors) that move. ``silhouettes``: how those are sampled
+    that are seen by way of other surfaces (shadows, reflections): guided by an ``octree``
+    (Mitsuba's default) or a ``grid``, both built anew each step and far dearer than all the rest
+    of it, ``uniform``, or not at all (``direct``: those alone that the camera sees, which is biased
+    where others move). The edge of a shadow that a light without extent throws (a point light) is
+    not differentiated, however silhouettes are sampled: no traced ray meets such a light. What
+    lies behind clear glass is reached by chance alone. What enters or leaves the image at its
+    border is not differentiated. Nothing is frozen: projective integrators cannot be.
+    """
+
+    def __init__(
+        self,
+        problem: "Problem",
+        loss,
+        batch: int,
+        smooth: str | None = None,
+        samples: int = 1,
+        silhouettes: str = "uniform",
+    ):
+        self.problem, self.loss, self.batch = problem, loss, batch
+        self.smooth, self.samples = smooth, samples
+        self.blur = Blur(problem, "sampler=plateau") if smooth else None
+        _check_films(problem)
+        _check_shapes(problem)
+        self.integrator = _integrator(problem, silhouettes)
+        self.spp = max(1, batch // problem.views.total)
+        self._primal = mi.load_dict({"type": "path", **_settings(problem)})
+
+    @property
+    def paths_per_step(self) -> int:
+        """Light paths of one estimate, those of silhouettes not counted."""
+        return 2 * self.spp * self.problem.views.total * self.samples
+
+    def estimate(
+        self,
+        values: dict,
+        distribution: PixelDistribution,
+        base: int,
+        iteration: int,
+        progress: float,
+    ) -> dict:
+        """The gradient at ``values``, by key. ``distribution`` is not used: all pixels. Waits."""
+        rng = np.random.default_rng(streams.seed(base, iteration, "offset"))
+        if self.smooth is None:
+            self.problem.unknowns.attach(values)
+            self._accumulate(None, rng)
+            return self.problem.unknowns.gradients()
+        θ = self.blur.vector(values)
+        σ = self.blur.widths(θ, progress)
+        total = np.zeros(θ.size)
+        for _ in range(self.samples):
+            at = θ + smoothing.blurred(σ, rng)
+            images = None
+            if self.smooth == "image":
+                self.blur.write(θ + smoothing.blurred(σ, rng))
+                images = [self._image(view, rng) for view in range(self._views)]
+            self.problem.unknowns.attach(self.blur.clamped(at))
+            self._accumulate(images, rng)
+            found = self.blur.vector(self.problem.unknowns.gradients()) / self.samples
+            # Beyond a range's end f(clamp(θ)) does not change.
+            total += np.where(self.blur.inside(at), found, 0)
+        return self.blur.values(total)
+
+    @property
+    def _views(self) -> int:
+        return len(self.problem.film_sizes)
+
+    def _image(self, view: int, rng: np.random.Generator) -> mi.TensorXf:
+        """A view at the scene's present values, without derivatives. Evaluates."""
+        with dr.suspend_grad():
+            seed = int(rng.integers(1 << 32))
+            p = self.problem
+            image = mi.render(
+                p.scene, sensor=view, integrator=self._primal, spp=self.spp, seed=seed
+            )
+            dr.eval(image)
+        return image
+
+    def _accumulate(self, images: list | None, rng: np.random.Generator) -> None:
+        """Add to the leaves' gradients the derivative along ∂ℒ/∂I of ``images``, or of the images
+        rendered on the way. Evaluates."""
+        p = self.problem
+        total = mi.Float(0)
+        for view in range(self._views):
+            seed, seed_grad = (int(x) for x in rng.integers(1 << 32, size=2))
+            image = mi.render(
+                p.scene,
+                p.unknowns.params,
+                sensor=view,
+                integrator=self.integrator,
+                # What is only differentiated need not be rendered well.
+                spp=self.spp if images is None else 1,
+                spp_grad=self.spp,
+                seed=seed,
+                seed_grad=seed_grad,
+            )
+            with dr.suspend_grad():
+                found = dr.detach(image) if images is None else images[view]
+                adjoint = self._adjoint(view, found)
+            total += dr.sum(image.array * adjoint)
+        # Once for all views: the first pass would clear the way from the scene to the leaves.
+        dr.backward(total)
+
+    def _adjoint(self, view: int, image: mi.TensorXf) -> mi.Float:
+        """∂ℒ/∂I of a view's pixels, ``(H W 3,)``."""
+        p = self.problem
+        width, height = p.film_sizes[view]
+        first = sum(w * h for w, h in p.film_sizes[:view])
+        pixel = dr.arange(mi.UInt32, width * height)
+        target = dr.gather(mi.Color3f, p.targets, first + pixel)
+        adjoint = self.loss.derivative(dr.unravel(mi.Color3f, image.array), target) * p.share
+        if p.mask is not None:
+            adjoint *= dr.gather(mi.Float, p.mask, first + pixel)
+        adjoint = dr.ravel(adjoint)
+        dr.eval(adjoint)
+        return adjoint
+
+
+def _depth(problem: "Problem") -> int:
+    depth = problem.integrator.max_depth
+    return -1 if depth >= 2**32 - 1 else int(depth)
+
+
+def _check_films(problem: "Problem") -> None:
+    """Raises InputError for films that show another image than the targets, whose pixels are plain
+    means over their squares."""
+    for number, sensor in enumerate(problem.scene.sensors()):
+        film = sensor.film()
+        if not str(film.rfilter()).startswith("BoxFilter") or "pixel_format = rgb," not in str(
+            film
+        ):
+            raise InputError(
+                f"sensor {number}: Mitsuba's own renderings go through the film, which must have a "
+                'box filter (rfilter type="box") and pixel_format="rgb" to be compared with targets'
+            )
+
+
+def _check_shapes(problem: "Problem") -> None:
+    """Raises InputError for poses that move anything but shapes."""
+    unknowns = problem.unknowns
+    for name in unknowns.poses:
+        for key in unknowns.written(name):
+            if not isinstance(owner(unknowns.params, key), mi.Shape):
+                raise InputError(
+                    f"scene.unknowns['{name}'] moves '{key.rpartition('.')[0]}', which is no shape:"
+                    " Mitsuba's derivative reaches shapes alone; take sampler=plateau with "
+                    "sampler.gradient=kernel, or sampler=finite_differences"
+                )
+
+
+def _settings(problem: "Problem") -> dict:
+    return {"max_depth": _depth(problem), "hide_emitters": problem.integrator.hide_emitters}
+
+
+def _integrator(problem: "Problem", silhouettes: str) -> mi.Integrator:
+    settings = _settings(problem)
+    if not problem.unknowns.poses:
+        return mi.load_dict({"type": "prb", **settings})
+    settings |= SILHOUETTES[silhouettes]
+    found = mi.load_dict({"type": "prb_projective", **settings})
+    # On standard output, where the record's path is all that is printed; said above.
+    found.sample_border_warning = False
+    return found

@@ -1,0 +1,37 @@
+"""Absolute error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+
+@dataclass
+class L1:
+    """Absolute error, ℓ = |I - T|, ∂ℓ/∂I = sign(I - T).
+
+    Bias: the sign of a noisy radiance is not the sign of its mean. With single samples the
+    estimate is the exact gradient of E|⟨I⟩ - T| where ⟨I⟩ is the one-sample radiance taken as
+    fixed while its mean moves: its minimum is where T is the *median* of ⟨I⟩. Use it for outliers
+    in photographs, not for measuring.
+    """
+
+    linear = False
+
+    def value(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
+        return dr.abs(image - target)
+
+    def measured(self, a: mi.Color3f, b: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
+        """At the mean of both, whose noise it contains."""
+        return self.value(0.5 * (a + b), target)
+
+    def derivative(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
+        difference = image - target
+        return dr.select(difference == 0, 0, dr.sign(difference))
+
+    def curvature(self, target: mi.Color3f) -> mi.Color3f:
+        """1 everywhere. The curvature of E|⟨I⟩ - T| is twice the density of ⟨I⟩ at T, which one
+        sample does not show."""
+        return mi.Color3f(1)

@@ -1,0 +1,1 @@
+"""Measurements at a fixed place of parameter space: variances, landscapes."""

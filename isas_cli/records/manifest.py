@@ -1,0 +1,104 @@
+"""What a run was made with, so that its figures can be trusted later."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import platform
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
+
+import psutil
+
+from .. import __version__
+from ..runtime.backend import Backend
+from . import follow
+
+if TYPE_CHECKING:
+    from ..scene.problem import Problem
+
+_PACKAGES = ("mitsuba", "drjit", "mitsuba-oidn", "hydra-core", "OpenImageIO", "numpy", "pandas")
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def process() -> dict:
+    """Which process writes, where and since when: whether it still lives can be asked."""
+    return {
+        "started": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+        "host": platform.node(),
+        "pid": os.getpid(),
+    }
+
+
+def alive(manifest: dict) -> bool:
+    """Whether another process of this machine still writes the run of ``manifest``."""
+    latest = [manifest, *manifest.get("resumed", [])][-1]
+    return latest.get("pid") != os.getpid() and follow.alive(manifest) is True
+
+
+def continuation(
+    backend: Backend, iteration: int, seconds: float, earlier_budget: str | None
+) -> dict:
+    """The manifest's entry for a continuation that starts at ``iteration``, ``seconds`` billed.
+
+    ``earlier_budget``: the budget before, None where it is the same."""
+    return {
+        **({"earlier_budget": earlier_budget} if earlier_budget else {}),
+        "threads": backend.threads,
+        "device": backend.device,
+        "packages": {p: _version(p) for p in _PACKAGES},
+        "isas": __version__,
+        "command": sys.argv,
+        "folder": os.getcwd(),
+        **process(),
+        "iteration": iteration,
+        "seconds": seconds,
+    }
+
+
+def describe(backend: Backend, problem: "Problem", seed: int, target_seed: int) -> dict:
+    """Versions, machine, seeds, content hashes, what is simulated, and the command line."""
+    from .. import effects  # imports Mitsuba, which readers of manifests need not
+    from ..rendering.derivative_sampling import plain
+
+    integrator = plain(problem.integrator)
+    return {
+        "isas": __version__,
+        "command": sys.argv,
+        "folder": os.getcwd(),
+        **process(),
+        "python": platform.python_version(),
+        "packages": {p: _version(p) for p in _PACKAGES},
+        "variant": backend.variant,
+        "llvm": {"path": str(backend.llvm_path or ""), "version": backend.llvm_version},
+        "threads": backend.threads,
+        "machine": {
+            "device": backend.device,
+            "system": platform.platform(),
+            "cores": os.cpu_count(),
+            "memory_bytes": psutil.virtual_memory().total,
+        },
+        "seeds": {"run": seed, "target": target_seed},
+        "scene_hash": problem.content_hash,
+        "target_hash": problem.target_hash,
+        "integrator": {"class": type(integrator).__name__, "max_depth": integrator.max_depth},
+        "effects": effects.plan(problem),
+        "views": [list(size) for size in problem.film_sizes],
+        "unknowns": {
+            u.key: {
+                "shape": list(u.start.shape),
+                "range": [u.low, u.high],
+                "lr": u.lr,
+                "entries": int(u.start.size),
+                "entries_seen": int(u.seen.sum()),
+            }
+            for u in problem.unknowns
+        },
+    }

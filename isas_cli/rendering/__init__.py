@@ -1,0 +1,1 @@
+"""Radiance and derivatives of chosen pixels, behind one adapter for all integrators."""

@@ -1,0 +1,131 @@
+"""Target images: rendered from the truth at high sample count, or read from files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zipfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+
+from ..records import write_atomically
+from ..runtime import images, streams
+from ..runtime.errors import InputError, IsasError
+from ..scene.problem import Problem
+from .renderer import Renderer
+
+# Raised when what a cached target means changes.
+_FORMAT = 1
+
+
+def cache_folder() -> Path:
+    """Where rendered targets are kept: $ISAS_CACHE_DIR, else the user's cache folder."""
+    if os.environ.get("ISAS_CACHE_DIR"):
+        return Path(os.environ["ISAS_CACHE_DIR"])
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(base) / "isas"
+
+
+def cached(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Arrays stored under ``key``, computed and stored when absent or unreadable.
+
+    A cache that cannot be written costs the next run its time, never this run its result.
+    """
+    path = cache_folder() / f"{key}.npz"
+    try:
+        with np.load(path) as stored:
+            return {name: stored[name] for name in stored.files}
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+        pass
+    arrays = compute()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, lambda temporary: _save(temporary, arrays))
+    except (OSError, IsasError):
+        pass
+    return arrays
+
+
+def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    with open(path, "wb") as file:
+        np.savez(file, **arrays)
+
+
+def digest(*parts) -> str:
+    """A short hash of JSON-able parts."""
+    return hashlib.blake2b(json.dumps(parts, sort_keys=True).encode(), digest_size=16).hexdigest()
+
+
+def render(
+    problem: Problem, spp: int, base: int, progress: Callable[[int, int], None]
+) -> tuple[mi.Float, str]:
+    """Targets rendered at the truth with ``spp`` paths a pixel, from the cache where possible.
+
+    ``progress(done, total)`` counts light paths. Returns the images and their content hash.
+    """
+    key = digest("target", _FORMAT, problem.content_hash, spp, base, mi.__version__)
+    total = problem.views.total
+
+    def compute() -> dict[str, np.ndarray]:
+        problem.unknowns.write(problem.unknowns.truths())
+        done = 0
+
+        def advance(paths: int) -> None:
+            nonlocal done
+            done += paths
+            progress(done, total * spp)
+
+        renderer = Renderer(problem)
+        rendered = renderer.range(0, total, spp, lambda i: streams.seed(base, i, "target"), advance)
+        return {"images": rendered, "nonfinite": np.array(renderer.nonfinite)}
+
+    arrays = cached(f"target-{key}", compute)
+    lost = int(arrays["nonfinite"])
+    if lost:
+        problem.warnings.append(f"{lost} of {total * spp} target paths were not finite: left out")
+    return mi.Float(arrays["images"].reshape(-1)), key
+
+
+def load(
+    problem: Problem, paths: Sequence[str], masks: Sequence[str] | None
+) -> tuple[mi.Float, mi.Float | None, str]:
+    """Targets (and masks) read from image files, one per sensor, in the sensors' order."""
+    sizes = problem.film_sizes
+    for name, files in (("scene.targets", paths), ("scene.masks", masks)):
+        if files is not None and len(files) != len(sizes):
+            raise InputError(
+                f"{name} lists {_counted(len(files), 'file')} for "
+                f"{_counted(len(sizes), 'sensor')}: one per sensor"
+            )
+    read = [_sized(images.read(Path(f)), f"target {f}", size) for f, size in zip(paths, sizes)]
+    pixels = np.concatenate([r.reshape(-1) for r in read])
+    mask = None
+    if masks is not None:
+        loaded = [
+            _sized(images.read_mask(Path(f)), f"mask {f}", size) for f, size in zip(masks, sizes)
+        ]
+        mask = np.concatenate([m.reshape(-1) for m in loaded])
+        if not mask.sum() > 0:
+            raise InputError("scene.masks hide every pixel: at least one must be above 0")
+    hashed = hashlib.blake2b(pixels.tobytes(), digest_size=16)
+    if mask is not None:
+        hashed.update(mask.tobytes())
+    device_mask = None if mask is None else mi.Float(mask)
+    return mi.Float(pixels), device_mask, hashed.hexdigest()
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def _sized(image: np.ndarray, what: str, size: tuple[int, int]) -> np.ndarray:
+    height, width = image.shape[:2]
+    if (width, height) != size:
+        raise InputError(
+            f"{what} is {width}×{height} pixels, its sensor {size[0]}×{size[1]}: resize one of them"
+        )
+    return image

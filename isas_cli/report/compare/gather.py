@@ -1,0 +1,304 @@
+"""Which runs there are, and which of them differ in nothing but their seed."""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...records import Run, load
+from ...records.reader import read_json
+from ...runtime.errors import InputError, nearest
+from . import labels
+from .labels import Settings
+from .series import AXES, MEASURES, read, seed
+
+if TYPE_CHECKING:
+    import pandas
+
+# Any of these makes a folder one that somebody would miss in a comparison.
+_MARKS = {"manifest.json", "history.csv", "summary.json"}
+_DEFAULT_BASELINE = "uniform"
+
+
+@dataclass(frozen=True)
+class Method:
+    """All runs of one scene that differ in nothing but seed (and name, folder, machine).
+
+    scene: with what tells problems of the same name apart, such as ``pottery size=tiny``;
+    runs: by seed, each with at least two rows of history.
+    """
+
+    scene: str
+    label: str
+    runs: list[Run]
+
+    @property
+    def sampler(self) -> str:
+        return self.label.partition(" ")[0]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Everything that tables, plots and page are made from.
+
+    methods: scene by scene, the baseline first; baseline: scene → label; curves, accuracy, price,
+    summary: see `curves.table`, `accuracy.table`, `price.table`, `summary.table`, numbers
+    throughout; warnings: what was left out and why, and what the runs themselves warn of.
+    """
+
+    methods: list[Method]
+    baseline: dict[str, str]
+    curves: pandas.DataFrame
+    accuracy: pandas.DataFrame
+    price: pandas.DataFrame
+    summary: pandas.DataFrame
+    warnings: list[str]
+
+
+def gather(
+    folders: list[Path], baseline: str | None
+) -> tuple[list[Method], dict[str, str], list[str]]:
+    """The methods found in ``folders`` and below, the baseline of each scene, and warnings.
+
+    Used are runs with two evaluations or more, also those that ended early (an interrupted or a
+    numerically failed run says what it reached; leaving failures out would flatter their method).
+    Raises InputError where a folder holds no run, no run can be used, or no scene has ``baseline``
+    (a full label, or a sampler that only one of a scene's methods has).
+    """
+    warnings: list[str] = []
+    usable = list(_usable(folders, warnings))
+    if not usable:
+        reason = warnings[0] if warnings else "none found"
+        raise InputError(f"{_listed(folders)}: no run that can be compared: {reason}")
+    found = [
+        method
+        for scene, runs in _scenes(usable, warnings).items()
+        for method in _methods(scene, runs, warnings)
+    ]
+    chosen = _baselines(found, baseline, warnings)
+    found.sort(key=lambda m: (m.scene, m.label != chosen[m.scene], m.label))
+    warnings += _of_runs(found)
+    return found, chosen, warnings
+
+
+def by_scene(methods: list[Method]) -> dict[str, list[Method]]:
+    """The methods of each scene, in their order."""
+    grouped: dict[str, list[Method]] = defaultdict(list)
+    for method in methods:
+        grouped[method.scene].append(method)
+    return dict(grouped)
+
+
+def _listed(folders: list[Path]) -> str:
+    return ", ".join(str(folder) for folder in folders)
+
+
+def _usable(folders: list[Path], warnings: list[str]) -> Iterator[Run]:
+    seen: set[Path] = set()
+    for folder in folders:
+        if not folder.is_dir():
+            raise InputError(f"{folder}: no such folder: give runs' folders or folders of runs")
+        below = list(_find(folder))
+        if not below:
+            raise InputError(f"{folder} holds no run, nor does any folder below it")
+        for path in below:
+            if path.resolve() in seen:
+                continue
+            seen.add(path.resolve())
+            try:
+                run = load(path)
+            except InputError as error:
+                warnings.append(f"left out: {_failure(path) or error}")
+                continue
+            if reason := _unusable(run):
+                warnings.append(f"left out: {path}: {reason}")
+            else:
+                yield run
+
+
+def _find(folder: Path) -> Iterator[Path]:
+    """Folders that hold (part of) a run, in order; hidden ones are not searched."""
+    for path, names, files in os.walk(folder):
+        names[:] = sorted(name for name in names if not name.startswith("."))
+        if _MARKS & set(files) and not _measures_variance(Path(path)):
+            yield Path(path)
+
+
+def _measures_variance(folder: Path) -> bool:
+    """Whether this is what `isas variance` wrote: a measurement, not a run."""
+    try:
+        return "variance" in read_json(folder / "manifest.json")
+    except InputError:
+        return False
+
+
+def _failure(folder: Path) -> str | None:
+    """Why a job ended before it had a record, where it could still say so."""
+    try:
+        summary = read_json(folder / "summary.json")
+    except InputError:
+        return None
+    return f"{folder}: {_failed(summary)}" if summary.get("status") == "failed" else None
+
+
+def _failed(summary: dict) -> str:
+    return f"failed: {' '.join(str(summary.get('error', 'it does not say why')).split())}"
+
+
+def _unusable(run: Run) -> str | None:
+    """Why a run that could be read cannot be compared."""
+    summary, history = run.summary or {}, run.history
+    if summary.get("status") == "failed":
+        return _failed(summary)
+    missing = [c for c in ("iteration", *AXES, *MEASURES) if c not in history.columns]
+    if missing:
+        return f"damaged: history.csv has no column {', '.join(missing)}"
+    if len(history) < 2:
+        return f"{len(history)} evaluations: two are needed"
+    for axis in AXES:
+        cost = history[axis].to_numpy(dtype=float)
+        if not np.isfinite(cost).all() or (np.diff(cost) < 0).any() or cost[0] < 0:
+            return f"damaged: {axis} in history.csv do not grow from row to row"
+    if all(read(run, measure) is None for measure in MEASURES):
+        return "no error above 0 at its start and a finite one after it"
+    if not run.config:
+        return "it has no config.yaml: which method it is cannot be told"
+    return None
+
+
+def _scenes(runs: list[Run], warnings: list[str]) -> dict[str, list[Run]]:
+    """Runs by scene. Runs of a scene whose content, targets or starts differ pose different
+    problems: their errors cannot be compared, so each problem gets a name of its own."""
+    problems: dict[str, dict[tuple, list[Run]]] = defaultdict(lambda: defaultdict(list))
+    for run in runs:
+        problems[_scene_name(run)][_identity(run)].append(run)
+    named = {}
+    for name, groups in problems.items():
+        settings = [_told(members[0]) for members in groups.values()]
+        names = labels.scenes(name, settings)
+        named |= dict(zip(names, groups.values()))
+        if len(names) > 1:
+            warnings.append(
+                f"{name}: not all runs pose the same problem (scene, targets or start values "
+                f"differ), so they are compared apart: {', '.join(names)}"
+            )
+    return named
+
+
+def _scene_name(run: Run) -> str:
+    scene = run.config.get("scene")
+    name = scene.get("name") if isinstance(scene, dict) else scene
+    return str(name or (run.summary or {}).get("scene") or "unnamed")
+
+
+def _hashes(run: Run) -> Settings:
+    named = {name: run.manifest.get(name) for name in ("scene_hash", "target_hash")}
+    return {name: str(value)[:8] for name, value in named.items() if value}
+
+
+def _identity(run: Run) -> tuple:
+    """Equal for runs that start at the same place of the same problem."""
+    problem, _ = labels.split(labels.flatten(run.config))
+    hashes = _hashes(run)
+    if len(hashes) == 2:  # they cover scene and targets, however the configuration puts it
+        problem = {key: value for key, value in problem.items() if ".unknowns." in key}
+    return (*hashes.items(), *sorted(problem.items()))
+
+
+def _told(run: Run) -> Settings:
+    problem, _ = labels.split(labels.flatten(run.config))
+    return problem | _hashes(run)
+
+
+def _methods(scene: str, runs: list[Run], warnings: list[str]) -> list[Method]:
+    groups: dict[tuple, list[Run]] = defaultdict(list)
+    for run in runs:
+        _, settings = labels.split(labels.flatten(run.config))
+        groups[tuple(sorted(settings.items()))].append(run)
+    named = labels.methods([dict(settings) for settings in groups])
+    machines = sorted({_machine(run) for run in runs})
+    if len(machines) > 1:
+        warnings.append(
+            f"{scene}: made on different machines ({'; '.join(machines)}): compare paths rather "
+            "than seconds"
+        )
+    return [
+        Method(scene, label, _by_seed(scene, label, members, warnings))
+        for label, members in zip(named, groups.values())
+    ]
+
+
+def _machine(run: Run) -> str:
+    manifest = run.manifest
+    device = (manifest.get("machine") or {}).get("device", "unknown device")
+    threads, variant = manifest.get("threads", "?"), manifest.get("variant", "unknown variant")
+    return f"{device}, {threads} threads, {variant}"
+
+
+def _by_seed(scene: str, label: str, runs: list[Run], warnings: list[str]) -> list[Run]:
+    """One run for each seed: of several the last that ended as planned, else the last."""
+
+    def rank(run: Run) -> tuple:
+        done = (run.summary or {}).get("status") == "done"
+        return done, str(run.manifest.get("started", "")), str(run.folder)
+
+    kept: dict[str, Run] = {}
+    for run in sorted(runs, key=rank, reverse=True):
+        first = kept.setdefault(str(seed(run)), run)
+        if first is not run:
+            warnings.append(
+                f"left out: {run.folder}: {scene}, {label} has seed {seed(run)} twice; "
+                f"{first.folder} is the one used"
+            )
+    return sorted(kept.values(), key=lambda run: (seed(run) is None, seed(run)))
+
+
+def _baselines(methods: list[Method], wanted: str | None, warnings: list[str]) -> dict[str, str]:
+    chosen = {}
+    missing = []
+    for scene, group in by_scene(methods).items():
+        found = _named(group, wanted) if wanted else []
+        if len(found) > 1:
+            raise InputError(
+                f"--baseline {wanted}: {scene} has several: {', '.join(sorted(found))}"
+            )
+        if not found:
+            missing.append(scene)
+            found = sorted(_named(group, _DEFAULT_BASELINE)) or sorted(m.label for m in group)
+        chosen[scene] = found[0]
+    if wanted and len(missing) == len(chosen):
+        known = dict.fromkeys(name for m in methods for name in (m.sampler, m.label))
+        raise InputError(f"--baseline {wanted}: no method has this name; {nearest(wanted, known)}")
+    if wanted:
+        warnings += [f"{s}: no method {wanted}: compared with {chosen[s]}" for s in missing]
+    return chosen
+
+
+def _named(group: list[Method], name: str) -> list[str]:
+    """The labels that ``name`` means: the one that it is, else those of the sampler."""
+    exact = [m.label for m in group if m.label == name]
+    return exact or [m.label for m in group if m.sampler == name]
+
+
+def _of_runs(methods: list[Method]) -> list[str]:
+    """How runs ended if not as planned, and what they warn of; once for all seeds alike."""
+    lines = []
+    for method in methods:
+        said: dict[str, list[str]] = defaultdict(list)
+        for run in method.runs:
+            end = f"used up to {run.history['seconds'].iloc[-1]:.4g} s"
+            if run.summary is None:
+                lines.append(f"{run.folder}: killed, or not yet at its end: {end}")
+            elif run.summary.get("status") != "done":
+                lines.append(f"{run.folder}: {run.summary.get('status')}: {end}")
+            for text in (run.summary or {}).get("warnings") or []:
+                said[text].append(str(seed(run)))
+        for text, seeds in said.items():
+            lines.append(f"{method.scene}, {method.label}, seed {', '.join(seeds)}: {text}")
+    return lines

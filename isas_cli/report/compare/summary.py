@@ -1,0 +1,120 @@
+"""One row per method: where its runs ended, how soon they got as far as the baseline, and PBDR's
+measures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pandas
+
+from ...records import Run
+from . import bootstrap, metrics
+from .accuracy import named, speed_up
+from .gather import Method, by_scene
+from .series import MEASURES, Series, read, same_seeds, seed
+
+# As near to the baseline's final error as counts as having got there. Curves are flat at their
+# ends: without a margin, a method that ends a thousandth above the baseline would never get there.
+_NEAR = 1.05
+
+
+def table(methods: list[Method], baseline: dict[str, str]) -> pandas.DataFrame:
+    """One row per scene and method; medians over seeds, ``…_low`` and ``…_high`` the bootstrap's
+    95 % interval (NaN for one run). NaN: not known (no truth, not recorded).
+
+    ``seeds``: their list, as text. ``iterations, paths, seconds`` (billed): at the last evaluation.
+    ``<measure>``: final error; ``<measure>_share``: of the start's.
+    ``<measure>_seconds_to_baseline``: until the error stays within 5 % of (or below) the final
+    error of the baseline's run of the same seed (where seeds differ, of the median of its final
+    errors), +inf: never; ``<measure>_speed_up``: what the baseline needed until then, divided by
+    that, see `accuracy.table` for its infinities.
+    ``RE, MPEA, CS, GN``: see `metrics`; CS +inf: not converged.
+    ``nonfinite``: gradient entries that were not finite, of all runs together.
+    ``<phase>_seconds``: billed seconds of stage1 and step; ``unbilled_seconds``: all others;
+    ``stage1_share``: of the billed seconds.
+    """
+    rows = []
+    for scene, group in by_scene(methods).items():
+        base = next(m for m in group if m.label == baseline[scene])
+        rows += [_row(method, base) for method in group]
+    return pandas.DataFrame(rows)
+
+
+def _row(method: Method, base: Method) -> dict:
+    runs = method.runs
+    row = {
+        "scene": method.scene,
+        "method": method.label,
+        "baseline": method is base,
+        "runs": len(runs),
+        "seeds": " ".join(str(seed(run)) for run in runs),
+    }
+    for name, column in (("iterations", "iteration"), ("paths", "paths"), ("seconds", "seconds")):
+        row[name] = _median(runs, lambda run: float(run.history[column].iloc[-1]))
+    for measure in MEASURES:
+        row |= _errors(method, base, measure)
+    row |= {
+        "RE": _median(runs, metrics.reconstruction_error),
+        "MPEA": _median(runs, metrics.material_error),
+        "CS": _median(runs, metrics.convergence_speed),
+        "GN": _median(runs, metrics.gradient_noise),
+        "nonfinite": sum(int(run.history["nonfinite"].iloc[-1]) for run in runs),
+    }
+    return row | _phases(runs)
+
+
+def _errors(method: Method, base: Method, measure: str) -> dict:
+    """A measure's final error, its share of the start's, and how it compares with the baseline."""
+    own, reference = ([s for r in m.runs if (s := read(r, measure))] for m in (method, base))
+    cost, gain = _to_baseline(own, reference, method is base)
+    columns = named(measure, _estimate([metrics.last(r, measure) for r in method.runs]))
+    columns |= {f"{measure}_share": _median(method.runs, lambda r: metrics.share(r, measure))}
+    columns |= named(f"{measure}_seconds_to_baseline", cost)
+    columns |= named(f"{measure}_speed_up", gain)
+    return {name: float(value) for name, value in columns.items()}
+
+
+def _to_baseline(
+    own: list[Series], base: list[Series], itself: bool
+) -> tuple[bootstrap.Estimate, bootstrap.Estimate]:
+    """Seconds to the baseline's final error, and by what factor that is sooner than it was."""
+    finals = np.array([s.error[-1] * _NEAR for s in base])
+    paired = same_seeds(own, base)
+    goals = finals if paired else np.repeat(np.median(finals) if base else np.nan, len(own))
+    known = own if base else []
+    seconds = np.array([s.reached(goal, "seconds") for s, goal in zip(known, goals)])
+    needed = np.array([s.reached(s.error[-1] * _NEAR, "seconds") for s in base])
+    return bootstrap.median(seconds), speed_up(needed, seconds, paired, itself)
+
+
+def _phases(runs: list[Run]) -> dict[str, float]:
+    def stage1(run: Run) -> float:
+        return float(run.history["stage1_seconds"].iloc[-1])
+
+    def billed(run: Run) -> float:
+        return float(run.history["seconds"].iloc[-1])
+
+    def share(run: Run) -> float:
+        return stage1(run) / billed(run) if billed(run) > 0 else float("nan")
+
+    def unbilled(run: Run) -> float:
+        phases = (run.summary or {}).get("seconds_unbilled")
+        return sum(phases.values()) if phases else float("nan")
+
+    return {
+        "stage1_seconds": _median(runs, stage1),
+        "step_seconds": _median(runs, lambda run: billed(run) - stage1(run)),
+        "unbilled_seconds": _median(runs, unbilled),
+        "stage1_share": _median(runs, share),
+    }
+
+
+def _median(runs: list[Run], of: Callable[[Run], float]) -> float:
+    return float(_estimate([of(run) for run in runs]).value)
+
+
+def _estimate(values: list[float]) -> bootstrap.Estimate:
+    """Over the runs whose value is known."""
+    known = np.array(values, dtype=float)
+    return bootstrap.median(known[~np.isnan(known)])

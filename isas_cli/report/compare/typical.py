@@ -1,0 +1,41 @@
+"""The run that stands for its method in pictures."""
+
+from __future__ import annotations
+
+import math
+
+from ...records import Run
+from .gather import Method
+from .series import seed
+
+_MEDIAN = "Runs shown, of each method the one with the median final error"
+
+
+def final_error(run: Run) -> tuple[str, float]:
+    """The measure by which a run is judged and its last known value: the parameters' error where
+    the truth is known, else the image's. NaN where neither was ever known."""
+    for measure in ("parameter_rmse", "image_rmse"):
+        known = run.history[measure].dropna()
+        if len(known):
+            return measure, float(known.iloc[-1])
+    return "image_rmse", math.nan
+
+
+def typical_run(method: Method) -> Run:
+    """The run with the median final error; of an even number, the better of the middle two.
+
+    Infinite and unknown errors count as the worst.
+    """
+    order = sorted(method.runs, key=lambda run: _rank(final_error(run)[1]))
+    return order[(len(order) - 1) // 2]
+
+
+def words(methods: list[Method]) -> str:
+    """Which runs `typical_run` chose, as a sentence for a caption."""
+    chosen = [f"{method.label} seed {seed(typical_run(method))}" for method in methods]
+    which = "Runs shown" if all(len(method.runs) == 1 for method in methods) else _MEDIAN
+    return f"{which}: {', '.join(chosen)}."
+
+
+def _rank(error: float) -> float:
+    return math.inf if math.isnan(error) else error

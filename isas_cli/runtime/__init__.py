@@ -1,0 +1,1 @@
+"""What all else stands on: Mitsuba's start, clock, Ctrl-C, errors, image files, random streams."""

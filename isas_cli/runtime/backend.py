@@ -1,0 +1,159 @@
+"""Starting Mitsuba: variant, LLVM library, threads. Nothing is imported before start().
+
+Every other module may `import mitsuba` inside functions or after start() only: Dr.Jit loads
+its LLVM library when it is first imported, once per process.
+"""
+
+from __future__ import annotations
+
+import glob
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from . import llvm
+from .errors import InputError, nearest
+
+SUFFIX = "_ad_rgb"
+
+# cuInit in a process of its own: a broken driver may crash or hang, and CUDA does not survive
+# a later fork. Mitsuba traces rays with OptiX, which some containers lack although CUDA works.
+_CUDA_PROBE = """
+import ctypes, os
+cuda = ctypes.CDLL(os.environ.get("DRJIT_LIBCUDA_PATH") or "libcuda.so.1")
+count, device = ctypes.c_int(), ctypes.c_int()
+name = ctypes.create_string_buffer(256)
+assert cuda.cuInit(0) == 0, "cuInit failed"
+assert cuda.cuDeviceGetCount(ctypes.byref(count)) == 0 and count.value > 0, "no CUDA device"
+assert cuda.cuDeviceGet(ctypes.byref(device), 0) == 0, "cuDeviceGet failed"
+assert cuda.cuDeviceGetName(name, len(name), device) == 0, "cuDeviceGetName failed"
+ctypes.CDLL(os.environ.get("DRJIT_LIBOPTIX_PATH") or "libnvoptix.so.1")
+print(name.value.decode(errors="replace"))
+"""
+
+
+@dataclass(frozen=True)
+class Backend:
+    """What a process runs on: LLVM's path and version are None for a CUDA variant."""
+
+    variant: str
+    llvm_path: Path | None
+    llvm_version: str | None
+    threads: int
+    device: str
+
+
+def start(variant: str = "auto", threads: int = 0) -> Backend:
+    """Import Mitsuba with `variant` and `threads` CPU threads (0 leaves Dr.Jit's
+    choice, one for each core).
+
+    `variant`: "auto" takes cuda_ad_rgb where a GPU works, else llvm_ad_rgb. May be called
+    again in one process, also for another variant.
+    Errors: InputError for a negative number of threads, a variant that does not exist, cannot
+    differentiate or cannot run here, and a machine without LLVM 16 or newer; RuntimeError
+    when Dr.Jit was already imported with another LLVM (a defect of the caller).
+    """
+    if threads < 0:
+        raise InputError(f"threads={threads} is negative: give 0 (one for each core) or more")
+    gpu, why_not = _find_gpu() if variant == "auto" or variant.startswith("cuda") else (None, "")
+    library = None if gpu else _load_llvm()
+    import drjit as dr
+    import mitsuba as mi
+
+    _check_name(variant, mi.variants())
+    if variant == "auto":
+        variant = ("cuda" if gpu else "llvm") + SUFFIX
+    if variant.startswith("cuda") and not gpu:
+        raise InputError(
+            f"variant={variant} cannot run here ({why_not}): use variant=llvm{SUFFIX} or auto"
+        )
+    needed = dr.JitBackend.CUDA if gpu else dr.JitBackend.LLVM
+    if not dr.has_backend(needed):
+        where = f"LLVM at {library.path}" if library else f"CUDA on {gpu}"
+        raise InputError(f"variant={variant}: Dr.Jit cannot use {where} (its message is above)")
+    mi.set_variant(variant)
+    if threads > 0:
+        dr.set_thread_count(threads)
+    return Backend(
+        variant=variant,
+        llvm_path=library.path if library else None,
+        llvm_version=library.version if library else None,
+        threads=dr.thread_count(),
+        device=gpu or _cpu_name(),
+    )
+
+
+@contextmanager
+def loading() -> Iterator[None]:
+    """Within the context at least two threads work.
+
+    Mitsuba hands the reading of an EXR file to the thread pool and waits: the only thread of a
+    pool of one would wait for itself.
+    """
+    import drjit as dr
+
+    wanted = dr.thread_count()
+    if wanted < 2:
+        dr.set_thread_count(2)
+    try:
+        yield
+    finally:
+        if wanted < 2:
+            dr.set_thread_count(wanted)
+
+
+def sync() -> None:
+    """Wait until all work queued so far is done; call it before a clock is read."""
+    import drjit as dr
+
+    dr.sync_thread()
+
+
+def _find_gpu() -> tuple[str | None, str]:
+    """(name of the first GPU, ""), or (None, why no GPU can be used)."""
+    if not glob.glob("/dev/nvidia[0-9]*") and not Path("/dev/dxg").exists():
+        return None, "no NVIDIA GPU found"
+    command = [sys.executable, "-I", "-S", "-c", _CUDA_PROBE]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    except subprocess.TimeoutExpired:
+        return None, "the NVIDIA driver does not answer"
+    if done.returncode != 0:
+        reason = done.stderr.strip().splitlines()[-1:] or ["the NVIDIA driver crashed"]
+        return None, reason[0].split(": ", 1)[-1]
+    return done.stdout.strip(), ""
+
+
+def _load_llvm() -> llvm.Library:
+    """Find LLVM and tell Dr.Jit, which reads the variable when it is imported."""
+    library = llvm.find()
+    current = os.environ.get(llvm.VARIABLE)
+    if "drjit" in sys.modules and current != str(library.path):
+        raise RuntimeError("drjit was imported before backend.start(): it has loaded its LLVM")
+    os.environ[llvm.VARIABLE] = str(library.path)
+    return library
+
+
+def _check_name(variant: str, existing: list[str]) -> None:
+    """Refuse what does not exist, and what is not differentiable RGB."""
+    valid = ["auto"] + [name for name in existing if name.endswith(SUFFIX)]
+    if variant in valid:
+        return
+    if variant in existing:
+        raise InputError(f"variant={variant} needs to end in '{SUFFIX}': valid: {', '.join(valid)}")
+    raise InputError(f"variant={variant} does not exist: {nearest(variant, valid)}")
+
+
+def _cpu_name() -> str:
+    """The processor's name as the system gives it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()

@@ -1,0 +1,258 @@
+"""Pictures in and out, through OpenImageIO.
+
+Everything inside `isas` is linear RGB radiance (or a linear texture) in float32; this module is the
+border at which files are decoded to that and encoded from it. It knows nothing of rendering.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+
+from .. import __version__
+from ..records import write_atomically
+from .errors import InputError
+
+_INT32 = range(-(2**31), 2**31)
+_INTEGER_FORMATS = {oiio.UINT8: 255.0, oiio.UINT16: 65535.0}
+_FLOAT_FORMATS = (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
+# CIE x and y of red, green, blue and white (ITU-R BT.709), which sRGB has too.
+_REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+
+
+def srgb_decode(encoded: np.ndarray) -> np.ndarray:
+    """sRGB values in [0, 1] to linear ones (IEC 61966-2-1); any shape."""
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
+def srgb_encode(linear: np.ndarray) -> np.ndarray:
+    """Linear values in [0, 1] to sRGB ones (IEC 61966-2-1); any shape."""
+    return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def read(path: str | Path, finite: bool = True) -> np.ndarray:
+    """Reads a picture as linear RGB: (H, W, 3) float32.
+
+    Floating-point files (EXR, HDR, PFM, float TIFF) are linear as they are; 8- and 16-bit integer
+    ones are decoded from sRGB. A grey picture fills three channels, alpha is dropped, and a
+    photograph is turned the way its Orientation tag asks.
+
+    Raises InputError (one line) for a file that is missing, is not a picture, has no colours, or
+    (with `finite`) holds NaN or infinite pixels.
+    """
+    pixels, linear = _read_colours(Path(path))
+    if not linear:
+        pixels = srgb_decode(pixels)
+    bad = int(np.count_nonzero(~np.isfinite(pixels).all(axis=2)))
+    if finite and bad:
+        raise InputError(f"{path}: {bad} pixels are NaN or infinite; mend or mask them first")
+    if pixels.shape[2] == 1:
+        pixels = np.repeat(pixels, 3, axis=2)
+    return np.ascontiguousarray(pixels, dtype=np.float32)
+
+
+def read_mask(path: str | Path) -> np.ndarray:
+    """Reads a mask: (H, W) float32 in [0, 1], the stored values, never decoded from sRGB.
+
+    Raises InputError for what `read` refuses, for values outside [0, 1] and for a picture whose
+    channels differ (a photograph given as a mask, most likely). Alpha is dropped.
+    """
+    pixels, _ = _read_colours(Path(path))
+    if not (pixels == pixels[..., :1]).all():
+        raise InputError(f"{path}: a mask has to be grey, but this picture's channels differ")
+    mask = np.ascontiguousarray(pixels[..., 0], dtype=np.float32)
+    if not ((mask >= 0) & (mask <= 1)).all():
+        raise InputError(f"{path}: a mask's values have to lie in [0, 1]")
+    return mask
+
+
+def write_exr(
+    path: str | Path,
+    image: np.ndarray,
+    channels: list[str],
+    metadata: dict[str, str | float | int],
+) -> None:
+    """Writes a 32-bit float EXR, whole or not at all.
+
+    image     (H, W, C) or, for one channel, (H, W); linear; NaN is kept as it is
+    channels  C names, such as R, G, B or Y
+    metadata  each entry becomes the attribute `isas:<key>`; `what` is the ImageDescription as well
+
+    With R, G and B the file says that it is scene-linear with Rec. 709 primaries, by name
+    (colorInteropID) and by numbers (chromaticities); without them, that it holds data, which no
+    viewer should convert. Date and time are UTC.
+
+    Raises IsasError naming the file when it cannot be written.
+    """
+    pixels = np.ascontiguousarray(image, dtype=np.float32)
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+    if pixels.ndim != 3 or pixels.shape[2] != len(channels):
+        raise ValueError(f"write_exr: shape {np.shape(image)} does not fit channels {channels}")
+    height, width, count = pixels.shape
+    spec = oiio.ImageSpec(width, height, count, oiio.FLOAT)
+    spec.channelnames = tuple(channels)
+    if set("RGB") <= set(channels):
+        spec.attribute("oiio:ColorSpace", "lin_rec709_scene")
+        spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), _REC709)
+    else:
+        spec.attribute("oiio:ColorSpace", "data")
+    spec.attribute("compression", "zip")
+    spec.attribute("utcOffset", 0.0)  # the header's date has no time zone of its own
+    _describe(spec, {key: _attribute(value) for key, value in metadata.items()})
+    _write(Path(path), "openexr", spec, pixels)
+
+
+def to_display(image: np.ndarray, exposure: float = 1.0) -> np.ndarray:
+    """Linear values to display values, uint8; any shape, such as (H, W, 3).
+
+    One curve: x = clip(exposure · image, 0, 1), then the sRGB curve (IEC 61966-2-1), rounded.
+    NaN becomes black: a caller who shows pictures that may hold NaN marks those pixels itself.
+    """
+    scaled = np.asarray(image, dtype=np.float64) * exposure
+    clipped = np.clip(np.nan_to_num(scaled, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
+    return np.rint(srgb_encode(clipped) * 255.0).astype(np.uint8)
+
+
+def exposure_for(pictures: Iterable[np.ndarray]) -> float:
+    """The factor that brings the 99th percentile of all finite values of linear pictures, of any
+    shapes, to 1, which is white; 1 where no such value is positive."""
+    values = [np.asarray(picture)[np.isfinite(picture)] for picture in pictures]
+    together = np.concatenate(values) if values else np.zeros(0)
+    level = float(np.percentile(together, 99.0)) if together.size else 0.0
+    return 1.0 / level if level > 0 else 1.0
+
+
+def write_png(
+    path: str | Path, image: np.ndarray, metadata: dict[str, str | float | int] | None = None
+) -> None:
+    """Writes an 8-bit picture, uint8 (H, W, C) already encoded for display, whole or not at all.
+
+    The file says that it is sRGB. Each entry of `metadata` becomes a text chunk `isas:<key>`;
+    `what` is the Description as well. Raises IsasError naming the file when it cannot be written.
+    """
+    pixels = np.ascontiguousarray(image)
+    if pixels.dtype != np.uint8 or pixels.ndim != 3:
+        raise ValueError(f"write_png: wants uint8 (H, W, C), got {pixels.dtype} {pixels.shape}")
+    height, width, count = pixels.shape
+    spec = oiio.ImageSpec(width, height, count, oiio.UINT8)
+    spec.attribute("oiio:ColorSpace", "srgb_rec709_display")
+    _describe(spec, {key: _text(value) for key, value in (metadata or {}).items()})
+    _write(Path(path), "png", spec, pixels)
+
+
+def write_preview(
+    path: str | Path,
+    image: np.ndarray,
+    exposure: float = 1.0,
+    metadata: dict[str, str | float | int] | None = None,
+) -> None:
+    """Writes a PNG of a linear picture, (H, W, 1 or 3), shown through `to_display`.
+
+    Its text chunks state the curve and the exposure besides `metadata` (see `write_png`). Raises
+    IsasError naming the file when it cannot be written.
+    """
+    curve = "clip(exposure * linear, 0, 1), then sRGB (IEC 61966-2-1), 8 bits"
+    stated = {**(metadata or {}), "curve": curve, "exposure": float(exposure)}
+    write_png(path, to_display(image, exposure), stated)
+
+
+def _describe(spec: oiio.ImageSpec, metadata: dict[str, str | float | int]) -> None:
+    """Who made the picture, when (UTC) and what it is; `metadata`: of types the format holds."""
+    now = datetime.datetime.now(datetime.timezone.utc)
+    spec.attribute("Software", f"isas {__version__}")
+    spec.attribute("DateTime", now.strftime("%Y:%m:%d %H:%M:%S"))
+    if "what" in metadata:
+        spec.attribute("ImageDescription", str(metadata["what"]))
+    for key, value in {"date": now.isoformat(timespec="seconds"), **metadata}.items():
+        spec.attribute(f"isas:{key}", value)
+
+
+def _text(value: str | float | int) -> str:
+    """A metadata value as a PNG's text chunk holds it; what lies outside ASCII is escaped."""
+    return str(value).encode("ascii", "backslashreplace").decode()
+
+
+def _attribute(value: str | float | int) -> str | float | int:
+    """A metadata value in a type that an EXR header holds (its integers have 32 bits)."""
+    if isinstance(value, (bool, np.bool_)):
+        return str(bool(value))
+    if isinstance(value, (int, np.integer)):
+        return int(value) if int(value) in _INT32 else str(int(value))
+    if isinstance(value, (float, np.floating)):
+        return float(value)
+    return str(value)
+
+
+def _read_colours(path: Path) -> tuple[np.ndarray, bool]:
+    """The colour channels as stored, (H, W, 1 or 3) float32 with integers scaled to [0, 1], and
+    whether they are linear. Raises InputError for a file that holds no such picture.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such picture file")
+    config = oiio.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)  # a product with alpha could not be decoded
+    source = oiio.ImageInput.open(str(path), config)
+    if source is None:
+        raise InputError(f"{path}: cannot be read as a picture: {_first_line(oiio.geterror())}")
+    try:
+        spec = source.spec()
+        if spec.format.basetype in _INTEGER_FORMATS:
+            scale, linear = _INTEGER_FORMATS[spec.format.basetype], False
+        elif spec.format.basetype in _FLOAT_FORMATS:
+            scale, linear = 1.0, True
+        else:
+            raise InputError(f"{path}: pixels of type {spec.format}; 8 or 16 bit or float expected")
+        pixels = source.read_image(oiio.UNKNOWN)
+        if pixels is None:
+            raise InputError(f"{path}: cannot be read: {_first_line(source.geterror())}")
+    finally:
+        source.close()
+    colours = pixels[..., _colour_channels(path, spec)].astype(np.float32) / np.float32(scale)
+    return _upright(colours, spec.get_int_attribute("Orientation", 1)), linear
+
+
+def _colour_channels(path: Path, spec: oiio.ImageSpec) -> list[int]:
+    """Which channels hold colour: R, G, B or Y by name, else all but alpha and depth."""
+    names = [name.upper() for name in spec.channelnames]
+    for wanted in ("RGB", "Y"):
+        if all(name in names for name in wanted):
+            return [names.index(name) for name in wanted]
+    others = [i for i in range(spec.nchannels) if i not in (spec.alpha_channel, spec.z_channel)]
+    if len(others) not in (1, 3):
+        raise InputError(f"{path}: no channels R, G, B or Y; it has {', '.join(spec.channelnames)}")
+    return others
+
+
+def _upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
+    """Turns (H, W, C) float32 pixels as the Exif orientation (1 to 8) says."""
+    if orientation == 1:
+        return pixels
+    stored = oiio.ImageBuf(np.ascontiguousarray(pixels))
+    stored.specmod().attribute("Orientation", orientation)
+    return oiio.ImageBufAlgo.reorient(stored).get_pixels(oiio.FLOAT)
+
+
+def _write(path: Path, format_name: str, spec: oiio.ImageSpec, pixels: np.ndarray) -> None:
+    """Writes `pixels` in the named format, atomically."""
+
+    def write(temporary: Path) -> None:
+        # The format is named, not guessed: a temporary name has no telling extension.
+        output = oiio.ImageOutput.create(format_name)
+        if output is None:
+            raise OSError(_first_line(oiio.geterror()))
+        done = output.open(str(temporary), spec) and output.write_image(pixels)
+        message = "" if done else output.geterror()
+        if not (output.close() and done):
+            raise OSError(_first_line(message or output.geterror()))
+
+    write_atomically(path, write)
+
+
+def _first_line(message: str) -> str:
+    """OpenImageIO's messages may run over several lines; an error here has one."""
+    lines = [line for line in message.splitlines() if line.strip()]
+    return lines[0].strip() if lines else "no reason given"

@@ -1,0 +1,1 @@
+"""The inverse problem as one object, and where its scene comes from."""

@@ -1,0 +1,1 @@
+"""What is to be found: the unknowns of a scene, one file a kind."""

@@ -1,0 +1,246 @@
+"""Poses: movements of a scene's objects as parameters that Mitsuba itself does not have.
+
+A pose θ is a few numbers: the angle of a rotation (degrees), or the lengths of a translation along
+given directions (scene units). It writes what Mitsuba keeps of its objects (vertices and normals of
+a mesh, ``to_world`` of other shapes and sensors, ``position`` of a point light), differentiably: so
+derivatives by these flow on to θ. At θ = ``at`` everything stands as it was loaded, to the bit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..config.schema import PoseConfig
+from ..runtime.errors import InputError, nearest
+
+_MOVABLE = ("vertex_positions", "to_world", "position")
+
+
+@dataclass
+class _Object:
+    """What moves, and where it is without any movement; ``part``: of each vertex, or None."""
+
+    id: str
+    points: mi.Point3f | None = None
+    normals: mi.Normal3f | None = None
+    to_world: object = None
+    position: mi.Point3f | None = None
+
+    @staticmethod
+    def of(params: mi.SceneParameters, id: str) -> "_Object":
+        def value(name: str):
+            key = f"{id}.{name}"
+            return params[key] if key in params else None
+
+        positions, normals = value("vertex_positions"), value("vertex_normals")
+        if positions is not None:
+            points = dr.unravel(mi.Point3f, mi.Float(positions))
+            smooth = normals is not None and dr.width(normals) > 0
+            return _Object(
+                id, points, dr.unravel(mi.Normal3f, mi.Float(normals)) if smooth else None
+            )
+        if value("to_world") is not None:
+            return _Object(id, to_world=type(value("to_world"))(value("to_world")))
+        return _Object(id, position=mi.Point3f(value("position")))
+
+    @property
+    def keys(self) -> list[str]:
+        return [f"{self.id}.{name}" for name in self.values()]
+
+    def places(self) -> np.ndarray:
+        """Points of the object, ``(n, 3)``: vertices, or its place and what is a unit from there
+        along its own axes."""
+        if self.points is not None:
+            return np.array(self.points).T
+        if self.position is not None:
+            return np.array(self.position).reshape(1, 3)
+        matrix = np.array(self.to_world.matrix).reshape(4, 4)
+        middle, axes = matrix[:3, 3], matrix[:3, :3].T
+        return np.concatenate([middle[None], middle + axes, middle - axes])
+
+    def values(self) -> dict:
+        """Mitsuba's parameters by their last word."""
+        if self.points is None:
+            return (
+                {"to_world": self.to_world}
+                if self.position is None
+                else {"position": self.position}
+            )
+        values = {"vertex_positions": dr.ravel(self.points)}
+        # Given as well: Mitsuba would make its own from the triangles.
+        return (
+            values if self.normals is None else values | {"vertex_normals": dr.ravel(self.normals)}
+        )
+
+
+class Pose:
+    """One pose: ``size`` entries, of ``parts`` × (1 or the number of directions)."""
+
+    def __init__(self, name: str, spec: PoseConfig, params: mi.SceneParameters):
+        where = f"scene.poses['{name}']"
+        self.name, self.spec, self.parts = name, spec, spec.parts
+        self.ids = _matching(where, spec.objects, params)
+        if self.parts > 1:
+            for id in self.ids:
+                _check_parts(where, id, self.parts, params)
+        self.each = 1 if spec.kind == "rotation" else len(spec.directions)
+        self.size = self.parts * self.each
+        at = np.zeros(self.each) if spec.at is None else np.asarray(spec.at, float)
+        if at.shape not in ((self.each,), (self.size,)):
+            raise InputError(f"{where}.at={list(spec.at)}: {self.each} numbers, one per direction")
+        self.at = np.broadcast_to(at.reshape(-1, self.each), (self.size // self.each, self.each))
+        self.at = np.ascontiguousarray(self.at, np.float32).reshape(-1)
+
+    @property
+    def period(self) -> float | None:
+        """After which a value means the same again."""
+        return self.spec.period if self.spec.kind == "rotation" else None
+
+    def move(self, item: _Object, θ: mi.Float) -> _Object:
+        """``item`` after this movement. Traced, differentiable by ``θ (size,)``."""
+        moved = θ - mi.Float(self.at)
+        if item.points is None:
+            transform = self._transform([self._entry(moved, i) for i in range(self.each)])
+            if item.position is not None:
+                return _Object(item.id, position=transform @ item.position)
+            kind = type(item.to_world)
+            return _Object(item.id, to_world=kind((transform @ item.to_world).matrix))
+        part = None
+        if self.parts > 1:
+            # In order, equally many vertices each.
+            each = dr.width(item.points) // self.parts
+            part = dr.repeat(dr.arange(mi.UInt32, self.parts), each)
+        amounts = [self._entry(moved, i, part) for i in range(self.each)]
+        if self.spec.kind == "translation":
+            return _Object(item.id, item.points + self._offset(amounts), item.normals)
+        origin = mi.Point3f(*map(float, self.spec.origin))
+        points = item.points + _turn(item.points - origin, self._axis, amounts[0])
+        normals = item.normals
+        if normals is not None:
+            normals = mi.Normal3f(normals + _turn(mi.Vector3f(normals), self._axis, amounts[0]))
+        return _Object(item.id, mi.Point3f(points), normals)
+
+    def _entry(self, θ: mi.Float, direction: int, part: mi.UInt32 | None = None) -> mi.Float:
+        index = mi.UInt32(direction) if part is None else part * self.each + direction
+        return dr.gather(mi.Float, θ, index)
+
+    @property
+    def _axis(self) -> mi.Vector3f:
+        axis = np.asarray(self.spec.axis, float)
+        return mi.Vector3f(*(axis / np.linalg.norm(axis)).tolist())
+
+    def _offset(self, amounts: list[mi.Float]) -> mi.Vector3f:
+        terms = (mi.Vector3f(*map(float, d)) * a for d, a in zip(self.spec.directions, amounts))
+        return sum(terms, mi.Vector3f(0))
+
+    def _transform(self, amounts: list[mi.Float]) -> mi.Transform4f:
+        if self.spec.kind == "translation":
+            return mi.Transform4f().translate(self._offset(amounts))
+        origin = mi.Vector3f(*map(float, self.spec.origin))
+        return mi.Transform4f().translate(origin).rotate(self._axis, amounts[0]).translate(-origin)
+
+
+class Poses:
+    """All poses of a scene; where several move one object, in the order in which they are given."""
+
+    def __init__(self, specs: dict[str, PoseConfig], params: mi.SceneParameters):
+        for name in specs:
+            if name in params:
+                raise InputError(f"scene.poses['{name}']: the scene has a parameter of this name")
+        self.items = {name: Pose(name, spec, params) for name, spec in specs.items()}
+        ids = dict.fromkeys(id for pose in self.items.values() for id in pose.ids)
+        self._rest = {id: _Object.of(params, id) for id in ids}
+        dr.eval(self._rest and [item.values() for item in self._rest.values()])
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.items
+
+    def __bool__(self) -> bool:
+        return bool(self.items)
+
+    def keys(self, names: list[str]) -> list[str]:
+        """The scene's parameters that the poses ``names`` write."""
+        ids = dict.fromkeys(id for name in names if name in self for id in self.items[name].ids)
+        return [key for id in ids for key in self._rest[id].keys]
+
+    def scale(self, name: str) -> float:
+        """How large the numbers are that this pose's are added to, in its own unit: coordinates, of
+        at least 1, and for a rotation the angle under which its longest arm sees them."""
+        pose = self.items[name]
+        points = np.concatenate([self._rest[id].places() for id in pose.ids])
+        coordinates = max(1.0, float(np.abs(points).max()))
+        if pose.spec.kind == "translation":
+            return coordinates
+        axis = np.asarray(pose.spec.axis, float) / np.linalg.norm(pose.spec.axis)
+        arm = np.linalg.norm(np.cross(points - np.asarray(pose.spec.origin, float), axis), axis=1)
+        # What turns about its own middle has no arm: nothing moves that could be resolved.
+        return math.degrees(coordinates / max(float(arm.max()), 1e-3 * coordinates))
+
+    def middles(self, name: str, where: str) -> np.ndarray:
+        """Where the parts of the pose ``name`` are as they were loaded, ``(parts, 3)``, of the one
+        object that it alone moves; raises InputError, naming ``where``, if there are more."""
+        pose = self.items[name]
+        if pose.spec.kind != "translation":
+            raise InputError(f"{where}: only for a translation")
+        others = [other for other in self.items.values() if set(other.ids) & set(pose.ids)]
+        if len(pose.ids) > 1 or len(others) > 1:
+            raise InputError(f"{where}: only for a pose of one object that nothing else moves")
+        rest = self._rest[pose.ids[0]]
+        if rest.points is not None:
+            return np.array(rest.points).T.reshape(pose.parts, -1, 3).mean(axis=1)
+        place = rest.to_world.translation() if rest.position is None else rest.position
+        return np.array(place).reshape(1, 3)
+
+    def placed(self, values: dict) -> dict:
+        """The scene's parameters, by key, for the poses of ``values`` (others: at rest). Traced."""
+        moved: dict[str, _Object] = {}
+        for name, pose in self.items.items():
+            if name not in values:
+                continue
+            for id in pose.ids:
+                moved[id] = pose.move(moved.get(id, self._rest[id]), values[name])
+        return {
+            f"{id}.{name}": value
+            for id, item in moved.items()
+            for name, value in item.values().items()
+        }
+
+
+def _turn(vector: mi.Vector3f, axis: mi.Vector3f, degrees: mi.Float) -> mi.Vector3f:
+    """What Rodrigues' rotation adds to ``vector``: exactly nothing at 0 degrees."""
+    sin, cos = dr.sincos(dr.deg2rad(degrees))
+    across = axis * dr.dot(axis, vector) - vector
+    return dr.cross(axis, vector) * sin + across * (1 - cos)
+
+
+def _matching(where: str, patterns: list[str], params: mi.SceneParameters) -> list[str]:
+    """Ids of objects that can be moved, by name or pattern (``cube_*``)."""
+    words = [key.rpartition(".") for key in params.keys()]
+    movable = list(dict.fromkeys(id for id, _, word in words if word in _MOVABLE))
+    found: list[str] = []
+    for pattern in patterns:
+        ids = [id for id in movable if fnmatchcase(id, pattern)]
+        if not ids:
+            raise InputError(
+                f"{where}.objects: '{pattern}' is nothing that can be moved; "
+                f"{nearest(pattern, movable)}"
+            )
+        found += [id for id in ids if id not in found]
+    return found
+
+
+def _check_parts(where: str, id: str, parts: int, params: mi.SceneParameters) -> None:
+    key = f"{id}.vertex_positions"
+    if key not in params:
+        raise InputError(f"{where}.parts={parts}: '{id}' is no mesh, and has no parts")
+    vertices = dr.width(params[key]) // 3
+    if vertices % parts:
+        raise InputError(
+            f"{where}.parts={parts}: '{id}' has {vertices} vertices, no multiple of it"
+        )

@@ -1,0 +1,305 @@
+"""The command line: what is refused and how, and how a run ends."""
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from isas_cli import records
+from isas_cli.cli.app import main
+from isas_cli.runtime.errors import IsasError
+
+TINY = ["scene=pottery", "size=tiny", "budget.iterations=2", "target.spp=4", "frames.spp=2"]
+
+
+@pytest.fixture
+def isas(tmp_path, monkeypatch, capfd):
+    """Calls the command in an empty folder: arguments → (status, stdout, stderr)."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        status = main(list(arguments))
+        captured = capfd.readouterr()
+        return status, captured.out, captured.err
+
+    return call
+
+
+def refused(isas, arguments: list[str], expected: list[str]) -> None:
+    """One line on stderr that holds every expected part, status 2, and no file left."""
+    status, out, err = isas(*arguments)
+    assert status == 2, err
+    assert out == ""
+    assert err.startswith("isas: ") and err.count("\n") == 1, err
+    for part in expected:
+        assert part in err
+    assert list(Path.cwd().iterdir()) == []
+
+
+# What is typed after `isas run` → parts of the answer.
+BAD_SETTINGS = {
+    "": ["scene=NAME", "pottery"],
+    "scene=potery": ["scene=potery", "did you mean 'pottery'?"],
+    "scene=": ["valid: bowl, catcake"],
+    "scene=[pottery,dodoco]": ["one name"],
+    "pottery": ["'pottery'", "KEY=VALUE"],
+    "scene=pottery sampler=our": ["did you mean 'ours'?"],
+    "scene=pottery loss=l3": ["did you mean 'l2'?"],
+    "scene=pottery size=tny": ["did you mean 'tiny'?", "default, paper"],
+    "scene=pottery sead=3": ["sead", "did you mean 'seed'?"],
+    "scene=pottery +sead=3": ["did you mean 'seed'?"],
+    "scene=pottery ~seed": ["~seed", "cannot be removed"],
+    "scene=pottery optimizer.lrr=3": ["did you mean 'optimizer.lr'?", "optimizer.schedule"],
+    "scene=pottery optimiser.lr=3": ["did you mean 'optimizer'?"],
+    "scene=pottery sampler.flor=0.1": ["did you mean 'sampler.floor'?"],
+    "scene=pottery sampler=uniform sampler.refresh=3": ["sampler.refresh: no such setting"],
+    "scene=pottery sampler=uniform +sampler.refresh=3": ["sampler.refresh: no such setting"],
+    "scene=pottery sampler.name=x": ["sampler=NAME"],
+    "scene=pottery seed=abc": ["seed=abc"],
+    "scene=pottery seed=1,2": ["seed=1,2", "-m"],
+    "scene=pottery seed=-1": ["seed=-1: at least 0"],
+    "scene=pottery optimizer.lr=abc": ["optimizer.lr=abc", "Float"],
+    "scene=pottery optimizer.lr=-1": ["optimizer.lr=-1.0", "above 0"],
+    "scene=pottery optimizer.beta_1=1": ["optimizer.beta_1=1.0", "[0, 1)"],
+    "scene=pottery optimizer.final=0": ["optimizer.final=0.0"],
+    "scene=pottery optimizer.schedule=cosin": ["did you mean 'cosine'?"],
+    "scene=pottery sampler.floor=2": ["sampler.floor=2.0", "[0, 1]"],
+    "scene=pottery sampler.floor=abc": ["sampler.floor", "abc"],
+    "scene=pottery sampler.refresh=0.5": ["sampler.refresh", "0.5"],
+    "scene=pottery sampler.stage1.denoise=foo": ["none, fast, balanced, high"],
+    "scene=pottery loss=relative_l2 loss.epsilon=0": ["loss.epsilon=0.0"],
+    "scene=pottery target.spp=0": ["target.spp=0: at least 1"],
+    "scene=pottery evaluation.spp=3": ["evaluation.spp=3", "even"],
+    "scene=pottery evaluation.count=0": ["evaluation.count=0: at least 1"],
+    "scene=pottery estimator.batch=0": ["estimator.batch=0: at least 1"],
+    "scene=pottery estimator.batch=9999999999": ["estimator.batch=9999999999: at most"],
+    "scene=pottery frames.views=-1": ["frames.views=-1: at least 0"],
+    "scene=pottery threads=-1": ["threads=-1: at least 0"],
+    "scene=pottery budget.seconds=0": ["budget.seconds=0.0", "above 0"],
+    "scene=pottery budget.iterations=0": ["budget.iterations=0"],
+    "scene=pottery budget.iterations=2.5": ["budget.iterations=2.5"],
+    "scene=pottery budget.paths=0": ["budget.paths=0.0"],
+    "scene=pottery overwrite=maybe": ["overwrite=maybe"],
+    "scene=pottery variant=scalar_rgb": ["variant=scalar_rgb", "llvm_ad_rgb"],
+    "scene=pottery variant=lvm_ad_rgb": ["did you mean 'llvm_ad_rgb'?"],
+    "scene=pottery scene.arguments.views=0": ["scene.arguments.views=0", "at least 1"],
+    "scene=pottery scene.arguments.texture=abc": ["scene.arguments.texture=abc", "whole number"],
+    "scene=pottery scene.arguments.foo=1": ["scene.arguments.views"],
+    "scene=pottery scene.builder=foo.bar": ["scene.builder=foo.bar"],
+    "scene=pottery scene.path=a.xml": ["scene.path=a.xml", "scene=file"],
+    "scene=pottery scene.max_depth=3": ["scene.max_depth=3", "scene=file"],
+    "scene=pottery scene.masks=[a.png]": ["scene.masks", "scene.targets"],
+    "scene=pottery scene.targets=a.png": ["scene.targets=a.png", "list"],
+    "scene=pottery scene.targets=[a.png] target.spp=4": ["target"],
+    'scene=pottery scene.unknowns={"jar":3}': ["scene.unknowns", "start"],
+    'scene=pottery scene.unknowns={"jar":{"strt":3}}': ["did you mean 'start'?"],
+    'scene=pottery scene.unknowns={"jar":{"start":3}': ["scene.unknowns", "JSON"],
+    'scene=pottery scene.unknowns={"jar":{"lr":"x"}}': ["scene.unknowns['jar'].lr: ", "Float"],
+    "scene=pottery scene.unknowns={}": ["scene.unknowns={}"],
+    "scene=pottery name=a=b": ["name=a=b", "quotes"],
+    "scene=pottery hydra.run.dir=": ["hydra.run.dir"],
+    "scene=file": ["scene.path"],
+    "scene=file size=tiny scene.path=a.xml": ["size=tiny", "no sizes"],
+    "--foo scene=pottery": ["--foo", "isas run --help"],
+    "--cfg foo scene=pottery": ["--cfg", "job"],
+}
+
+
+@pytest.mark.parametrize("typed", BAD_SETTINGS)
+def test_bad_settings_are_refused_in_one_line(isas, typed):
+    refused(isas, ["run", *typed.split()], BAD_SETTINGS[typed])
+
+
+@pytest.mark.skipif(bool(list(Path("/dev").glob("nvidia[0-9]*"))), reason="there may be a GPU")
+def test_a_variant_that_cannot_run_here_is_refused(isas):
+    refused(isas, ["run", "scene=pottery", "variant=cuda_ad_rgb"], ["variant=cuda_ad_rgb", "auto"])
+
+
+@pytest.mark.parametrize(
+    "arguments, expected",
+    [
+        (["foo"], ["foo: no such command", "run, race, variance, compare, watch, scenes"]),
+        (["repor", "x"], ["did you mean 'report'?"]),
+        (["report"], ["folder"]),
+        (["report", "nowhere"], ["nowhere"]),
+        (["--foo"], ["--foo"]),
+    ],
+)
+def test_bad_commands_are_refused_in_one_line(isas, arguments, expected):
+    refused(isas, arguments, expected)
+
+
+def test_an_unusable_output_folder_is_refused(isas, tmp_path_factory):
+    file = tmp_path_factory.mktemp("elsewhere") / "file"
+    file.write_text("mine")
+    refused(isas, ["run", *TINY, f"hydra.run.dir={file}/run"], [f"{file}/run", "hydra.run.dir=DIR"])
+    refused(isas, ["run", *TINY, f"hydra.run.dir={file}"], [str(file)])
+    assert file.read_text() == "mine"
+
+
+def test_errors_found_late_leave_an_earlier_run_alone(isas, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    (folder / "manifest.json").write_text("{}")
+    arguments = ["run", *TINY, f"hydra.run.dir={folder}"]
+    refused(isas, arguments, ["already holds a run", "overwrite=true"])
+    unknown = 'scene.unknowns={"jar.bsdf.base_colour": {"start": 0.5}}'
+    refused(isas, [*arguments, "overwrite=true", unknown], ["'jar.bsdf.base_colour'"])
+    assert (folder / "manifest.json").read_text() == "{}"
+
+
+def test_a_run_leaves_its_record_where_it_was_asked_to(isas):
+    status, out, err = isas("run", *TINY, "hydra.run.dir=a dir, with=all")
+    assert status == 0, err
+    assert out == "report: a dir, with=all/report.html\n"
+    run = records.load(Path("a dir, with=all"))
+    assert run.summary["status"] == "done"
+    assert run.history["iteration"].tolist()[-1] == 2
+    assert run.manifest["command"][:3] == ["isas", "run", "scene=pottery"]
+    assert [path.name for path in Path.cwd().iterdir()] == ["a dir, with=all"]
+    assert "Traceback" not in err
+    status, out, _ = isas("report", "a dir, with=all")
+    assert (status, out) == (0, "a dir, with=all/report.html\n")
+
+
+def test_a_sweep_goes_on_after_a_failed_job(isas):
+    status, out, err = isas("run", *TINY, "-m", "sampler=uniform", "seed=-1,1,2")
+    assert status == 2
+    assert out.count("report: ") == 2
+    refusals = [line for line in err.splitlines() if line.startswith("isas: ")]
+    assert len(refusals) == 1 and "seed=-1: at least 0" in refusals[0]
+    runs = sorted(path.parent for path in Path("runs/pottery/uniform").glob("*/manifest.json"))
+    assert [records.load(run).summary["seed"] for run in runs] == [1, 2]
+    failed = set(Path("runs/pottery/uniform").iterdir()) - set(runs)
+    assert [json.loads((f / "summary.json").read_text())["status"] for f in failed] == ["failed"]
+
+
+def test_a_sweep_with_an_unknown_name_runs_nothing(isas):
+    status, out, err = isas("run", *TINY, "-m", "sampler=uniform,our")
+    assert (status, out) == (2, "")
+    assert err.count("\n") == 1 and "did you mean 'ours'?" in err
+    assert list(Path.cwd().iterdir()) == []
+
+
+def test_cfg_prints_the_configuration_and_runs_nothing(isas):
+    status, out, _ = isas("run", *TINY, "--cfg", "job")
+    assert status == 0
+    assert "name: pottery" in out and "iterations: 2" in out
+    assert list(Path.cwd().iterdir()) == []
+
+
+def test_helps_and_lists(isas):
+    for arguments, expected in (
+        ([], "COMMAND"),
+        (["run", "--help"], "isas run scene=pottery"),
+        (["run", "scene=pottery", "-h"], "usage: isas run"),
+        (["scenes"], "jar.bsdf.base_color.data"),
+        (["scenes"], "caustic_failure"),
+    ):
+        status, out, err = isas(*arguments)
+        assert (status, err) == (0, "") and expected in out
+
+
+@pytest.mark.parametrize(
+    "part", ["isas_cli.report.write", "isas_cli.engine.pictures.Pictures.density"]
+)
+def test_what_fails_at_the_end_costs_no_result(isas, monkeypatch, part):
+    def full(*unused):
+        raise IsasError("x.png: cannot be written: No space left on device")
+
+    import isas_cli.engine.pictures  # noqa: F401  (so that it can be patched)
+
+    monkeypatch.setattr(part, full)
+    status, out, err = isas("run", *TINY, "hydra.run.dir=r")
+    assert (status, out) == (1, "")
+    assert err.splitlines()[-1] == "isas: x.png: cannot be written: No space left on device"
+    assert records.load(Path("r")).summary["status"] == "done"
+    arrays, state = records.load_checkpoint(Path("r"))
+    assert arrays and state["iteration"] == 2
+
+
+def test_a_defect_keeps_its_traceback(isas, monkeypatch):
+    monkeypatch.setattr("isas_cli.cli.scenes.main", lambda: 1 / 0)
+    status, _, err = isas("scenes")
+    assert status == 1
+    assert "ZeroDivisionError" in err and "defect" in err.splitlines()[-1]
+
+
+def start(folder: Path, *arguments: str) -> subprocess.Popen:
+    """The command in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "isas_cli", *arguments],
+        cwd=folder,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+
+
+def wait_for(path: Path, process: subprocess.Popen) -> None:
+    while not path.exists():
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.02)
+
+
+def test_help_imports_nothing_heavy(tmp_path):
+    code = (
+        "import sys\nfrom isas_cli.cli.app import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit as end:\n    assert not end.code\n"
+        "print(*sys.modules)"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=tmp_path, text=True, capture_output=True)
+    assert done.returncode == 0 and "recover a scene" in done.stdout, done.stderr
+    loaded = {name.partition(".")[0] for name in done.stdout.splitlines()[-1].split()}
+    assert not loaded & {"mitsuba", "drjit", "numpy", "hydra", "rich", "matplotlib", "pandas"}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_loop_finishes_its_record(tmp_path, number):
+    process = start(tmp_path, "run", *TINY[:2], "target.spp=4", "frames.spp=2", "hydra.run.dir=r")
+    wait_for(tmp_path / "r" / "history.csv", process)
+    process.send_signal(number)
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err and "finishing the record" in err
+    assert out == "report: r/report.html\n"
+    run = records.load(tmp_path / "r")
+    assert run.summary["status"] == "interrupted"
+    assert run.summary["iterations"] == run.history["iteration"].iloc[-1]
+    assert records.load_checkpoint(tmp_path / "r")[1]["iteration"] == run.summary["iterations"]
+
+
+def test_an_interruption_before_the_loop_leaves_nothing(tmp_path):
+    process = start(tmp_path, "run", *TINY[:2], "target.spp=1000000", "hydra.run.dir=r")
+    while "targets" not in process.stderr.readline():
+        assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert (out, err.splitlines()[-1]) == ("", "isas: interrupted")
+    assert "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_killed_run_leaves_readable_files(tmp_path):
+    process = start(tmp_path, "run", *TINY[:2], "target.spp=4", "frames.spp=2", "hydra.run.dir=r")
+    history = tmp_path / "r" / "history.csv"
+    wait_for(history, process)
+    process.kill()
+    process.communicate()
+    assert list(csv.DictReader(history.open()))[0]["iteration"] == "0"
+    assert json.loads((tmp_path / "r" / "manifest.json").read_text())["schema"] == 2
+    assert records.load(tmp_path / "r").summary is None
+    assert main(["report", str(tmp_path / "r")]) == 0
+
+
+def test_a_closed_pipe_is_no_defect(tmp_path):
+    process = start(tmp_path, "scenes")
+    process.stdout.close()
+    assert process.wait(timeout=60) in (0, 1)
+    assert "defect" not in process.stderr.read()

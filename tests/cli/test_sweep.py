@@ -1,0 +1,308 @@
+"""Sweeps: what becomes of jobs that fail, are done already or were interrupted."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import BrokenExecutor
+from pathlib import Path
+
+import flaky_scene
+import joblib
+import pytest
+from hydra.core.plugins import Plugins
+from omegaconf import OmegaConf
+
+from isas_cli import records
+from isas_cli.cli.app import main
+from isas_cli.cli.sweeps import fingerprint, launch, worker
+from isas_cli.cli.sweeps.job import Report
+from isas_cli.cli.sweeps.outcome import Outcome, exit_status
+from isas_cli.config.compose import compose
+
+TINY = [
+    "scene=dodoco",
+    "size=tiny",
+    "scene.builder=flaky_scene.build",
+    "budget.iterations=2",
+    "evaluation.count=2",
+    "frames.views=0",
+    "frames.snapshots=0",
+    "target.spp=4",
+]
+JOBLIB = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+
+
+@pytest.fixture
+def isas(tmp_path, monkeypatch, capfd):
+    """Calls `isas run` in an empty folder: arguments → (status, stdout, stderr)."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        status = main(["run", *arguments])
+        captured = capfd.readouterr()
+        return status, captured.out, captured.err
+
+    return call
+
+
+def textures(*sizes: int) -> str:
+    return f"scene.arguments.texture={','.join(map(str, sizes))}"
+
+
+def table(err: str) -> dict[str, str]:
+    """Job → status, from the table at the end."""
+    rows = [re.split(r"\s{2,}", line.strip()) for line in err.splitlines()]
+    return {row[0]: row[1] for row in rows if len(row) == 6 and row[0] != "job"}
+
+
+def folders() -> dict[int, Path]:
+    """The job's texture → its folder, of all jobs below the present folder."""
+    found = Path("runs").rglob("config.yaml")
+    return {OmegaConf.load(path).scene.arguments.texture: path.parent for path in found}
+
+
+def summary(folder: Path) -> dict:
+    return json.loads((folder / "summary.json").read_text())
+
+
+def test_jobs_that_fail_are_recorded_and_done_again_and_finished_ones_skipped(isas):
+    refused, raises, killed = flaky_scene.REFUSED, flaky_scene.RAISES, flaky_scene.KILLED
+    sweep = [*TINY, "-m", textures(refused, raises, killed, 8)]
+    status, out, err = isas(*sweep)
+    assert status == 2  # the first failure's
+    assert out.count("report: ") == 1
+    jobs = {size: f"scene.arguments.texture={size}" for size in (refused, raises, killed, 8)}
+    assert table(err) == dict(zip(jobs.values(), ["failed", "failed", "failed", "done"]))
+    last = err.splitlines()[-3:]
+    assert last[0] == f"isas: {jobs[refused]}: this scene is refused"
+    assert last[1] == f"isas: {jobs[raises]}: RuntimeError: this scene is broken"
+    assert last[2].startswith(f"isas: {jobs[killed]}: its process was killed by SIGKILL")
+    assert "Traceback" not in err
+    places = folders()
+    for size, line in zip((refused, raises, killed), last):
+        content = summary(places[size])
+        assert content["status"] == "failed" and line.endswith(content["error"])
+        assert content["overrides"][-1] == jobs[size]
+        assert (content["scene"], content["sampler"], content["loss"]) == ("dodoco", "ours", "l2")
+        assert content["seed"] == 1
+    assert "RuntimeError: this scene is" in (places[raises] / "error.txt").read_text()
+    assert not (places[refused] / "error.txt").exists()
+    done = records.load(places[8])
+    assert done.summary["status"] == "done"
+    assert done.manifest["command"] == ["isas", "run", *sweep]
+    assert [path.name for path in Path("runs").iterdir()] == ["dodoco"]
+
+    before = (places[8] / "manifest.json").read_bytes()
+    status, out, err = isas(*TINY, "-m", textures(raises, 8))
+    assert (status, out) == (1, "")
+    assert table(err) == {jobs[raises]: "failed", jobs[8]: "skipped"}
+    assert f"{jobs[8]}: skipped: done in {places[8]}" in err.splitlines()
+    assert (places[8] / "manifest.json").read_bytes() == before
+    assert folders() == places
+
+
+def test_joblib_survives_lost_jobs_and_lost_workers(isas):
+    killed, orphan = flaky_scene.KILLED, flaky_scene.KILLS_PARENT
+    status, _, err = isas(*TINY, "-m", *JOBLIB, textures(killed, 8, orphan))
+    assert status == 1
+    # The job that took its worker with it does so once only.
+    assert "a worker was killed" in err
+    outcomes = list(table(err).values())
+    # Losing one worker costs the pool its others: a job that had begun in one of them is resumed.
+    assert [outcomes[0], outcomes[2]] == ["failed", "done"] and outcomes[1] in ("done", "resumed")
+    places = folders()
+    assert summary(places[killed])["killed"] is True
+    run = records.load(places[8])
+    assert run.config["threads"] == max(1, joblib.cpu_count() // 2)
+    assert run.manifest["command"][:2] == ["isas", "run"]
+    assert "param" in (places[8] / "log.txt").read_text()
+
+
+def begin(*arguments: str) -> tuple[subprocess.Popen, Path]:
+    """A sweep in a process of its own, and the folder of its first job, whose loop has begun."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "isas_cli", "run", *arguments], stderr=subprocess.PIPE, text=True
+    )
+    while not (found := list(Path("runs").rglob("history.csv"))):
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.02)
+    return process, found[0].parent
+
+
+def test_interrupted_and_killed_jobs_go_on_where_they_were(isas):
+    settings = [o for o in TINY if not o.startswith(("budget", "scene.builder"))]
+    sweep = [*settings, "budget.seconds=3", "-m", "seed=1,2"]
+    process, folder = begin(*sweep)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate()
+    assert process.returncode == 130
+    assert table(err) == {"seed=1": "interrupted", "seed=2": "not begun"}
+    assert err.splitlines()[-1] == "isas: interrupted"
+    first = records.load(folder)
+    assert first.summary["status"] == "interrupted"
+    assert len(list(folder.parent.iterdir())) == 1  # nothing of the second job
+
+    process, _ = begin(*sweep)
+    while "resumed" not in json.loads((folder / "manifest.json").read_text()):
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.02)
+    process.kill()  # and with it, at once, the job's own process
+    process.wait()
+    process.stderr.close()
+    assert not (folder / "summary.json").exists()
+
+    status, _, err = isas(*settings, "budget.seconds=3", "-m", "seed=1")
+    assert status == 0, err
+    last = records.load(folder)
+    assert "resumed" in err and last.summary["status"] == "done"
+    assert last.history["seconds"].iloc[-1] >= 3 > first.summary["seconds_billed"]
+    assert last.history["iteration"].is_monotonic_increasing
+    assert len(last.manifest["resumed"]) == 2
+
+
+def test_a_changed_setting_makes_another_folder(tmp_path):
+    def name(*overrides: str) -> str:
+        fingerprint.register()
+        cfg = compose(["scene=dodoco", *overrides], hydra=True)
+        return cfg.hydra.sweep.subdir
+
+    assert name() == name("threads=2", "variant=llvm_ad_rgb", "overwrite=true", "loss=l2")
+    assert name("optimizer.lr=0.03") == name("optimizer.lr=3e-2")
+    group, _, last = name("seed=7").rpartition("/")
+    assert (group, last) == ("dodoco/ours", name().rpartition("/")[2].replace("seed1", "seed7"))
+    different = ["optimizer.lr=0.03", "budget.seconds=9", "frames.views=1", "size=tiny", "loss=l1"]
+    assert len({name(), *(name(change) for change in different)}) == 1 + len(different)
+    assert name("name=mine") == "dodoco/ours/mine-" + name().rpartition("/")[2]
+
+    cfg = compose(["scene=dodoco"])
+    (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(cfg, resolve=True))
+    assert fingerprint.same(compose(["scene=dodoco", "threads=2", "name=x"]), tmp_path)
+    assert not fingerprint.same(compose(["scene=dodoco", "seed=2"]), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "typed, expected",
+    [
+        ("threads=1,2", ["'threads=1' and 'threads=2'", "seed1-", "name="]),
+        ("seed=1,2 hydra.run.dir=x", ["hydra.run.dir", "hydra.sweep.dir=DIR"]),
+        ("size=tiny,tny", ["size=tny", "did you mean 'tiny'?"]),
+        ("sampler=uniform,our", ["did you mean 'ours'?"]),
+        ("hydra/launcher=foo", ["hydra/launcher=foo", "joblib", "submitit_slurm"]),
+        ("hydra/launcher=joblib hydra.launcher.n_job=2", ["hydra.launcher.n_job"]),
+    ],
+)
+def test_sweeps_that_cannot_begin_are_refused_in_one_line(isas, typed, expected):
+    status, out, err = isas(*TINY, "-m", *typed.split())
+    assert (status, out) == (2, "")
+    assert err.startswith("isas: ") and err.count("\n") == 1, err
+    for part in expected:
+        assert part in err
+    assert list(Path.cwd().iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "choice, extra",
+    [
+        ("hydra/launcher=ray", "ray"),
+        ("hydra/launcher=submitit_slurm", "slurm"),
+        ("hydra/launcher=submitit_local", "slurm"),
+        ("hydra/sweeper=optuna", "optuna"),
+    ],
+)
+def test_extras_that_are_not_installed_are_named(isas, monkeypatch, choice, extra):
+    monkeypatch.setattr("isas_cli.cli.sweeps.launchers._installed", lambda package: False)
+    status, out, err = isas(*TINY, "-m", choice)
+    assert (status, out) == (2, "")
+    install = f"pip install '.[{extra}]' in isas's source folder"
+    assert err == f"isas: {choice} is an extra: {install}\n"
+
+
+def test_the_same_job_is_done_once_and_a_run_with_other_settings_stays(isas, monkeypatch):
+    calls = []
+
+    def attempt(job, command, threads, quiet):
+        calls.append(job)
+        return Report(0)
+
+    monkeypatch.setattr(worker, "run", attempt)
+    other = Path("elsewhere/1/config.yaml")
+    other.parent.mkdir(parents=True)
+    other.write_text("seed: 5")
+    (other.parent / "manifest.json").write_text("{}")
+    arguments = ["hydra.sweep.dir=elsewhere", "hydra.sweep.subdir='${seed}'", "seed=1,1,2"]
+    status, _, err = isas(*TINY, "-m", *arguments)
+    assert status == 0 and [job.cfg.seed for job in calls] == [1, 2]
+    assert [job.folder for job in calls] == [
+        other.parent.absolute(),
+        Path("elsewhere/2").absolute(),
+    ]
+
+    monkeypatch.setattr(worker, "run", lambda *unused: Report(2, "already holds a run"))
+    status, _, err = isas(*TINY, "-m", *arguments)
+    assert status == 2 and err.count("already holds a run") == 3
+    assert not (other.parent / "summary.json").exists()
+    assert other.read_text() == "seed: 5"
+
+
+def test_a_numerical_failure_keeps_its_record_and_is_done_again(isas, monkeypatch):
+    calls = []
+
+    def attempt(job, command, threads, quiet):
+        calls.append(job)
+        writer = records.RunWriter(job.folder, overwrite=True)
+        writer.config(OmegaConf.to_yaml(job.cfg))
+        writer.manifest({})
+        writer.summary({"status": "numerical failure", "final": {"image_rmse": 0.5}})
+        return Report(3, "the gradient is not finite")
+
+    monkeypatch.setattr(worker, "run", attempt)
+    for _ in range(2):
+        status, _, err = isas(*TINY, "-m", "seed=1,2")
+        assert status == 3 and err.splitlines()[-1] == "isas: seed=2: the gradient is not finite"
+    assert len(calls) == 4
+    content = summary(calls[0].folder)
+    assert content["status"] == "numerical failure" and content["final"] == {"image_rmse": 0.5}
+    assert content["error"] == "the gradient is not finite"
+
+
+def test_no_job_begins_after_an_interruption_that_came_too_late(isas, monkeypatch):
+    calls = []
+
+    def attempt(job, command, threads, quiet):
+        calls.append(job)
+        return Report(0, stopped=True)
+
+    monkeypatch.setattr(worker, "run", attempt)
+    status, _, err = isas(*TINY, "-m", "seed=1,2")
+    assert (status, len(calls)) == (130, 1)
+    assert table(err)["seed=2"] == "not begun"
+    assert err.splitlines()[-1] == "isas: interrupted"
+
+
+def test_a_launcher_that_keeps_losing_its_workers_gives_up(isas, monkeypatch):
+    def launch_jobs(self, job_overrides, initial_job_idx):
+        raise BrokenExecutor("a worker has died")
+
+    plugins = Plugins.instance().class_name_to_class
+    basic = plugins["hydra._internal.core_plugins.basic_launcher.BasicLauncher"]
+    monkeypatch.setattr(basic, "launch", launch_jobs)
+    status, _, err = isas(*TINY, "-m", "seed=1,2")
+    assert status == 1
+    assert table(err) == {"seed=1": "failed", "seed=2": "failed"}
+    assert err.count("begun again for the 2 jobs") == launch._MOST_BREAKDOWNS
+
+
+def test_outcomes_count_as_what_a_search_minimises():
+    done = Outcome("a", Path("a"), "done", image=0.25, parameter=0.5)
+    photographs = Outcome("b", Path("b"), "skipped", image=0.25)
+    failed = Outcome("c", Path("c"), "failed", 3, "not finite", image=0.25, parameter=0.5)
+    interrupted = Outcome("d", Path("d"), "interrupted", 130)
+    assert (float(done), float(photographs)) == (0.5, 0.25)
+    with pytest.raises(ValueError, match="not finite"):
+        float(failed)
+    assert exit_status([done, photographs]) == 0
+    assert exit_status([done, interrupted, failed]) == 3
+    assert exit_status([done, interrupted]) == 130

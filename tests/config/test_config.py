@@ -1,0 +1,144 @@
+"""The YAML files: each composes, instantiates, and says what the code says."""
+
+import dataclasses
+import importlib
+import inspect
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from isas_cli.config import schema
+from isas_cli.config.compose import compose, instantiate, options, translate
+from isas_cli.runtime.errors import InputError
+
+SCENES = [name for name in options("scene") if name != "file"]
+
+
+def typed(*overrides: str) -> schema.Config:
+    return OmegaConf.to_object(compose(translate(overrides)))
+
+
+@pytest.mark.parametrize(
+    "group, name", [(group, name) for group in ("sampler", "loss") for name in options(group)]
+)
+def test_choices_instantiate_and_agree_with_their_classes(group, name):
+    node = compose(["scene=pottery", f"{group}={name}"])[group]
+    made = instantiate(node, group)
+    default = type(made)()
+    assert made == default, "the YAML says something else than the class"
+    assert node.name == name
+    for key in set(node) - {"name", "_target_"}:
+        assert hasattr(default, key)
+
+
+@pytest.mark.parametrize("group", ["sampler", "loss", "scene"])
+def test_every_choice_says_what_it_is(group):
+    for name in options(group):
+        path = Path(schema.folder()) / group / f"{name}.yaml"
+        node = OmegaConf.load(path)
+        assert node.name == name
+        assert path.read_text().startswith("# ") or node.description
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scenes_compose_at_each_size(name):
+    for size in OmegaConf.load(Path(schema.folder()) / "scene" / f"{name}.yaml").sizes:
+        scene = typed(f"scene={name}", f"size={size}").scene
+        assert scene.arguments == scene.sizes[size]
+        assert scene.unknowns
+        module, _, function = scene.builder.rpartition(".")
+        builder = getattr(importlib.import_module(module), function)
+        assert set(scene.arguments) == set(inspect.signature(builder).parameters)
+
+
+def test_config_yaml_agrees_with_the_schema():
+    """One source of truth: what config.yaml lists is what the dataclasses have, to the value."""
+    made = typed("scene=pottery")
+    listed = OmegaConf.load(Path(schema.folder()) / "config.yaml")
+    for field in dataclasses.fields(schema.Config):
+        if field.name in ("scene", "sampler", "loss", "name"):
+            continue
+        assert field.name in listed, f"config.yaml lacks {field.name}"
+        value = getattr(made, field.name)
+        if dataclasses.is_dataclass(value):
+            assert value == type(value)()
+            assert set(listed[field.name]) == {f.name for f in dataclasses.fields(value)}
+        else:
+            assert value == field.default
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "optimizer.lr=0.5",
+        "optimizer.mask_updates=false",
+        "estimator.batch=77",
+        "evaluation.spp=2",
+        "frames.views=0",
+        "target.seed=5",
+        "budget.paths=1e6",
+        "seed=9",
+        "threads=1",
+        "overwrite=true",
+    ],
+)
+def test_overrides_arrive(override):
+    key, _, text = override.partition("=")
+    value = typed("scene=pottery", override)
+    for part in key.split("."):
+        value = getattr(value, part)
+    assert value == type(value)(text == "true" if text in ("true", "false") else float(text))
+
+
+# Read by the command line, by the composition, or by the file itself.
+ELSEWHERE = {"size", "name", "sizes", "description"}
+
+
+def test_every_field_is_read_somewhere():
+    package = Path(schema.__file__).parents[1]
+    sources = [p.read_text() for p in package.rglob("*.py") if p.name != "schema.py"]
+    for kind in vars(schema).values():
+        if not (dataclasses.is_dataclass(kind) and kind.__module__ == schema.__name__):
+            continue
+        for field in dataclasses.fields(kind):
+            used = any(f".{field.name}" in text for text in sources)
+            assert used or field.name in ELSEWHERE, f"{kind.__name__}.{field.name} has no effect"
+
+
+def test_unknowns_in_json_and_in_hydras_notation():
+    for text in (
+        '{"a.b[0].data": {"start": [0.1, 0.2], "range": [0, 1]}, "c d": {"lr": 0.5}}',
+        "{a.b\\[0\\].data: {start: [0.1, 0.2], range: [0, 1]}, c d: {lr: 0.5}}",
+    ):
+        unknowns = typed("scene=file", "scene.path=x.xml", f"scene.unknowns={text}").scene.unknowns
+        assert unknowns == {
+            "a.b[0].data": schema.UnknownConfig(start=[0.1, 0.2], range=[0.0, 1.0]),
+            "c d": schema.UnknownConfig(lr=0.5),
+        }
+
+
+def test_start_may_be_a_file():
+    text = 'scene.unknowns={"a": {"start": "it\'s, a \\\\ file.png"}}'
+    unknowns = typed("scene=file", "scene.path=x.xml", text).scene.unknowns
+    assert unknowns["a"].start == "it's, a \\ file.png"
+
+
+@pytest.mark.parametrize(
+    "path", ["a.xml", "a b.xml", "it's.xml", "a=b,c(d)[e]{f}.xml", "a\\b\\", "ä:#.xml"]
+)
+def test_paths_are_taken_as_they_stand(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path(path).touch()
+    assert typed("scene=file", f"scene.path={path}").scene.path == path
+
+
+def test_quoted_paths_are_hydras():
+    assert typed("scene=file", "scene.path='a b.xml'").scene.path == "a b.xml"
+
+
+def test_instantiating_names_the_field_of_a_wrong_type():
+    cfg = compose(["scene=pottery", "sampler=ours"])
+    cfg.sampler.stage1.spp = "many"
+    with pytest.raises(InputError, match="sampler.stage1.spp: .*many"):
+        instantiate(cfg.sampler, "sampler")

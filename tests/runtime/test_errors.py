@@ -1,0 +1,33 @@
+"""Exit statuses, and the hint that follows a mistyped name."""
+
+import pytest
+
+from isas_cli.runtime.errors import InputError, IsasError, NumericalError, nearest
+
+
+def test_each_error_has_the_status_of_the_design():
+    assert (IsasError.status, InputError.status, NumericalError.status) == (1, 2, 3)
+    assert issubclass(InputError, IsasError) and issubclass(NumericalError, IsasError)
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [("our", "ours"), ("OURS", "ours"), ("unifrom", "uniform"), ("balance", "balanced")],
+)
+def test_nearest_names_what_was_meant_and_all_that_is_valid(typed, meant):
+    valid = ["uniform", "ours", "balanced"]
+    expected = f"did you mean '{meant}'? valid: uniform, ours, balanced"
+    assert nearest(typed, valid) == expected
+
+
+def test_nearest_does_not_guess_wildly():
+    assert nearest("zzz", ["uniform", "ours"]) == "valid: uniform, ours"
+
+
+def test_nearest_takes_any_iterable_even_an_empty_one():
+    assert nearest("our", iter(["ours"])) == "did you mean 'ours'? valid: ours"
+    assert nearest("our", []) == "there are none"
+
+
+def test_nearest_gives_names_in_their_own_case():
+    assert nearest("l2", ["L2", "relative_L2"]).startswith("did you mean 'L2'?")

@@ -1,0 +1,264 @@
+"""Pictures in and out: decoded to linear, written with names and provenance, errors in one line."""
+
+from __future__ import annotations
+
+import datetime
+import resource
+import struct
+
+import mitsuba as mi
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+from PIL import Image
+
+from isas_cli import __version__
+from isas_cli.runtime import images
+from isas_cli.runtime.errors import InputError, IsasError
+
+
+def write(path, pixels, channels=("R", "G", "B"), **attributes):
+    """Writes `pixels` in their own type through OpenImageIO, for `images` to read."""
+    height, width, count = pixels.shape
+    kinds = {"uint8": oiio.UINT8, "uint16": oiio.UINT16, "float32": oiio.FLOAT}
+    spec = oiio.ImageSpec(width, height, count, kinds[str(pixels.dtype)])
+    spec.channelnames = tuple(channels)
+    for name, value in attributes.items():
+        spec.attribute(name.replace("__", ":"), value)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec) and output.write_image(pixels) and output.close()
+    return path
+
+
+def picture(height=5, width=7, channels=3):
+    return np.random.default_rng(1).random((height, width, channels)).astype(np.float32)
+
+
+def exr_header(path):
+    """The attributes of an EXR's header, {name: (type, bytes)}, read by the format's definition:
+    magic number and version, then name, type and size of each attribute, up to an empty name."""
+    data = path.read_bytes()
+    assert data[:4] == b"\x76\x2f\x31\x01"
+    place, attributes = 8, {}
+    while data[place]:
+        name, kind, rest = data[place : place + 600].split(b"\0", 2)
+        place += len(name) + len(kind) + 2
+        (size,) = struct.unpack_from("<i", data, place)
+        attributes[name.decode()] = kind.decode(), data[place + 4 : place + 4 + size]
+        place += 4 + size
+    return attributes
+
+
+def seconds_ago(date, form):
+    """How long ago a UTC date, as text in the form given, was."""
+    stamp = datetime.datetime.strptime(date, form).replace(tzinfo=datetime.timezone.utc)
+    return (datetime.datetime.now(datetime.timezone.utc) - stamp).total_seconds()
+
+
+def test_exr_keeps_values_channel_names_and_metadata(tmp_path):
+    path, image = tmp_path / "a.exr", picture() * 100 - 1
+    metadata = {"what": "result", "scene": "pottery", "view": 3, "seed": 2**40, "spp": 0.5}
+    images.write_exr(path, image, ["R", "G", "B"], metadata)
+    assert np.array_equal(images.read(path), image)
+    spec = oiio.ImageInput.open(str(path)).spec()
+    assert spec.format == oiio.FLOAT and list(spec.channelnames) == ["R", "G", "B"]
+    attributes = {attribute.name: attribute.value for attribute in spec.extra_attribs}
+    assert attributes["oiio:ColorSpace"] == "lin_rec709_scene"
+    assert attributes["Software"].startswith("isas")
+    assert attributes["ImageDescription"] == attributes["isas:what"] == "result"
+    assert attributes["isas:scene"] == "pottery" and attributes["isas:view"] == 3
+    assert attributes["isas:seed"] == str(2**40) and attributes["isas:spp"] == 0.5
+    assert [file.name for file in tmp_path.iterdir()] == ["a.exr"]
+
+
+def test_one_channel_is_written_as_named_and_read_as_grey(tmp_path):
+    density = picture()[..., 0]
+    images.write_exr(tmp_path / "y.exr", density, ["Y"], {"what": "density"})
+    assert list(oiio.ImageInput.open(str(tmp_path / "y.exr")).spec().channelnames) == ["Y"]
+    assert np.array_equal(images.read(tmp_path / "y.exr"), np.repeat(density[..., None], 3, 2))
+    with pytest.raises(ValueError, match="channels"):
+        images.write_exr(tmp_path / "y.exr", picture(), ["Y"], {})
+
+
+def test_another_reader_finds_values_channels_and_strings_of_an_exr(tmp_path):
+    """Mitsuba reads with an OpenEXR of its own."""
+    path, image = tmp_path / "a.exr", picture() * 100 - 1
+    images.write_exr(path, image, ["R", "G", "B"], {"what": "result", "scene": "pottery"})
+    bitmap = mi.Bitmap(str(path))
+    assert bitmap.pixel_format() == mi.Bitmap.PixelFormat.RGB and not bitmap.srgb_gamma()
+    assert [field.name for field in bitmap.struct_()] == ["R", "G", "B"]
+    assert np.array_equal(np.array(bitmap), image)
+    assert bitmap.metadata()["isas:scene"] == "pottery"
+    assert bitmap.metadata()["comments"] == "result"
+    images.write_exr(path, image[..., 0], ["Y"], {})
+    assert mi.Bitmap(str(path)).pixel_format() == mi.Bitmap.PixelFormat.Y
+    assert np.array_equal(np.array(mi.Bitmap(str(path))).reshape(image.shape[:2]), image[..., 0])
+
+
+def test_an_exr_says_in_which_colours_and_when_it_was_made(tmp_path):
+    path = tmp_path / "a.exr"
+    images.write_exr(path, picture(), ["R", "G", "B"], {"view": 3, "seconds": 1.5})
+    header = exr_header(path)
+    assert header["colorInteropID"] == ("string", b"lin_rec709_scene")
+    kind, primaries = header["chromaticities"]
+    bt709 = [0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290]
+    assert kind == "chromaticities" and struct.unpack("<8f", primaries) == pytest.approx(bt709)
+    assert header["utcOffset"] == ("float", struct.pack("<f", 0))
+    assert header["Software"] == ("string", f"isas {__version__}".encode())
+    assert header["isas:view"] == ("int", struct.pack("<i", 3))
+    assert header["isas:seconds"] == ("float", struct.pack("<f", 1.5))
+    assert -1 <= seconds_ago(header["capDate"][1].decode(), "%Y:%m:%d %H:%M:%S") < 600
+    assert -1 <= seconds_ago(header["isas:date"][1].decode(), "%Y-%m-%dT%H:%M:%S+00:00") < 600
+
+
+def test_what_is_no_colour_says_so(tmp_path):
+    images.write_exr(tmp_path / "a.exr", picture()[..., 0], ["Y"], {"what": "p_j n"})
+    header = exr_header(tmp_path / "a.exr")
+    assert header["colorInteropID"] == ("string", b"data") and "chromaticities" not in header
+    spec = oiio.ImageInput.open(str(tmp_path / "a.exr")).spec()
+    assert spec.get_string_attribute("oiio:ColorSpace") == "data"
+
+
+def test_eight_bits_are_decoded_from_srgb(tmp_path):
+    values = np.arange(256, dtype=np.uint8).reshape(16, 16, 1).repeat(3, axis=2)
+    linear = images.read(write(tmp_path / "a.png", values))
+    assert linear.dtype == np.float32
+    # The curve's published values: its ends, its linear foot, middle grey and half intensity.
+    known = {0: 0.0, 10: 0.0030353, 11: 0.0033465, 128: 0.2158605, 188: 0.5028865, 255: 1.0}
+    for code, value in known.items():
+        assert linear.reshape(256, 3)[code] == pytest.approx(value, abs=5e-7), code
+    assert np.array_equal(images.to_display(linear), values)
+
+
+def test_sixteen_bits_are_decoded_and_alpha_is_dropped_without_darkening(tmp_path):
+    sixteen = np.full((2, 3, 3), 32896, dtype=np.uint16)  # 32896 / 65535 = 128 / 255
+    assert images.read(write(tmp_path / "a.png", sixteen)) == pytest.approx(0.2158605, abs=5e-7)
+    half_clear = np.array([[[188, 128, 255, 128]]], dtype=np.uint8)
+    path = write(tmp_path / "b.png", half_clear, "RGBA", oiio__UnassociatedAlpha=1)
+    assert images.read(path)[0, 0] == pytest.approx([0.5028865, 0.2158605, 1.0], abs=5e-7)
+
+
+@pytest.mark.parametrize("name", ["a.tif", "a.pfm"])
+def test_float_files_are_linear_as_they_are(tmp_path, name):
+    image = picture() * 10
+    assert np.array_equal(images.read(write(tmp_path / name, image)), image)
+
+
+def test_radiance_files_are_linear_within_their_precision(tmp_path):
+    image = picture() + 1  # a shared exponent keeps 8 bits of the largest channel
+    assert images.read(write(tmp_path / "a.hdr", image)) == pytest.approx(image, abs=2 / 128)
+
+
+def test_a_photograph_is_turned_as_its_orientation_says(tmp_path):
+    upright = np.zeros((2, 3, 3), dtype=np.uint8)
+    upright[0, 2] = 255  # the top right corner
+    stored = np.rot90(upright)  # orientation 6: turn clockwise for display
+    path = write(tmp_path / "a.tif", np.ascontiguousarray(stored), Orientation=6)
+    assert np.array_equal(images.read(path), upright / 255)
+
+
+def test_colours_are_found_by_name_among_other_channels(tmp_path):
+    layers = picture(channels=5)
+    path = write(tmp_path / "a.exr", layers, ("A", "R", "G", "B", "Z"))
+    assert np.array_equal(images.read(path), layers[..., 1:4])
+    path = write(tmp_path / "b.exr", layers, ("u", "v", "w", "s", "t"))
+    with pytest.raises(InputError, match="no channels R, G, B or Y"):
+        images.read(path)
+
+
+def test_masks_keep_the_stored_values(tmp_path):
+    grey = np.array([[[0], [128], [255]]], dtype=np.uint8)
+    mask = images.read_mask(write(tmp_path / "a.png", grey, ("Y",)))
+    assert mask.shape == (1, 3) and mask[0] == pytest.approx([0, 128 / 255, 1])
+    assert np.array_equal(images.read_mask(write(tmp_path / "b.png", grey.repeat(3, 2))), mask)
+    with pytest.raises(InputError, match="has to be grey"):
+        images.read_mask(write(tmp_path / "c.exr", picture()))
+    with pytest.raises(InputError, match=r"lie in \[0, 1\]"):
+        images.read_mask(write(tmp_path / "d.exr", picture(channels=1) + 1, ("Y",)))
+
+
+def test_a_missing_or_unreadable_picture_is_one_line(tmp_path):
+    (tmp_path / "text.png").write_text("no picture")
+    (tmp_path / "empty.exr").write_text("")
+    images.write_exr(tmp_path / "cut.exr", picture(64, 64), ["R", "G", "B"], {})
+    (tmp_path / "cut.exr").write_bytes((tmp_path / "cut.exr").read_bytes()[:9000])
+    for name in ("nothing.exr", "text.png", "empty.exr", "cut.exr", "."):
+        with pytest.raises(InputError) as error:
+            images.read(tmp_path / name)
+        assert str(tmp_path / name) in str(error.value) and "\n" not in str(error.value), name
+
+
+def test_non_finite_pixels_are_refused_and_counted_unless_wanted(tmp_path):
+    image = picture()
+    image[1, 2, 0], image[3, 3] = np.nan, np.inf
+    images.write_exr(tmp_path / "a.exr", image, ["R", "G", "B"], {})
+    with pytest.raises(InputError, match="2 pixels are NaN or infinite"):
+        images.read(tmp_path / "a.exr")
+    kept = images.read(tmp_path / "a.exr", finite=False)
+    assert np.array_equal(kept, image, equal_nan=True)
+
+
+def test_display_clips_after_the_exposure():
+    image = np.array([[[-1.0, 0.2158605, 0.5], [np.nan, np.inf, 4.0]]])
+    assert images.to_display(image).tolist() == [[[0, 128, 188], [0, 255, 255]]]
+    assert images.to_display(image, 0.25)[0, 1, 2] == 255
+    assert images.to_display(image, 0.125)[0, 1, 2] == 188
+
+
+def test_png_is_written_as_it_is(tmp_path):
+    values = np.random.default_rng(2).integers(0, 256, (4, 6, 3), dtype=np.uint8)
+    images.write_png(tmp_path / "a.png", values)
+    assert np.array_equal(images.to_display(images.read(tmp_path / "a.png")), values)
+    with pytest.raises(ValueError, match="uint8"):
+        images.write_png(tmp_path / "a.png", values / 255)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_preview_states_its_curve(tmp_path, channels):
+    """Pillow reads it back: neither the pixels nor the words are OpenImageIO's alone."""
+    path, image = tmp_path / "a.png", picture(channels=channels) * 4
+    metadata = {"what": "result", "scene": "Töpferei", "view": 3}
+    images.write_preview(path, image, 0.5, metadata)
+    with Image.open(path) as stored:
+        pixels, words = np.asarray(stored), stored.info
+    assert np.array_equal(pixels.reshape(image.shape), images.to_display(image, 0.5))
+    # What the words say, done by hand.
+    assert words["isas:curve"].startswith("clip(exposure * linear, 0, 1), then sRGB")
+    linear = np.clip(float(words["isas:exposure"]) * image.astype(np.float64), 0, 1)
+    curve = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    assert np.array_equal(pixels.reshape(image.shape), np.rint(255 * curve))
+    assert words["srgb"] in range(4) and words["gamma"] == pytest.approx(1 / 2.2, abs=1e-5)
+    assert words["Software"] == f"isas {__version__}" and words["Description"] == "result"
+    assert words["isas:view"] == "3" and words["isas:scene"] == "T\\xf6pferei"
+    assert -1 <= seconds_ago(words["isas:date"], "%Y-%m-%dT%H:%M:%S+00:00") < 600
+    spec = oiio.ImageInput.open(str(path)).spec()
+    assert spec.get_string_attribute("isas:curve") == words["isas:curve"]
+    assert spec.get_string_attribute("oiio:ColorSpace").startswith("srgb")
+
+
+def test_exposure_brings_the_99th_percentile_to_white():
+    ramp = np.linspace(0, 200, 201)  # its 99th percentile is 198
+    image = np.stack([ramp, ramp, ramp], axis=1)[None]
+    assert images.exposure_for([image]) == pytest.approx(1 / 198)
+    with_holes = np.concatenate([ramp, [np.nan, np.inf, -np.inf]])
+    assert images.exposure_for([with_holes]) == pytest.approx(1 / 198)
+    assert images.exposure_for([ramp[:101], ramp[101:]]) == pytest.approx(1 / 198)
+    for nothing in ([], [np.zeros((2, 2, 3))], [np.full((2, 2, 3), np.nan)], [-image]):
+        assert images.exposure_for(nothing) == 1.0
+
+
+def test_a_picture_that_cannot_be_written_leaves_the_earlier_one(tmp_path):
+    path, image = tmp_path / "a.exr", picture()
+    images.write_exr(path, image, ["R", "G", "B"], {})
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4000, hard))  # as on a full disk
+    try:
+        with pytest.raises(IsasError) as error:
+            images.write_exr(path, picture(200, 200), ["R", "G", "B"], {})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert str(path) in str(error.value) and "\n" not in str(error.value)
+    assert np.array_equal(images.read(path), image)
+    assert [file.name for file in tmp_path.iterdir()] == ["a.exr"]
+    with pytest.raises(IsasError, match="cannot be written"):
+        images.write_exr(path / "below" / "b.exr", image, ["R", "G", "B"], {})

@@ -1,0 +1,331 @@
+"""scene=file: a user's own Mitsuba XML, with rendered targets and with pictures."""
+
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pandas
+import pytest
+
+from isas_cli import records
+from isas_cli.cli.app import main
+from isas_cli.rendering import targets
+from isas_cli.runtime import images
+from isas_cli.scene import scene_file
+
+KEY = "paint.brdf_0.base_color.data"
+FEW = ["scene=file", "frames.spp=4", "target.spp=16", "estimator.batch=2048"]
+
+SENSORS = """
+  <sensor type="perspective"><float name="fov" value="45"/>
+    <transform name="to_world"><lookat origin="0.5,2,2.5" target="0,0,0" up="0,1,0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="16"/>
+      <rfilter type="gaussian"/></film></sensor>
+  <sensor type="perspective"><float name="fov" value="40"/>
+    <transform name="to_world"><lookat origin="-1.5,2,1.5" target="0,0,0" up="0,1,0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="20"/>
+    </film></sensor>"""
+EMITTER = '<emitter type="constant"><rgb name="radiance" value="0.8"/></emitter>'
+
+
+def xml(
+    integrator: str = "path",
+    emitter: str = EMITTER,
+    sensors: str = SENSORS,
+    picture: str = "textures/floor.png",
+    extra: str = "",
+) -> str:
+    """A floor whose two-sided material is named and referred to, and a ball that no view sees."""
+    return f"""<scene version="3.0.0">
+  <default name="rough" value="0.4"/>
+  <integrator type="{integrator}"/>
+  {emitter}
+  <bsdf type="twosided" id="paint"><bsdf type="principled">
+    <texture type="bitmap" name="base_color"><string name="filename" value="{picture}"/></texture>
+    <float name="roughness" value="$rough"/></bsdf></bsdf>
+  <shape type="rectangle" id="floor"><transform name="to_world"><rotate x="1" angle="-90"/>
+    </transform><ref id="paint"/></shape>
+  <shape type="sphere" id="ball"><point name="center" x="0" y="0" z="200"/>
+    <bsdf type="diffuse"><rgb name="reflectance" value="0.3"/></bsdf></shape>
+  {extra}{sensors}
+</scene>"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, rng):
+    """The working folder: own/scene.xml with its texture beside it."""
+    (tmp_path / "own" / "textures").mkdir(parents=True)
+    floor = (rng.random((8, 8, 3)) * 150 + 80).astype(np.uint8)
+    images.write_png(tmp_path / "own" / "textures" / "floor.png", floor)
+    (tmp_path / "own" / "scene.xml").write_text(xml())
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def unknowns(key: str = KEY, start="0.5", more: str = "") -> str:
+    return f'scene.unknowns={{"{key}": {{"start": {start}{more}}}}}'
+
+
+def run(*arguments: str) -> int:
+    return main(["run", *FEW, *arguments])
+
+
+POSE = '{"ball.x": {"kind": "translation", "objects": ["ball"], "directions": [[1, 0, 0]]}}'
+TURN = '{"ball.x": {"kind": "rotation", "objects": ["ball"], "axis": [0, 1, 0]}}'
+BLUR = ', "blur": {"start": 0.3, "end": 0.02, "hold": 0.2}'
+PLATEAU = ["sampler=plateau", "budget.iterations=200", "target.spp=256", "frames.views=0"]
+PLATEAU += ["scene.path=own/scene.xml", "hydra.run.dir=r", "optimizer.lr=0.05"]
+
+
+def test_an_object_is_moved_to_where_the_file_has_it(folder, capsys):
+    """A pose of one's own naming; the record follows its value, and the landscape shows the way."""
+    near = xml().replace('z="200"/>', 'z="0"/><float name="radius" value="0.4"/>')
+    (folder / "own" / "scene.xml").write_text(near)
+    arguments = [*PLATEAU, f"scene.poses={POSE}", unknowns("ball.x", "0.5", BLUR)]
+    assert run(*arguments) == 0, capsys.readouterr().err
+    history = records.load(folder / "r").history
+    assert history["parameter_rmse"].iloc[-1] < 0.1 * history["parameter_rmse"].iloc[0]
+    moved = history["value/ball.x"].to_numpy()
+    assert moved[0] == 0.5 and np.allclose(np.abs(moved), history["parameter_rmse"])
+    capsys.readouterr()
+    assert main(["landscape", "r", "--spp", "4"]) == 0, capsys.readouterr().err
+    assert capsys.readouterr().out.strip() == "r/plots/landscape.png"
+    drawn = pandas.read_csv(folder / "r" / "landscape.csv")
+    assert abs(drawn["ball.x"][drawn["hard"].idxmin()]) < 0.1
+    blurred = drawn.filter(like="blurred").iloc[:, 0]
+    assert drawn["ball.x"].is_monotonic_increasing and blurred.min() > drawn["hard"].min()
+    assert main(["landscape", "r", "--along", "bal.x"]) == 2
+    assert "did you mean 'ball.x'" in capsys.readouterr().err
+    (folder / "own" / "scene.xml").write_text(near.replace('value="0.4"', 'value="0.3"'))
+    assert main(["landscape", "r"]) == 2
+    assert "r: its scene has changed since" in capsys.readouterr().err
+    again = ["overwrite=true", "budget.iterations=1", "scene.path=own/scene.xml", unknowns()]
+    assert run(*again, "hydra.run.dir=r") == 0
+    assert not (folder / "r" / "landscape.csv").exists()  # of the run before
+
+
+@pytest.mark.parametrize(
+    "settings, words",
+    [
+        (["sampler=uniform"], "'ball.x' moves objects"),
+        (["sampler=differences"], "sampler=differences draws pixels for plateau-reduced"),
+        (["sampler=mitsuba"], "sensor 0: Mitsuba's own renderings go through the film"),
+        (["estimator.batch=1048576", "sampler.residual_spp=4098"], "sampler.residual_spp=4098"),
+    ],
+)
+def test_what_sampler_and_scene_cannot_do_is_said_before_targets(
+    folder, capsys, monkeypatch, settings, words
+):
+    def slow(*arguments):
+        raise AssertionError("targets are rendered")
+
+    monkeypatch.setattr(targets, "render", slow)
+    given = [f"scene.poses={POSE}", unknowns("ball.x", "0.5", BLUR), *settings]
+    if not settings[0].startswith("sampler="):
+        given.append("sampler=plateau")
+    assert run(*PLATEAU[1:], *given) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1, error
+    assert not (folder / "r").exists()
+
+
+def test_a_slip_in_the_name_of_a_pose_is_told_as_one(folder, capsys):
+    assert run(*PLATEAU, f"scene.poses={POSE}", unknowns("bal.x", "0.5")) == 2
+    assert (
+        "'bal.x' is no differentiable parameter; did you mean 'ball.x'" in capsys.readouterr().err
+    )
+
+
+@pytest.mark.parametrize(
+    "pose, blur, words",
+    [
+        (POSE.replace('["ball"]', '["bal"]'), BLUR, "did you mean 'ball'"),
+        (POSE.replace("kind", "knd"), BLUR, "scene.poses['ball.x'].knd: no such entry"),
+        (
+            POSE.replace("translation", "slide"),
+            BLUR,
+            "scene.poses['ball.x']: pose.kind=slide: valid",
+        ),
+        (
+            POSE.replace('"kind": "translation", ', ""),
+            BLUR,
+            "scene.poses['ball.x'].kind is missing",
+        ),
+        (POSE.replace('"objects": ["ball"], ', ""), BLUR, "['ball.x'].objects is missing"),
+        (POSE.replace('["ball"]', "[]"), BLUR, "['ball.x']: pose.objects=[]: at least one"),
+        (
+            POSE.replace("[[1, 0, 0]]", "[1, 0, 0]"),
+            BLUR,
+            "scene.poses['ball.x']: pose.directions: 1",
+        ),
+        (POSE.replace("[[1, 0, 0]]", '[[0, "a", 1]]'), BLUR, "pose.directions: [0, 'a', 1] is no"),
+        (
+            TURN.replace("[0, 1, 0]", '[0, "a", 1]'),
+            BLUR,
+            "scene.poses['ball.x'].axis[1]: Value 'a'",
+        ),
+        (
+            POSE,
+            ', "blur": {"strat": 1}',
+            "['ball.x'].blur.strat: no such entry; did you mean 'start'",
+        ),
+        (POSE, ', "blur": {"start": "wide"}', "scene.unknowns['ball.x'].blur.start: "),
+        (POSE, ', "blur": 0.5', "scene.unknowns['ball.x'].blur=0.5: give {start: "),
+        (POSE, ', "blur": {"start": 1e300, "end": 1}', "blur.start=1e+300: must be above 0"),
+        (POSE, "", "['ball.x'] has no blur"),
+        (POSE, ', "blur": {"start": 0.3, "end": 0}', "scene.unknowns['ball.x']: blur.end=0"),
+        (POSE, ', "blur": {"start": 0.3}', "blur.end=0"),
+        (POSE, ', "blur": {"start": 0.3, "end": 0.1, "hold": 0.5, "until": 0.5}', "blur.until=0.5"),
+    ],
+)
+def test_poses_that_make_no_sense_are_refused(folder, capsys, pose, blur, words):
+    assert run(*PLATEAU, f"scene.poses={pose}", unknowns("ball.x", "0.5", blur)) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1, error
+    assert not (folder / "r").exists()
+
+
+def test_the_files_values_are_the_truth_and_are_recovered(folder, capsys):
+    arguments = ("scene.path=own/scene.xml", unknowns(), "budget.iterations=60")
+    assert run(*arguments, "hydra.run.dir=r") == 0, capsys.readouterr().err
+    recorded = records.load(folder / "r")
+    assert recorded.keys == [KEY]
+    error = recorded.history["parameter_rmse"].to_numpy()
+    assert error[-1] < 0.5 * error[0]
+    assert recorded.manifest["views"] == [[24, 16], [16, 20]]
+    floor = images.read("own/textures/floor.png")
+    truth = images.read(next((folder / "r" / "frames").glob("truth_*.exr")))
+    assert np.allclose(truth, floor, atol=1e-3)
+
+
+def test_pictures_as_targets(folder, capsys):
+    """Targets rendered with one seed and saved as EXR and PNG: the truth matches them, up to the
+    noise of the target and the steps of 8 bits, and a run has no parameter error."""
+    first = ("scene.path=own/scene.xml", unknowns(), "target.spp=256", "budget.iterations=1")
+    assert run(*first, "hydra.run.dir=rendered") == 0, capsys.readouterr().err
+    frames = folder / "rendered" / "frames"
+    images.write_exr("a.exr", images.read(frames / "target_v00.exr"), ["R", "G", "B"], {})
+    images.write_png("b.png", images.to_display(images.read(frames / "target_v01.exr")))
+    images.write_png("white.png", np.full((16, 24, 1), 255, np.uint8))
+    half = np.full((20, 16, 1), 255, np.uint8)
+    half[:, 8:] = 0
+    images.write_png("half.png", half)
+
+    given = ("scene.path=own/scene.xml", "scene.targets=[a.exr,b.png]")
+    arguments = ["run", "scene=file", *given, "frames.spp=4", "evaluation.spp=256"]
+    arguments += ['scene.unknowns={"%s": {}}' % KEY, "optimizer.lr=1e-6", "budget.iterations=1"]
+    assert main([*arguments, "hydra.run.dir=at_truth"]) == 0, capsys.readouterr().err
+    recorded = records.load(folder / "at_truth")
+    assert recorded.keys == []
+    assert "parameter_rmse" not in recorded.summary["final"]
+    # 8 bits: a step is at most 1/255 · 2.4 · 1.055 ≈ 0.01, its error a third of half of it.
+    assert recorded.history["image_rmse"].iloc[0] < 0.01
+    assert recorded.history["image_rmse"].iloc[0] < 0.1 * _start_error(folder)
+    assert main(["report", "at_truth"]) == 0
+
+    masked = ["scene.masks=[white.png,half.png]", "hydra.run.dir=masked"]
+    assert main([*arguments, *masked]) == 0, capsys.readouterr().err
+    assert records.load(folder / "masked").summary["status"] == "done"
+
+
+def _start_error(folder: Path) -> float:
+    return float(records.load(folder / "rendered").history["image_rmse"].iloc[0])
+
+
+def test_keys_do_not_change_from_load_to_load(folder):
+    keys = [list(mi.traverse(scene_file.load("own/scene.xml", None)[0]).keys()) for _ in range(2)]
+    assert keys[0] == keys[1]
+    assert "emitter_0.radiance.value" in keys[0]
+
+
+def test_the_depth_is_the_files_unless_given(folder):
+    nested = '<integrator type="path"><integer name="max_depth" value="3"/></integrator>'
+    text = xml().replace('<integrator type="path"/>', nested)
+    (folder / "own" / "deep.xml").write_text(text)
+    assert "max_depth = 3" in str(scene_file.load("own/deep.xml", None)[1])
+    assert "max_depth = 5" in str(scene_file.load("own/deep.xml", 5)[1])
+
+
+BAD_FILES = {
+    "broken": (xml()[:300], ["cannot load", "own/bad.xml"]),
+    "empty": ("", ["cannot load"]),
+    "no scene": ('<bsdf version="3.0.0" type="diffuse"/>', ["no <scene>"]),
+    "no texture": (xml(picture="nowhere.png"), ["nowhere.png", "line"]),
+    "no sensor": (xml(sensors=""), ["own/bad.xml", "sensor"]),
+    "no emitter": (xml(emitter=""), ["own/bad.xml", "emitter"]),
+    "volumes": (xml(integrator="volpath"), ["volpath", "valid: path"]),
+    "plugin": (xml(extra='<shape type="sfere"/>'), ["sfere", "line"]),
+    "property": (xml(extra='<bsdf type="diffuse"><float name="rgh" value="1"/></bsdf>'), ["rgh"]),
+    "reference": (xml(extra='<shape type="sphere"><ref id="nope"/></shape>'), ["nope"]),
+    "parameter": (xml().replace("$rough", "$ruff"), ["$ruff"]),
+    "nothing to recover": (f'<scene version="3.0.0">{SENSORS}{EMITTER}</scene>', ["unknowns"]),
+}
+
+
+def refused(capsys, *arguments: str, parts: list[str]) -> None:
+    before = sorted(Path.cwd().iterdir())
+    assert run(*arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("isas: ") and captured.err.count("\n") == 1, captured.err
+    for part in parts:
+        assert part in captured.err
+    assert sorted(Path.cwd().iterdir()) == before
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_bad_files_are_refused_in_one_line(folder, capfd, name):
+    text, parts = BAD_FILES[name]
+    (folder / "own" / "bad.xml").write_text(text)
+    refused(capfd, "scene.path=own/bad.xml", unknowns(), parts=parts)
+
+
+def test_files_that_are_not_there_are_refused(folder, capfd):
+    refused(capfd, "scene.path=nowhere.xml", unknowns(), parts=["nowhere.xml"])
+    refused(capfd, "scene.path=own", unknowns(), parts=["scene.path=own"])
+
+
+BAD_UNKNOWNS = {
+    "none": ("", [KEY]),
+    "misspelt": (unknowns(KEY.replace("color", "colour")), [f"did you mean '{KEY}'?", "emitter_0"]),
+    "moves": (unknowns("floor.to_world"), ["moves geometry", KEY]),
+    "hidden": (unknowns("ball.bsdf.reflectance.value"), ["no view sees it"]),
+    "above": (unknowns(start="1.5"), ["[0, 1]"]),
+    "range": (unknowns(more=', "range": [1, 0]'), ["low < high"]),
+    "rate": (unknowns(more=', "lr": 0'), ["lr=0.0"]),
+    "shape": (unknowns(start="[1, 2]"), ["(8, 8, 3)"]),
+    "kind": (unknowns(start="true"), ["start=True"]),
+    "no start": (unknowns(start="null"), ["has no start"]),
+    "no file": (unknowns(start='"nowhere.png"'), ["nowhere.png"]),
+}
+
+
+@pytest.mark.parametrize("name", BAD_UNKNOWNS)
+def test_bad_unknowns_are_refused_in_one_line(folder, capfd, name):
+    given, parts = BAD_UNKNOWNS[name]
+    refused(capfd, *filter(None, ["scene.path=own/scene.xml", given]), parts=parts)
+
+
+@pytest.mark.parametrize(
+    "targets, masks, parts",
+    [
+        ("a.png", "", ["1 file for 2 sensors"]),
+        ("a.png,nowhere.png", "", ["nowhere.png"]),
+        ("a.png,own/scene.xml", "", ["own/scene.xml"]),
+        ("b.png,a.png", "", ["target b.png", "16×20", "24×16"]),
+        ("a.png,b.png", "b.png,a.png", ["mask b.png", "16×20", "24×16"]),
+        ("a.png,b.png", "a.png", ["scene.masks", "1 file for 2 sensors"]),
+        ("a.png,b.png", "black.png,black2.png", ["every pixel"]),
+    ],
+)
+def test_bad_targets_are_refused_in_one_line(folder, capfd, targets, masks, parts):
+    for name, shape, value in (
+        ("a.png", (16, 24, 3), 99),
+        ("b.png", (20, 16, 3), 99),
+        ("black.png", (16, 24, 1), 0),
+        ("black2.png", (20, 16, 1), 0),
+    ):
+        images.write_png(name, np.full(shape, value, np.uint8))
+    given = ["scene.path=own/scene.xml", unknowns(), f"scene.targets=[{targets}]"]
+    given += [f"scene.masks=[{masks}]"] if masks else []
+    refused(capfd, *given, "target.spp=128", parts=parts)

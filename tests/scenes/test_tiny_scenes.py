@@ -1,0 +1,142 @@
+"""Every scene with every sampler: three iterations at the size `tiny`, as configured."""
+
+import numpy as np
+import pytest
+from omegaconf import DictConfig, OmegaConf
+
+from isas_cli import effects
+from isas_cli.config.compose import compose, options, pixel_samplers, translate
+from isas_cli.config.schema import Config
+from isas_cli.engine import experiment
+from isas_cli.engine.display import Display
+from isas_cli.engine.experiment import Phases
+from isas_cli.engine.loop import Hooks
+from isas_cli.engine.workshop import Workshop
+from isas_cli.runtime.budget import Budget
+from isas_cli.unknowns.parameters import as_numpy
+
+MOVING = ["caustic", "cup", "global_illumination", "occlusion", "shadows", "sort"]
+SCENES = [name for name in options("scene") if name not in ("file", *MOVING)]
+SAMPLERS = pixel_samplers()
+ITERATIONS = 3
+SMALL = [
+    "size=tiny",
+    f"budget.iterations={ITERATIONS}",
+    "target.spp=8",
+    "estimator.batch=1024",
+    "evaluation.count=2",
+    "evaluation.pixels=512",
+    "evaluation.spp=2",
+]
+
+
+def configured(*overrides: str) -> tuple[DictConfig, Config, Budget]:
+    cfg = compose(translate(overrides))
+    return cfg, *experiment.checked(cfg)
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def workshop(request) -> Workshop:
+    """The problem of one scene, from its configuration, for all samplers."""
+    _, typed, budget = configured(f"scene={request.param}", *SMALL)
+    with Display(budget) as display:
+        made = Workshop(experiment.built(typed, Phases(display)))
+    return made
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_three_iterations(workshop, sampler):
+    chosen = f"scene={workshop.problem.name}", f"sampler={sampler}"
+    cfg, typed, budget = configured(*chosen, *SMALL)
+    loop = workshop.loop(cfg, typed, budget)
+    loop.rehearse()
+    rows: list[dict] = []
+    status = loop.run(Hooks(evaluated=rows.append))
+    workshop.problem.unknowns.write(loop.stepper.values)  # detach
+
+    assert status == "done"
+    assert loop.position.iteration == rows[-1]["iteration"] == ITERATIONS
+    for unknown in workshop.problem.unknowns:
+        found = as_numpy(loop.stepper.values[unknown.key])
+        assert np.isfinite(found).all()
+        assert unknown.low <= found.min() and found.max() <= unknown.high
+        assert np.abs(found - unknown.start).max() > 1e-3, f"{unknown.key} has not moved"
+    last = rows[-1]
+    assert last["nonfinite"] == 0 and loop.lost == 0
+    assert last["gradient_norm"] > 0
+    if workshop.problem.name != "caustic_failure":
+        assert loop.warnings == []
+    measured = {k: v for k, v in last.items() if isinstance(v, float)}
+    assert {"loss", "image_rmse", "parameter_rmse", "gradient_norm"} <= measured.keys()
+    assert all(np.isfinite(v) for v in measured.values()), measured
+
+
+@pytest.fixture(scope="module")
+def roughness() -> Workshop:
+    _, typed, budget = configured("scene=trashcan", *SMALL)
+    with Display(budget) as display:
+        return Workshop(experiment.built(typed, Phases(display)))
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_derivative_sampling_with_each_sampler(roughness, sampler):
+    """From the setting to the steps, which take five paths a pixel instead of two."""
+    loops = {}
+    for special in ("false", "true"):
+        chosen = f"sampler={sampler}", f"estimator.derivative_sampling={special}"
+        loops[special] = roughness.loop(*configured("scene=trashcan", *chosen, *SMALL))
+        loops[special].rehearse()
+        assert loops[special].run(Hooks()) == "done"
+        roughness.problem.unknowns.write(loops[special].stepper.values)  # detach
+    plain, drawn = loops["false"], loops["true"]
+    (key,) = roughness.problem.unknowns.keys
+    values = [float(loop.stepper.values[key][0]) for loop in (plain, drawn)]
+    assert values[0] != values[1] and all(0.05 <= v < 0.8 or v > 0.8 for v in values)
+    assert "two parts" in effects.plan(drawn.problem)["derivatives"]
+    assert "two parts" not in effects.plan(plain.problem)["derivatives"]
+    batch = ITERATIONS * 1024
+    steps = [loop.position.paths - looks(loop) for loop in (plain, drawn)]
+    assert steps == [2 * batch, 5 * batch]
+    # Paths that give derivatives count fourfold, those that give residuals once.
+    assert looks(drawn) == looks(plain) + 3 * DERIVATIVES[sampler](plain.sampler)
+
+
+def looks(loop) -> int:
+    """Paths of all looks of a run of ITERATIONS."""
+    sampler = loop.sampler
+    return sampler.paths_before + sampler.paths_per_look * sum(map(sampler.due, range(ITERATIONS)))
+
+
+def cells(sampler) -> int:
+    return sampler.cells.count * sampler.stage1.spp
+
+
+# Paths that give derivatives, in all looks of ITERATIONS iterations at the defaults, one unknown.
+DERIVATIVES = {
+    "uniform": lambda s: 0,
+    "relevant": lambda s: cells(s) * s.stage1.probes,
+    "gradient": lambda s: 0,
+    "ours": cells,
+    "joint": cells,
+    "balanced": lambda s: cells(s) * (s.passes + 1),
+    # Looks at iterations 0, 1 and 2.
+    "preconditioned": lambda s: 3 * cells(s),
+    "multiresolution": cells,
+    # Two at each look and two of the survey, both as often as there are passes.
+    "progress": lambda s: s.passes * cells(s) * 4,
+}
+
+
+@pytest.mark.parametrize("scene", [*SCENES, *MOVING])
+def test_choices_compose_together(scene):
+    """Each sampler, each loss and each size with each scene, not all of their combinations: each
+    of these groups is composed by itself, and a composition takes a tenth of a second."""
+    sizes = OmegaConf.to_container(compose([f"scene={scene}"]).scene.sizes)
+    assert list(sizes) == ["tiny", "default", "paper"]
+    losses = options("loss")
+    for index, sampler in enumerate(options("sampler") if scene in MOVING else SAMPLERS):
+        loss, size = losses[index % len(losses)], list(sizes)[index // len(losses) % len(sizes)]
+        chosen = f"scene={scene}", f"sampler={sampler}", f"loss={loss}", f"size={size}"
+        cfg, typed, _ = configured(*chosen)
+        assert (cfg.scene.name, cfg.sampler.name, cfg.loss.name) == (scene, sampler, loss)
+        assert typed.size == size and typed.scene.arguments == sizes[size]
