@@ -111,16 +111,15 @@ def own_passes(integrator):
     import drjit as dr
     import mitsuba as mi
 
-    from isas_cli.rendering import replay
 
     def kernel(scene, leaves, both, seeds):
         with dr.suspend_grad():
             first, second = (mi.Ray3f(o, d) for o, d in both)
             streams = _stream(seeds[1], first), _stream(seeds[2], second)
-            radiance, _ = replay.primal(integrator, scene, streams[0], first)
+            radiance, _ = integrator.primal(scene, streams[0], first)
             dr.schedule(radiance)  # in one kernel with what follows, as in the step
             adjoint = mi.Color3f(1.0 / dr.width(second.o))
-            replay.backward(integrator, scene, streams[1], second, adjoint)
+            integrator.backward(scene, streams[1], second, adjoint)
             dr.eval(radiance)
 
     return kernel
@@ -131,19 +130,18 @@ def stock_passes(integrator):
     import drjit as dr
     import mitsuba as mi
 
-    from isas_cli.rendering import replay
 
     def kernel(scene, leaves, both, seeds):
         with dr.suspend_grad():
             first, second = (mi.Ray3f(o, d) for o, d in both)
             streams = _stream(seeds[1], first), _stream(seeds[2], second)
-            radiance, _ = replay.primal(integrator, scene, streams[0], first)
+            radiance, _ = integrator.primal(scene, streams[0], first)
             dr.schedule(radiance)
             replayed = streams[1].clone()
-            _, state = replay.primal(integrator, scene, streams[1], second)
+            _, state = integrator.primal(scene, streams[1], second)
             dr.eval(state)
             adjoint = mi.Color3f(1.0 / dr.width(second.o))
-            integrator.sample(
+            integrator.base.sample(
                 mode=dr.ADMode.Backward,
                 scene=scene,
                 sampler=replayed,

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from .. import __version__
-from ..runtime import backend, llvm
+from ..runtime import backend, cache, llvm
 from ..runtime.errors import InputError, IsasError
 
 PACKAGES = ("mitsuba", "drjit", "hydra-core", "OpenImageIO", "mitsuba-oidn")
@@ -28,7 +28,7 @@ def report(variant: str = "auto") -> int:
     table.add_column()
     table.add_column(overflow="fold")  # paths are for copying: wrapped, never cut
     problems: list[str] = []
-    checks: list[Callable[[], list[tuple[str, str]]]] = [_versions, _memory, _kernel_cache]
+    checks: list[Callable[[], list[tuple[str, str]]]] = [_versions, _memory, _kernel_cache, _cache]
     try:
         machine = backend.start(variant)
     except (InputError, ImportError) as error:
@@ -84,6 +84,13 @@ def _kernel_cache() -> list[tuple[str, str]]:
     folder = Path(os.environ.get("DRJIT_CACHE_DIR") or Path.home() / ".drjit")
     mib = sum(file.stat().st_size for file in folder.glob("*") if file.is_file()) / 1024.0**2
     return [("kernel cache", f"{folder}, {mib:.1f} MiB")]
+
+
+def _cache() -> list[tuple[str, str]]:
+    """Where rendered targets are kept (ISAS_CACHE_DIR, ISAS_CACHE_GIB)."""
+    mib = 1024.0**2
+    held = f"{cache.size() / mib:.1f} of at most {cache.limit() / mib:.0f} MiB, oldest go first"
+    return [("target cache", f"{cache.folder()}, {held}")]
 
 
 def _denoiser() -> list[tuple[str, str]]:

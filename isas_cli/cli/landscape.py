@@ -92,7 +92,7 @@ def _measured(problem, cfg: DictConfig, run, names: list[str], spp: int, phases)
     narrower = np.maximum(np.sqrt(start * end)[entries], spacing)
     widths = [tuple(start[entries]), tuple(np.minimum(narrower, start[entries]))]
     loss = instantiate(cfg.loss, "loss")
-    smooth = cfg.sampler.get("smooth", "image")
+    smooth = cfg.estimator.get("smooth", "image")
 
     def done(finished: int, total: int) -> None:
         interrupt.check()

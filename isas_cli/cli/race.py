@@ -13,6 +13,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
 from ..config.compose import compose, options, override, translate
+from ..config.roles import meaning
 from ..engine import resumption
 from ..records import write_atomically
 from ..runtime import interrupt
@@ -20,8 +21,6 @@ from ..runtime.errors import InputError, nearest
 from . import one
 
 _FILE = "race.yaml"
-# What all contestants share: one process, one machine, one budget.
-_SHARED = ("budget", "threads", "variant", "overwrite", "hydra", "name", "seed", "tracker")
 _SLICE_SECONDS = 1.0
 
 
@@ -167,7 +166,8 @@ def _contestants(text: str) -> list[dict[str, Any]]:
         )
     for contestant in found:
         for key in contestant:
-            if key.lstrip("+~").split(".")[0] in _SHARED:
+            # One process, one machine, one budget.
+            if meaning(key.lstrip("+~")).shared:
                 raise InputError(f"contestants: {key}: all contestants of a race share it")
     _distinct("contestants", [json.dumps(contestant, sort_keys=True) for contestant in found])
     return found

@@ -31,11 +31,23 @@ def main(arguments: list[str]) -> int:
         cfg = compose(overrides, hydra=True)
         if cfg.hydra.mode == RunMode.MULTIRUN:
             return sweep.by_hydra(["--multirun"], overrides)
-        HydraConfig.instance().set_config(cfg)
-        folder = cfg.hydra.run.dir
-        with open_dict(cfg):
-            del cfg["hydra"]
-        return one.run(cfg, folder)
+        return _one(cfg)[0]
+
+
+def folder_of(settings: list[str]) -> str:
+    """Run one configuration, given as typed; returns the folder of its record. Raises IsasError."""
+    with one.argv(["isas", "run", *settings]), interrupt.prompt():
+        cfg = compose(translate(settings), hydra=True)
+        return _one(cfg)[1]
+
+
+def _one(cfg) -> tuple[int, str]:
+    """Exit status and folder of a run whose configuration has Hydra's own settings still."""
+    HydraConfig.instance().set_config(cfg)
+    folder = cfg.hydra.run.dir
+    with open_dict(cfg):
+        del cfg["hydra"]
+    return one.run(cfg, folder), folder
 
 
 def _resume(arguments: list[str], wanted: str, overrides: list[str]) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..config.compose import compose, options, override, pixel_samplers, translate
+from ..config.roles import meaning
 from ..runtime import interrupt
 from ..runtime.errors import InputError
 from . import one, race
@@ -13,8 +14,6 @@ _OWN = ("samplers", "contestants", "repeats", "at", "best", "hydra.run.dir")
 _REPEATS, _BEST = 1024, 256
 # What ratios are of: measured even when it is not asked for.
 _REFERENCES = ("uniform", "gradient")
-# Settings of runs that mean nothing here, and would pass for something that does.
-_NO_USE = ("budget", "evaluation", "tracker", "profile", "frames.spp", "frames.snapshots")
 
 
 def main(arguments: list[str]) -> int:
@@ -55,7 +54,8 @@ def _own(arguments: list[str]) -> tuple[dict[str, str], list[str]]:
                 f"{argument}: there are several: samplers=[A,B], or "
                 "contestants=[{sampler:ours,sampler.floor:0.1},…]"
             )
-        if any(group == name or group.startswith(f"{name}.") for name in _NO_USE):
+        # It would pass for something that has an effect.
+        if meaning(group).looped:
             raise InputError(f"{argument}: isas variance has no use for it; leave it out")
         overrides.append(argument)
     return own, overrides

@@ -16,18 +16,24 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ..runtime.errors import InputError, nearest
 from . import schema
+from .schema import PRESETS
 
 # These take keys that no schema can list; '++' lets Hydra add them.
 _UNKNOWNS = "scene.unknowns="
 _NAMED = {_UNKNOWNS: schema.UnknownConfig, "scene.poses=": schema.PoseConfig}
-_GROUPS = ("scene", "sampler", "loss")
+_GROUPS = ("scene", "sampler", "estimator", "loss", "prior")
 # Taken as they stand, whatever letters a path has.
 _PATHS = ("scene.path", "hydra.run.dir", "hydra.sweep.dir")
 # The sampler that another goes around: a choice within a choice, as typed and as Hydra takes it.
 _BASE, _BASE_OF_HYDRA = "sampler.base", "sampler@sampler.base"
-_CHOICES = ("sampler", _BASE, "loss")
-# Samplers that bring a gradient of their own, and the one that chooses pixels for these.
-_OTHER_GRADIENTS = ("plateau", "mitsuba", "finite_differences", "differences")
+_CHOICES = ("sampler", _BASE, "estimator", "loss", "prior")
+# The sampler that looks at blurred renderings instead of paths.
+_BLURRED = "differences"
+# Settings of estimators that were settings of the samplers of the same names, and are still taken.
+_OF_ESTIMATORS = (
+    *("gradient", "smooth", "scheme", "pairs", "spp", "common", "residual", "residual_spp"),
+    *("silhouettes", "step"),
+)
 _LABELS = tuple(f"{choice}.{label}" for choice in _CHOICES for label in ("name", "_target_"))
 
 
@@ -38,7 +44,29 @@ def translate(overrides: Iterable[str]) -> list[str]:
     know: it is rewritten with bare keys. Otherwise nothing can be added with '+' or removed with
     '~': what is not in the configuration has no effect, and all that is in it is needed.
     """
-    return [_translate(override) for override in overrides]
+    return [_translate(override) for override in _unpacked(list(overrides))]
+
+
+def _unpacked(overrides: list[str]) -> list[str]:
+    """What is typed of a preset, such as ``sampler=plateau``, as what it stands for:
+    ``sampler.scheme=…`` is ``estimator.scheme=…``, and with ``sampler.base=gradient`` the pixels
+    are drawn by that sampler."""
+    found = []
+    preset = next((name for name in PRESETS if f"sampler={name}" in overrides), None)
+    base = next((o for o in overrides if o.lstrip("+").startswith(f"{_BASE}=")), None)
+    for override in overrides:
+        key, equals, value = override.lstrip("+").partition("=")
+        if preset and base and override == f"sampler={preset}":
+            found.append(f"estimator={preset}")
+        elif preset and override == base:
+            found.append(f"sampler={value}")
+        elif preset and key.startswith(f"{_BASE}."):
+            found.append(f"sampler{key[len(_BASE) :]}={value}")
+        elif equals and key.startswith("sampler.") and key[len("sampler.") :] in _OF_ESTIMATORS:
+            found.append(f"estimator.{key[len('sampler.') :]}={value}")
+        else:
+            found.append(override)
+    return found
 
 
 def _translate(override: str) -> str:
@@ -152,8 +180,8 @@ def options(group: str) -> list[str]:
 
 
 def pixel_samplers() -> list[str]:
-    """The samplers that choose pixels for path replay; the others take gradients otherwise."""
-    return [name for name in options("sampler") if name not in _OTHER_GRADIENTS]
+    """The samplers that choose pixels for path replay."""
+    return [name for name in options("sampler") if name not in (*PRESETS, _BLURRED)]
 
 
 def explain(error: Exception, overrides: list[str]) -> str:

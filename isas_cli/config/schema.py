@@ -12,6 +12,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 
 from ..runtime.errors import InputError
 from ..runtime.schedule import factor
+from .roles import Role, setting
 
 # Dr.Jit counts the lanes of a kernel in 32 bits.
 MOST_LANES = 2**31
@@ -38,10 +39,10 @@ _WIDEST = 1e15
 
 @dataclass
 class BlurConfig:
-    """Width of the Gaussian that ``sampler=plateau`` blurs an unknown with, in the unknown's unit:
-    ``start`` up to the share ``hold`` of the budget, then linearly to ``end``, which it is from the
-    share ``until`` on: the blurred objective's minimum lies elsewhere than the sharp one's, and a
-    learning rate that falls as fast as the width would not arrive. ``reach``: of a
+    """Width of the Gaussian that ``estimator=plateau`` blurs an unknown with, in the unknown's
+    unit: ``start`` up to the share ``hold`` of the budget, then linearly to ``end``, which it is
+    from the share ``until`` on: the blurred objective's minimum lies elsewhere than the sharp
+    one's, and a learning rate that falls as fast as the width would not arrive. ``reach``: of a
     translation, how far from its middle a part is felt in the images, scene units (None:
     everywhere), for gradients from plain renderings; see ``estimators.locality``."""
 
@@ -77,15 +78,18 @@ class BlurConfig:
 @dataclass
 class UnknownConfig:
     """One unknown: start value (number, list, image file, ``{of: other key}`` or ``{uniform: [low,
-    high], seed: n}``), legal range, own learning rate, and the blur of ``sampler=plateau``."""
+    high], seed: n}``), legal range, own learning rate, and the blur of ``estimator=plateau``."""
 
     start: Any = None
-    range: Optional[List[float]] = None
-    lr: Optional[float] = None
+    # How fast, and within which bounds, an unknown may move is the method's affair.
+    range: Optional[List[float]] = setting(None, Role.METHOD)
+    lr: Optional[float] = setting(None, Role.METHOD)
     blur: Optional[BlurConfig] = None
 
 
-_BLURRING = ("plateau", "finite_differences")  # samplers that need every unknown's blur
+# Names of samplers that stand for an estimator with uniform pixels.
+PRESETS = ("plateau", "mitsuba", "finite_differences")
+_BLURRING = ("plateau", "finite_differences")  # estimators that need every unknown's blur
 # Which kind of pose a setting is of.
 _POSE_KINDS = {
     "axis": "rotation",
@@ -152,10 +156,11 @@ def _is_vector(value) -> bool:
 class SceneConfig:
     """Where the scene comes from and what in it is unknown."""
 
-    name: str = MISSING
-    description: str = ""
+    # Texts and menus; of the rest the content's hash tells the problem.
+    name: str = setting(MISSING, Role.RECORD)
+    description: str = setting("", Role.RECORD)
     builder: Optional[str] = None
-    sizes: Dict[str, Any] = field(default_factory=dict)
+    sizes: Dict[str, Any] = setting(dict, Role.RECORD)
     arguments: Dict[str, Any] = field(default_factory=dict)
     path: Optional[str] = None
     max_depth: Optional[int] = None
@@ -180,13 +185,16 @@ class TargetConfig:
         _at_least(0, target__seed=self.seed)
 
 
+_OF_RUNS = {"shared": True, "looped": True}
+
+
 @dataclass
 class BudgetConfig:
     """When to stop: the first of those given. None of them: 60 billed seconds."""
 
-    seconds: Optional[float] = None
-    iterations: Optional[int] = None
-    paths: Optional[float] = None
+    seconds: Optional[float] = setting(None, Role.METHOD, resumes=True, **_OF_RUNS)
+    iterations: Optional[int] = setting(None, Role.METHOD, resumes=True, **_OF_RUNS)
+    paths: Optional[float] = setting(None, Role.METHOD, resumes=True, **_OF_RUNS)
 
 
 @dataclass
@@ -216,21 +224,6 @@ class OptimizerConfig:
 
 
 @dataclass
-class EstimatorConfig:
-    """``batch``: pixels drawn per step; ``derivative_sampling``: draw directions for
-    the derivative by roughness; ``freeze``: record kernels once."""
-
-    batch: int = 65536
-    derivative_sampling: bool = False
-    freeze: bool = True
-
-    def __post_init__(self) -> None:
-        _at_least(1, estimator__batch=self.batch)
-        if self.batch > MOST_LANES:
-            raise InputError(f"estimator.batch={self.batch}: at most {MOST_LANES}")
-
-
-@dataclass
 class EvaluationConfig:
     """Unbilled measuring: times over the run, pixels and paths per pixel each time."""
 
@@ -249,8 +242,8 @@ class FramesConfig:
     """Pictures at the end: how many views, paths per pixel; ``snapshots`` on the way, at most."""
 
     views: int = 4
-    spp: int = 64
-    snapshots: int = 12
+    spp: int = setting(64, Role.RECORD, looped=True)
+    snapshots: int = setting(12, Role.RECORD, looped=True)
 
     def __post_init__(self) -> None:
         _at_least(0, frames__views=self.views, frames__snapshots=self.snapshots)
@@ -259,26 +252,35 @@ class FramesConfig:
 
 @dataclass
 class Config:
-    """Everything of one run."""
+    """Everything of one run.
 
-    scene: SceneConfig = field(default_factory=SceneConfig)
-    sampler: Dict[str, Any] = field(default_factory=dict)
-    loss: Dict[str, Any] = field(default_factory=dict)
-    size: str = "default"
-    name: str = MISSING
-    seed: int = 1
-    variant: str = "auto"
-    threads: int = 0
-    overwrite: bool = False
-    tracker: str = "none"
-    profile: bool = False
-    report: bool = True
-    budget: BudgetConfig = field(default_factory=BudgetConfig)
-    target: TargetConfig = field(default_factory=TargetConfig)
-    optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
-    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
-    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
-    frames: FramesConfig = field(default_factory=FramesConfig)
+    ``size``: tiny, default or paper, which of the scene's sizes; ``seed``: of the run's random
+    streams (targets have their own); ``report``: plots and page at the end (``isas report DIR``
+    makes them later); ``profile``: measure afterwards where an iteration's time goes; ``tracker``:
+    none or tensorboard, where else evaluations and snapshots go; ``variant``: Mitsuba's, auto takes
+    cuda_ad_rgb where a GPU works, else llvm_ad_rgb; ``threads``: of the CPU, 0 for all;
+    ``overwrite``: replace a run that already lies in the output folder.
+    """
+
+    scene: SceneConfig = setting(SceneConfig, Role.PROBLEM)
+    sampler: Dict[str, Any] = setting(dict, Role.METHOD)
+    estimator: Dict[str, Any] = setting(dict, Role.METHOD)
+    loss: Dict[str, Any] = setting(dict, Role.METHOD)
+    prior: Dict[str, Any] = setting(dict, Role.METHOD)
+    optimizer: OptimizerConfig = setting(OptimizerConfig, Role.METHOD)
+    size: str = setting("default", Role.PROBLEM)
+    target: TargetConfig = setting(TargetConfig, Role.PROBLEM)
+    budget: BudgetConfig = setting(BudgetConfig, Role.METHOD, **_OF_RUNS)
+    seed: int = setting(1, Role.SEED, shared=True)
+    evaluation: EvaluationConfig = setting(EvaluationConfig, Role.RECORD, looped=True)
+    frames: FramesConfig = setting(FramesConfig, Role.RECORD)
+    report: bool = setting(True, Role.RECORD)
+    profile: bool = setting(False, Role.RECORD, resumes=True, looped=True)
+    tracker: str = setting("none", Role.PLACE, resumes=True, **_OF_RUNS)
+    name: str = setting(MISSING, Role.PLACE, shared=True)
+    variant: str = setting("auto", Role.PLACE, shared=True)
+    threads: int = setting(0, Role.PLACE, resumes=True, shared=True)
+    overwrite: bool = setting(False, Role.PLACE, shared=True)
 
     def __post_init__(self) -> None:
         _at_least(0, seed=self.seed, threads=self.threads)
@@ -296,7 +298,7 @@ class Config:
             raise InputError(
                 f"size={self.size}: scene={scene.name} has no sizes: its films say how large it is"
             )
-        for key in scene.unknowns if self.estimator.derivative_sampling else ():
+        for key in scene.unknowns if self.estimator.get("derivative_sampling") else ():
             if roughness_of(key) is None:
                 raise InputError(
                     f"estimator.derivative_sampling=true: '{key}' is no roughness; it draws for "
@@ -306,11 +308,19 @@ class Config:
         for key, unknown in scene.unknowns.items():
             # Where there are poses, a key that is none of them may be a slip: told with the scene.
             named = key in scene.poses or not scene.poses
-            if named and unknown.blur is None and self.sampler.get("name") in _BLURRING:
+            if named and unknown.blur is None and self.estimator.get("name") in _BLURRING:
                 raise InputError(
-                    f"scene.unknowns['{key}'] has no blur, which sampler={self.sampler['name']} "
-                    "needs: give blur: {start: 0.5, end: 0.01}, widths of a Gaussian in its unit"
+                    f"scene.unknowns['{key}'] has no blur, which "
+                    f"estimator={self.estimator['name']} needs: "
+                    "give blur: {start: 0.5, end: 0.01}, widths of a Gaussian in its unit"
                 )
+        # A preset names the estimator that it picks.
+        preset, picked = self.sampler.get("name"), self.estimator.get("name")
+        if preset in PRESETS and preset != picked:
+            raise InputError(
+                f"sampler={preset} is a preset for estimator={preset}: with estimator={picked} say "
+                "which pixels are drawn, such as sampler=uniform"
+            )
         if scene.targets is None and scene.masks is not None:
             raise InputError("scene.masks needs scene.targets: rendered targets have no masks")
         if scene.targets is not None and self.target != TargetConfig():

@@ -11,9 +11,6 @@ from typing import TYPE_CHECKING
 
 import mitsuba as mi
 
-from ..rendering import attached
-from ..rendering.derivative_sampling import DerivativeSampling
-
 if TYPE_CHECKING:
     from ..scene.problem import Problem
 
@@ -21,18 +18,20 @@ if TYPE_CHECKING:
 _UNLIMITED = 2**32 - 1  # what Mitsuba makes of max_depth=-1
 
 
-def plan(problem: "Problem") -> dict[str, str]:
-    """Effect → what is done about it, and why, in the order in which a reader asks."""
+def plan(problem: "Problem", derivatives: str) -> dict[str, str]:
+    """Effect → what is done about it, and why, in the order in which a reader asks.
+
+    ``derivatives``: how the estimator gets them, in words."""
     shapes = problem.scene.shapes()
     depth = problem.integrator.max_depth
     return {
         "light": _counted([e.class_name() for e in problem.scene.emitters()]),
         "paths": _depth(depth),
         "refraction": _transmission(shapes),
-        "media": _media(shapes),
+        "media": _media(shapes, problem.integrator.simulates),
         "moving silhouettes": _moving(problem.unknowns.poses),
         "colour": "linear RGB, no spectra, no polarisation",
-        "derivatives": _derivatives(problem),
+        "derivatives": derivatives,
     }
 
 
@@ -40,17 +39,6 @@ def _moving(poses: list[str]) -> str:
     if poses:
         return f"{', '.join(poses)} move objects: compared at several places, or sampled"
     return "not differentiated: no unknown moves geometry"
-
-
-def _derivatives(problem: "Problem") -> str:
-    integrator = problem.integrator
-    if problem.unknowns.poses:
-        return "not by path replay: as the sampler says"
-    if isinstance(integrator, DerivativeSampling):
-        return "by roughness, directions drawn for the derivative's two parts"
-    if attached.handles(integrator):
-        return "short paths unrolled and differentiated in one go"
-    return "path replay backpropagation"
 
 
 def _depth(depth: int) -> str:
@@ -76,8 +64,10 @@ def _transmission(shapes: list) -> str:
     return "not met: no surface lets light through"
 
 
-def _media(shapes: list) -> str:
+def _media(shapes: list, simulated: tuple[str, ...]) -> str:
     if any(shape.is_medium_transition() for shape in shapes):
+        if "media" in simulated:
+            return "simulated: shapes are filled"
         return "not simulated: what fills shapes is ignored"
     return "not met: no shape is filled"
 

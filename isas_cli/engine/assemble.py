@@ -14,12 +14,12 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import SceneConfig, TargetConfig
-from ..rendering import coverage, targets
-from ..rendering.pixels import Views
+from ..rendering import coverage, integrators, targets
 from ..runtime import backend
 from ..runtime.errors import InputError, nearest
 from ..scene import mesh_checks, scene_file
 from ..scene.problem import Problem
+from ..scene.views import Views
 from ..unknowns.parameters import textures
 from ..unknowns.poses import Poses
 from ..unknowns.specs import narrow_blurs, parse
@@ -67,7 +67,7 @@ def problem(
     result = Problem(
         scene.name,
         loaded,
-        integrator,
+        integrators.adapt(integrator, _where(scene)),
         loaded.sensors_dr(),
         sizes,
         Views.of(sizes),

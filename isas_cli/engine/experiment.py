@@ -16,7 +16,7 @@ from ..config.schema import Config
 from ..records import trackers
 from ..runtime import backend, interrupt
 from ..runtime.budget import Budget
-from ..runtime.errors import NumericalError
+from ..runtime.errors import InputError, NumericalError
 from .display import Display
 
 if TYPE_CHECKING:
@@ -64,13 +64,22 @@ def checked(cfg: DictConfig) -> tuple[Config, Budget]:
 
 
 def started(cfgs: list[DictConfig], typed: Config) -> backend.Backend:
-    """The backend, started; then loss and sampler of each configuration are made once, so that
-    they can refuse their settings before a scene is loaded."""
+    """The backend, started; then the choices of each configuration are made once, so that they can
+    refuse their settings, and each other, before a scene is loaded."""
     machine = backend.start(typed.variant, typed.threads)
     for cfg in cfgs:
-        instantiate(cfg.loss, "loss")
-        instantiate(cfg.sampler, "sampler")
+        loss, sampler, estimator = (instantiate(cfg[name], name) for name in _CHOSEN)
+        instantiate(cfg.prior, "prior")
+        estimator.fits(sampler)
+        if cfg.profile and not estimator.replays:
+            raise InputError(
+                "profile=true takes path replay's step apart, which estimator="
+                f"{cfg.estimator.name} does not do: leave it out"
+            )
     return machine
+
+
+_CHOSEN = ("loss", "sampler", "estimator")
 
 
 class Phases:
@@ -106,8 +115,9 @@ def built(typed: Config, phases: Phases, cfgs: Iterable[DictConfig] = ()) -> "Pr
 
     def check(problem: "Problem") -> None:
         for cfg in cfgs:
-            loss, sampler = instantiate(cfg.loss, "loss"), instantiate(cfg.sampler, "sampler")
-            sampler.check(problem, loss, cfg.estimator.batch)
+            loss, sampler, estimator = (instantiate(cfg[name], name) for name in _CHOSEN)
+            estimator.check(problem, sampler, loss)
+            instantiate(cfg.prior, "prior").on(problem.unknowns)
 
     return assemble.problem(typed.scene, typed.target, phases.rendered, phases.begin, check)
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..estimators.estimator import Gradients
+from ..losses.priors import OnUnknowns
 from ..runtime.budget import Budget
 from ..runtime.clock import Clock
 from ..runtime.errors import NumericalError
@@ -28,20 +29,8 @@ _EVALUATION_POWER = 1.5
 # If more than this share of the touched gradient entries since the last evaluation is not finite,
 # going on makes no sense.
 _NONFINITE_LIMIT = 0.5
-# Iteration numbers of the rehearsal: out of reach of any run, so that no stream repeats (but for
-# samplers that take eight streams an iteration, whose looks are then those of the run's begin).
+# Iteration numbers of the rehearsal: out of reach of any run, so that no stream repeats.
 _REHEARSAL_BASE = 1 << 24
-
-
-class Estimator(Protocol):
-    """What estimates gradients: ``estimators``."""
-
-    @property
-    def paths_per_step(self) -> int: ...
-
-    def estimate(
-        self, values: dict, distribution, base: int, iteration: int, progress: float
-    ) -> dict: ...
 
 
 @dataclass
@@ -74,9 +63,10 @@ class Loop:
         stepper: Stepper,
         evaluator: Evaluator,
         budget: Budget,
-        estimator: Estimator,
+        estimator: Gradients,
         seed: int,
         evaluations: int,
+        prior: OnUnknowns | None = None,
     ):
         self.problem, self.sampler, self.stepper = problem, sampler, stepper
         self.evaluator, self.budget, self.seed = evaluator, budget, seed
@@ -85,7 +75,7 @@ class Loop:
         self.position = Position()
         self.last: dict | None = None
         self.lost = 0  # paths of evaluations that came out non-finite
-        self.estimator = estimator
+        self.estimator, self.prior = estimator, prior
         self.warnings: list[str] = []
         self._weights = self._distribution = self._gradients = None
         self._counted = 0, 0
@@ -195,7 +185,9 @@ class Loop:
 
     def _estimate(self, iteration: int) -> dict:
         where = self._distribution, self.seed, iteration
-        return self.estimator.estimate(self.stepper.values, *where, self.scheduled)
+        values = self.stepper.values
+        found = self.estimator.estimate(values, *where, self.scheduled)
+        return found if self.prior is None else self.prior.add(values, found)
 
     def _count_evaluations(self) -> None:
         """How many evaluations are behind this progress, whether one stood for several that a
@@ -213,6 +205,8 @@ class Loop:
         with self.clock.unbilled("evaluation"):
             before = self.evaluator.renderer.nonfinite
             row = self.evaluator(self.stepper.values)
+            if self.prior is not None:
+                row["prior"] = self.prior.value(self.stepper.values)
             self.lost += self.evaluator.renderer.nonfinite - before
             nonfinite = int(self.stepper.nonfinite[0])
             norm = self._gradient_norm()

@@ -46,7 +46,6 @@ from rich.table import Table
 
 from ..estimators.two_path import TwoPath
 from ..records import write_atomically
-from ..rendering import replay
 from ..runtime import streams
 from ..runtime.backend import sync
 from ..unknowns.parameters import flat, unflat
@@ -103,7 +102,7 @@ def _up_to_primal(integrator, scene, stream, ray, adjoint) -> None:
 def _up_to_adjoint(integrator, scene, stream, ray, adjoint) -> None:
     """A derivative that is summed over the unknowns instead of scattered to them."""
     dr.schedule(adjoint)  # evaluated with what comes next, as in the whole step
-    replay.forward(integrator, scene, stream, ray)
+    integrator.forward(scene, stream, ray)
 
 
 class _Pass:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, OmegaConf
 
+from .. import effects
+from ..config.compose import instantiate
 from ..config.schema import Config
 from ..records import RunWriter, manifest, trackers
 from ..rendering.renderer import Renderer
@@ -57,7 +59,9 @@ class Recorder:
             self._take(RunWriter(self.folder, overwrite=typed.overwrite))
             self._config()
             self.writer.manifest(
-                manifest.describe(machine, loop.problem, typed.seed, typed.target.seed)
+                manifest.describe(
+                    machine, loop.problem, typed.seed, typed.target.seed, self._effects()
+                )
             )
         self._checkpoint()
         with loop.clock.unbilled("writing"):
@@ -109,6 +113,11 @@ class Recorder:
             },
             self._renderer,
         )
+
+    def _effects(self) -> dict[str, str]:
+        problem = self.loop.problem
+        estimator = instantiate(self.cfg.estimator, "estimator")
+        return effects.plan(problem, estimator.derivatives(problem))
 
     def _config(self) -> None:
         self.writer.config(OmegaConf.to_yaml(self.cfg, resolve=True))
@@ -191,7 +200,7 @@ class Recorder:
 
         self.display.phase("profile")
         with self.loop.clock.unbilled("profile"):
-            self.profile = profiling.measure(self.loop, self.typed.estimator.freeze)
+            self.profile = profiling.measure(self.loop, self.cfg.estimator.freeze)
             profiling.write(self.profile, self.folder)
 
     def _start(self) -> None:
@@ -217,7 +226,7 @@ class Recorder:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
         for entry in self._resumed:
             if entry.get("earlier_budget"):
-                blurred = self.cfg.sampler.name == "plateau"
+                blurred = self.cfg.estimator.name == "plateau"
                 what = "the learning rate and the blurs' widths" if blurred else "the learning rate"
                 warnings.append(
                     f"the budget was {entry['earlier_budget']} up to iteration "

@@ -15,6 +15,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from .. import records
 from ..config import schema
+from ..config.roles import meaning, resuming
 from ..config.schema import Config
 from ..records import manifest
 from ..runtime.budget import Budget
@@ -23,9 +24,6 @@ from ..runtime.errors import InputError
 if TYPE_CHECKING:
     from ..runtime.backend import Backend
     from ..scene.problem import Problem
-
-# Everything else decides what is computed next; a run continued otherwise would be two runs.
-_FREE = ("budget.seconds", "budget.iterations", "budget.paths", "threads", "tracker", "profile")
 
 
 def parse(overrides: list[str]) -> dict:
@@ -40,10 +38,11 @@ def parse(overrides: list[str]) -> dict:
             raise InputError(f"{text}: cannot be read: give KEY=VALUE") from error
         if override.is_delete() or override.is_sweep_override():
             raise InputError(f"{text}: a continued run takes one value: KEY=VALUE")
-        if override.key_or_group not in _FREE:
+        # Everything else decides what is computed next; a run continued otherwise would be two.
+        if not meaning(override.key_or_group).resumes:
             raise InputError(
                 f"{text}: a continued run keeps its settings; only these may change: "
-                f"{', '.join(_FREE)}"
+                f"{', '.join(resuming())}"
             )
         changes[override.key_or_group] = value
     return changes
@@ -76,7 +75,7 @@ def prepare(folder: Path, changes: dict) -> Continuation:
     run = records.load(folder)
     if manifest.alive(run.manifest):
         raise InputError(f"{folder} is still being written: its process has not ended")
-    cfg, before = configuration(folder, changes)
+    cfg, before = configuration(folder, run.config, changes)
     arrays, state = records.load_checkpoint(folder)
     budget = _budget(cfg)
     spent = (sum(state["billed"].values()), state["iteration"], state["paths"])
@@ -99,13 +98,13 @@ def _budget(cfg: DictConfig) -> Budget:
     return Budget(cfg.budget.seconds, cfg.budget.iterations, cfg.budget.paths)
 
 
-def configuration(folder: Path, changes: dict) -> tuple[DictConfig, Budget]:
-    """The configuration as changed, and the budget before that."""
+def configuration(folder: Path, recorded: dict, changes: dict) -> tuple[DictConfig, Budget]:
+    """The configuration ``recorded`` in ``folder``, as changed, and the budget before that."""
     try:
-        cfg = OmegaConf.merge(OmegaConf.structured(Config), OmegaConf.load(folder / "config.yaml"))
+        cfg = OmegaConf.merge(OmegaConf.structured(Config), recorded)
         before = _budget(cfg)
         schema.typed(cfg)
-    except (OSError, OmegaConfBaseException) as error:
+    except OmegaConfBaseException as error:
         reason = str(error).split("\n")[0]
         raise InputError(f"{folder}/config.yaml does not give a run: {reason}") from error
     return changed(cfg, changes), before

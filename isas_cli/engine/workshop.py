@@ -8,11 +8,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from ..config.compose import instantiate
 from ..config.schema import Config
-from ..rendering import derivative_sampling
 from ..rendering.renderer import Renderer
 from ..runtime.budget import Budget
-from ..runtime.errors import InputError
-from ..samplers.sampler import Sampler
 from ..scene.problem import Problem
 from .evaluate import Evaluator
 from .loop import Loop
@@ -41,41 +38,23 @@ class Workshop:
     def loop(self, cfg: DictConfig, typed: Config, budget: Budget) -> Loop:
         """The loop that ``cfg`` (``typed``: the same, checked) describes. Renders references.
 
-        Raises InputError for settings of loss or sampler that do not fit.
+        Raises InputError for settings that do not fit.
         """
-        named, chosen = (OmegaConf.to_yaml(node, resolve=True) for node in (cfg.loss, cfg.sampler))
+        nodes = cfg.loss, cfg.estimator, cfg.sampler, cfg.prior
+        named, how, chosen, held = (OmegaConf.to_yaml(node, resolve=True) for node in nodes)
         loss = self._once("loss", (named,), lambda: instantiate(cfg.loss, "loss"))
-        batch, freeze = typed.estimator.batch, typed.estimator.freeze
-        special = typed.estimator.derivative_sampling
-        problem = self._once(
-            "derivatives",
-            (special,),
-            lambda: derivative_sampling.chosen(self.problem, typed.estimator),
-        )
-        shared = named, batch, freeze, special
+        estimator = self._once("settings", (how,), lambda: instantiate(cfg.estimator, "estimator"))
+        problem = self._once("problem", (how,), lambda: estimator.on(self.problem))
 
         def sampler():
             made = instantiate(cfg.sampler, "sampler")
-            made.prepare(problem, loss, batch, freeze)
+            estimator.prepare(problem, made, loss)
             return made
 
         measuring = named, typed.evaluation.pixels, typed.evaluation.spp, typed.seed
-        made = self._once("sampler", (chosen, *shared), sampler)
-        # Path replay is one for all samplers; other gradients have settings of their own.
-        usual = type(made).estimator is Sampler.estimator
-        settings = shared if usual else (chosen, *shared)
-        for name, wanted in (
-            ("profile", typed.profile),
-            ("estimator.derivative_sampling", special),
-        ):
-            if wanted and not usual:
-                raise InputError(
-                    f"{name}=true is about path replay, which sampler={cfg.sampler.name} does not "
-                    "use: leave it out"
-                )
         return Loop(
             problem,
-            made.looking,
+            self._once("sampler", (chosen, named, how), sampler),
             Stepper(self.problem.unknowns, typed.optimizer),
             self._once(
                 "evaluator",
@@ -83,7 +62,10 @@ class Workshop:
                 lambda: Evaluator(self.problem, loss, *measuring[1:], self.renderer),
             ),
             budget,
-            self._once("estimator", settings, lambda: made.estimator(problem, loss, batch, freeze)),
+            self._once("estimator", (named, how), lambda: estimator.made(problem, loss)),
             typed.seed,
             typed.evaluation.count,
+            self._once(
+                "prior", (held,), lambda: instantiate(cfg.prior, "prior").on(problem.unknowns)
+            ),
         )

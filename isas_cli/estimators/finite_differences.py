@@ -2,18 +2,52 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
+from ..runtime.errors import InputError
+from ..samplers.sampler import Sampler
 from ..unknowns import smoothing
 from ..unknowns.blur import Blur
+from .estimator import Comparing
 from .renderings import Renderings
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
+
+
+@dataclass
+class Settings(Comparing):
+    """``FiniteDifferences``. ``step``: in widths of the unknown's last blur; ``spp``: paths of
+    each drawn pixel in each rendering."""
+
+    name: ClassVar[str] = "finite_differences"
+
+    step: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.step < math.inf:
+            raise InputError(f"estimator.step={self.step}: must be a finite number above 0")
+
+    def fits(self, sampler: Sampler) -> None:
+        super().fits(sampler)
+        if "blur" in sampler.needs:
+            raise InputError(
+                f"sampler={sampler.name} looks where pairs of estimator=plateau differ; valid with "
+                f"estimator=finite_differences: {', '.join(self.samplers)}"
+            )
+
+    def made(self, problem: "Problem", loss) -> "FiniteDifferences":
+        return FiniteDifferences(problem, loss, self.batch, self.step, self.freeze, self.spp)
+
+    def derivatives(self, problem: "Problem") -> str:
+        return "none taken: difference quotients of the loss of plain renderings"
 
 
 class FiniteDifferences:
@@ -30,8 +64,8 @@ class FiniteDifferences:
         self, problem: "Problem", loss, batch: int, step: float, freeze: bool = True, spp: int = 1
     ):
         self.batch, self.spp = batch, spp
-        self.blur = Blur(problem, "sampler=finite_differences")
-        self.blur.check_single("sampler=finite_differences")
+        self.blur = Blur(problem, "estimator=finite_differences")
+        self.blur.check_single("estimator=finite_differences")
         self.step = step
         self._renderings = Renderings(problem, loss, batch, self.blur, freeze, spp)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -11,9 +12,11 @@ import numpy as np
 from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
 from ..runtime.errors import InputError
+from ..samplers.sampler import Sampler
 from ..unknowns import smoothing
 from ..unknowns.blur import Blur
 from ..unknowns.parameters import owner
+from .estimator import Estimator, choice, whole_images
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
@@ -27,9 +30,36 @@ SILHOUETTES = {
 }
 
 
-class Stock:
-    """dℒ/dθ by ``mi.render`` and ``dr.backward``: with ``prb``, or, where an unknown moves objects,
-    with ``prb_projective``, which samples silhouettes.
+@dataclass
+class Settings(Estimator):
+    """``WholeImages``: Mitsuba's own derivative, by the scene's integrator, and where an unknown
+    moves objects by ``prb_projective``. A baseline. ``silhouettes``: how those are sampled that are
+    seen by way of other surfaces (shadows, reflections): octree (Mitsuba's default, by far the
+    dearest), grid, uniform, or direct: not at all."""
+
+    name: ClassVar[str] = "mitsuba"
+
+    silhouettes: str = "uniform"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        choice("silhouettes", self.silhouettes, SILHOUETTES)
+
+    def fits(self, sampler: Sampler) -> None:
+        whole_images(sampler, "estimator=mitsuba")
+
+    def made(self, problem: "Problem", loss) -> "WholeImages":
+        return WholeImages(problem, loss, self.batch, silhouettes=self.silhouettes)
+
+    def derivatives(self, problem: "Problem") -> str:
+        if problem.unknowns.poses:
+            return f"Mitsuba's prb_projective on whole images, silhouettes: {self.silhouettes}"
+        return f"Mitsuba's {problem.integrator.name} on whole images"
+
+
+class WholeImages:
+    """dℒ/dθ by ``mi.render`` and ``dr.backward``: with the scene's own integrator, or, where an
+    unknown moves objects, with ``prb_projective``, which samples silhouettes.
 
     ``smooth=None``: at θ itself, the baseline; an image at seed s for ∂ℒ/∂I, its derivative at
     another seed, both of ``spp`` paths a pixel (``batch`` shared out over all pixels, at least 1).
@@ -63,12 +93,11 @@ class Stock:
     ):
         self.problem, self.loss, self.batch = problem, loss, batch
         self.smooth, self.samples = smooth, samples
-        self.blur = Blur(problem, "sampler=plateau") if smooth else None
+        self.blur = Blur(problem, "estimator=plateau") if smooth else None
         _check_films(problem)
         _check_shapes(problem)
         self.integrator = _integrator(problem, silhouettes)
         self.spp = max(1, batch // problem.views.total)
-        self._primal = mi.load_dict({"type": "path", **_settings(problem)})
 
     @property
     def paths_per_step(self) -> int:
@@ -115,7 +144,7 @@ class Stock:
             seed = int(rng.integers(1 << 32))
             p = self.problem
             image = mi.render(
-                p.scene, sensor=view, integrator=self._primal, spp=self.spp, seed=seed
+                p.scene, sensor=view, integrator=p.integrator.base, spp=self.spp, seed=seed
             )
             dr.eval(image)
         return image
@@ -187,20 +216,22 @@ def _check_shapes(problem: "Problem") -> None:
             if not isinstance(owner(unknowns.params, key), mi.Shape):
                 raise InputError(
                     f"scene.unknowns['{name}'] moves '{key.rpartition('.')[0]}', which is no shape:"
-                    " Mitsuba's derivative reaches shapes alone; take sampler=plateau with "
-                    "sampler.gradient=kernel, or sampler=finite_differences"
+                    " Mitsuba's derivative reaches shapes alone; take estimator=plateau with "
+                    "estimator.gradient=kernel, or estimator=finite_differences"
                 )
 
 
-def _settings(problem: "Problem") -> dict:
-    return {"max_depth": _depth(problem), "hide_emitters": problem.integrator.hide_emitters}
-
-
 def _integrator(problem: "Problem", silhouettes: str) -> mi.Integrator:
-    settings = _settings(problem)
+    own = problem.integrator
     if not problem.unknowns.poses:
-        return mi.load_dict({"type": "prb", **settings})
-    settings |= SILHOUETTES[silhouettes]
+        return own.base
+    if "media" in own.simulates:
+        raise InputError(
+            "estimator=mitsuba: what moves is differentiated by prb_projective, which simulates no "
+            f"media, and the scene's integrator is {own.name}: take estimator=plateau"
+        )
+    settings = {"max_depth": _depth(problem), "rr_depth": own.rr_depth}
+    settings |= {"hide_emitters": own.hide_emitters, **SILHOUETTES[silhouettes]}
     found = mi.load_dict({"type": "prb_projective", **settings})
     # On standard output, where the record's path is all that is printed; said above.
     found.sample_border_warning = False

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -10,14 +11,101 @@ from ..config.schema import MOST_LANES
 from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
 from ..runtime.errors import InputError
+from ..samplers.sampler import Sampler
 from ..unknowns import smoothing
 from ..unknowns.blur import Blur
+from .estimator import Comparing, at_least_one, choice, whole_images
+from .mitsuba import SILHOUETTES, WholeImages
 from .renderings import Renderings
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
 
 SCHEMES = {"joint": smoothing.joint, "separate": smoothing.separate}
+
+
+@dataclass
+class Settings(Comparing):
+    """Plateau-reduced gradients (PRDPT): of the objective blurred over the unknowns.
+
+    ``gradient``: kernel (∂κP, Eq. 9: plain renderings, the kernel's derivative: ``Plateau``) or
+    renderer (κ∂P, Eq. 8: Mitsuba's derivative at blurred values: ``mitsuba.WholeImages``, with
+    ``silhouettes`` as there). ``smooth``: image (the paper's equation) or loss (its public code);
+    ``scheme``: joint or separate; ``pairs``: of renderings, a step; ``spp``: paths of each drawn
+    pixel in each rendering of a pair; ``common``: the same random numbers for both of a pair;
+    ``residual``: from a pair of renderings too, or from one (the paper's), with ``residual_spp``
+    paths of each drawn pixel.
+    """
+
+    name: ClassVar[str] = "plateau"
+    samplers: ClassVar[tuple[str, ...]] = ("uniform", "gradient", "differences")
+
+    gradient: str = "kernel"
+    smooth: str = "image"
+    scheme: str = "joint"
+    pairs: int = 1
+    common: bool = True
+    residual: str = "pair"
+    residual_spp: int | None = None
+    silhouettes: str = "uniform"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        choice("silhouettes", self.silhouettes, SILHOUETTES)
+        choice("gradient", self.gradient, ("kernel", "renderer"))
+        choice("smooth", self.smooth, ("image", "loss"))
+        choice("scheme", self.scheme, SCHEMES)
+        choice("residual", self.residual, ("pair", "one"))
+        at_least_one(self, "pairs")
+        self._check_residual()
+        if self.gradient == "renderer":
+            for name in ("scheme", "common", "spp", "freeze"):
+                if getattr(self, name) != getattr(type(self), name):
+                    raise InputError(
+                        f"estimator.{name}={getattr(self, name)}: the renderer's derivative has no "
+                        "pairs of drawn pixels, and is never frozen; leave it out (paths a pixel "
+                        "follow from estimator.batch), or take estimator.gradient=kernel"
+                    )
+        elif self.silhouettes != "uniform":
+            raise InputError(
+                f"estimator.silhouettes={self.silhouettes}: only estimator.gradient=renderer "
+                "differentiates silhouettes; leave it out"
+            )
+
+    def _check_residual(self) -> None:
+        for name, usual in (("residual", "pair"), ("residual_spp", None)):
+            given = getattr(self, name)
+            if given != usual and (self.smooth == "loss" or self.gradient == "renderer"):
+                raise InputError(
+                    f"estimator.{name}={given}: only estimator.smooth=image with "
+                    "estimator.gradient=kernel has a residual of its own; leave it out"
+                )
+        if self.residual_spp is not None and (self.residual_spp < 2 or self.residual_spp % 2):
+            raise InputError(
+                f"estimator.residual_spp={self.residual_spp}: even, at least 2: half of them go to "
+                "either rendering"
+            )
+
+    def fits(self, sampler: Sampler) -> None:
+        super().fits(sampler)
+        if self.gradient == "renderer":
+            whole_images(sampler, "estimator.gradient=renderer")
+
+    def prepare(self, problem: "Problem", sampler: Sampler, loss) -> None:
+        if "blur" in sampler.needs:
+            sampler.follow(Blur(problem, "estimator=plateau"), self.smooth)
+        super().prepare(problem, sampler, loss)
+
+    def made(self, problem: "Problem", loss):
+        if self.gradient == "renderer":
+            return WholeImages(problem, loss, self.batch, self.smooth, self.pairs, self.silhouettes)
+        settings = self.smooth, self.scheme, self.pairs, self.common, self.freeze, self.spp
+        return Plateau(problem, loss, self.batch, *settings, self.residual, self.residual_spp)
+
+    def derivatives(self, problem: "Problem") -> str:
+        if self.gradient == "renderer":
+            return "Mitsuba's, of whole images at blurred values (PRDPT Eq. 8)"
+        return "none taken: plain renderings, weighted by the blur's derivative (PRDPT Eq. 9)"
 
 
 class Plateau:
@@ -75,17 +163,17 @@ class Plateau:
         residual_spp: int | None = None,
     ):
         self.batch, self.smooth, self.pairs, self.common = batch, smooth, pairs, common
-        self.blur = Blur(problem, "sampler=plateau")
+        self.blur = Blur(problem, "estimator=plateau")
         self._scheme, self._mirrored = SCHEMES[scheme], residual == "pair"
         if scheme == "separate":
-            self.blur.check_single("sampler.scheme=separate")
+            self.blur.check_single("estimator.scheme=separate")
         self._together = self.blur.size if scheme == "separate" else 1
         # The same in both renderings.
         half = max(1, (residual_spp or spp * self._together) // 2)
         if smooth == "image" and batch * half > MOST_LANES:
             usual = "" if residual_spp else " (as many as the pairs have on one side)"
             raise InputError(
-                f"sampler.residual_spp={2 * half}{usual} times estimator.batch={batch}: at most "
+                f"estimator.residual_spp={2 * half}{usual} times estimator.batch={batch}: at most "
                 f"{2 * MOST_LANES} paths; set fewer"
             )
         self._renderings = Renderings(problem, loss, batch, self.blur, freeze, spp, half)

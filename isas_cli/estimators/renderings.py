@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..rendering import rays, replay
+from ..rendering import rays
 from ..rendering.pixels import PixelDistribution
 from ..unknowns.blur import Blur
 from ..unknowns.smoothing import Pair
@@ -137,7 +137,7 @@ def _trace_kernel(integrator, batch: int, count: int, spp: int):
                 place = [dr.gather(mi.UInt32, which, drawn) for which in place]
             stream = rays.stream(seed, batch * paths)
             ray, weight = rays.spawn(sensors, views, *place, stream)
-            radiance, _ = replay.primal(integrator, scene, stream, ray)
+            radiance, _ = integrator.primal(scene, stream, ray)
             radiance *= weight
             dr.eval(radiance)
             if paths == 1:

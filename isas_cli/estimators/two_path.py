@@ -2,18 +2,49 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 import mitsuba as mi
 
-from ..rendering import rays, replay
+from ..rendering import derivative_sampling, rays
 from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
 from ..runtime.errors import InputError
+from ..samplers.sampler import Sampler
+from .estimator import Estimator
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
+
+
+@dataclass
+class Settings(Estimator):
+    """``TwoPath``. ``derivative_sampling``: directions for derivatives by roughness are drawn for
+    these (``rendering.derivative_sampling``); ``freeze``: record kernels once instead of tracing
+    every iteration."""
+
+    replays: ClassVar[bool] = True
+
+    freeze: bool = True
+    derivative_sampling: bool = False
+
+    def fits(self, sampler: Sampler) -> None:
+        if "blur" in sampler.needs:
+            raise InputError(
+                f"sampler={sampler.name} looks at blurred renderings, which estimator=two_path "
+                "does not make: take estimator=plateau"
+            )
+
+    def on(self, problem: "Problem") -> "Problem":
+        return derivative_sampling.sampled(problem) if self.derivative_sampling else problem
+
+    def made(self, problem: "Problem", loss) -> "TwoPath":
+        return TwoPath(problem, loss, self.batch, self.freeze)
+
+    def derivatives(self, problem: "Problem") -> str:
+        return problem.integrator.derivatives
 
 
 class TwoPath:
@@ -24,7 +55,7 @@ class TwoPath:
         ⟨dℒ/dθ⟩ = 1/N Σ_i  ⟨∂ℒ/∂I⟩_{j_i} ⟨dI/dθ⟩_{j_i} / p_{j_i}
 
     The first path's radiance gives ⟨∂ℒ/∂I⟩ through the loss, a second, independent path gives
-    ⟨dI/dθ⟩ as ``problem.integrator`` estimates it (``replay``). One path for both would be biased
+    ⟨dI/dθ⟩ as ``problem.integrator`` estimates it. One path for both would be biased
     for L2: its noise is correlated with itself.
 
     Symbols: N → ``batch`` (pixels a step; 2 N light paths, more with derivative sampling);
@@ -38,7 +69,7 @@ class TwoPath:
 
     def __init__(self, problem: "Problem", loss, batch: int, freeze: bool = True, second_pass=None):
         """``second_pass(integrator, scene, stream, ray, adjoint)``: what is done along the second
-        path, for measurements; None for ``replay.backward``.
+        path, for measurements; None for its ``backward``.
 
         Raises InputError where an unknown moves objects."""
         if problem.unknowns.poses:
@@ -59,7 +90,7 @@ class TwoPath:
 
                 first = rays.stream(seeds[1], batch)
                 ray, weight = rays.spawn(sensors, views, view, column, row, first)
-                radiance, _ = replay.primal(integrator, scene, first, ray)
+                radiance, _ = integrator.primal(scene, first, ray)
                 target = dr.gather(mi.Color3f, targets, pixel)
                 residual = loss.derivative(radiance * weight, target)
                 if mask is not None:
@@ -68,14 +99,17 @@ class TwoPath:
                 second = rays.stream(seeds[2], batch)
                 ray, weight = rays.spawn(sensors, views, view, column, row, second)
                 adjoint = residual * weight * (share / (probability * batch))
-                (second_pass or replay.backward)(integrator, scene, second, ray, adjoint)
+                if second_pass is None:
+                    integrator.backward(scene, second, ray, adjoint)
+                else:
+                    second_pass(integrator, scene, second, ray, adjoint)
 
         self._kernel = dr.freeze(kernel) if freeze else kernel
 
     @property
     def paths_per_step(self) -> int:
         """Light paths of one estimate."""
-        return (1 + self.problem.paths_per_derivative) * self.batch
+        return (1 + self.problem.integrator.paths_per_derivative) * self.batch
 
     def estimate(
         self,

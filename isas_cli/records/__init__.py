@@ -6,7 +6,8 @@ written under a temporary name in its own folder, flushed to the disk and rename
 version, so that whoever reads at any moment, or after a kill, finds a whole file.
 """
 
-from .files import KEY_PREFIX, SCHEMA_VERSION, VALUE_PREFIX, key_of, safe_name, write_atomically
+from ..runtime.files import write_atomically
+from .files import KEY_PREFIX, SCHEMA_VERSION, VALUE_PREFIX, key_of, safe_name
 from .reader import Run, load, load_checkpoint
 from .writer import RunWriter
 

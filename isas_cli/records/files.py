@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,8 @@ from urllib.parse import quote, unquote
 import numpy as np
 import yaml
 
-from ..runtime.errors import InputError, IsasError
+from ..runtime.errors import InputError
+from ..runtime.files import write_atomically
 
 # 2: history.csv has gradient_noise; checkpoints hold counters, times and the weights of moments.
 SCHEMA_VERSION = 2
@@ -28,29 +27,9 @@ AFTER_KEYS = [
     "nonfinite",
     "stage1_seconds",
     "learning_rate",
+    "prior",
 ]
 WHOLE_NUMBERS = ("iteration", "paths", "nonfinite")
-
-
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """Calls `write(temporary path)` and renames the result to `path`, which appears whole or not.
-
-    The folder is made when missing. If anything fails, the temporary file goes and an earlier
-    version of `path` stays as it was. Raises IsasError, one line naming the file, for an OSError
-    (disk full, no permission); other exceptions pass.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(temporary)
-        with open(temporary, "rb") as written:
-            os.fsync(written.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise IsasError(f"{path}: cannot be written: {error.strerror or error}") from error
-    finally:
-        with contextlib.suppress(OSError):  # renamed already, or never made
-            temporary.unlink()
 
 
 def safe_name(key: str) -> str:

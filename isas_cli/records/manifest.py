@@ -63,12 +63,13 @@ def continuation(
     }
 
 
-def describe(backend: Backend, problem: "Problem", seed: int, target_seed: int) -> dict:
-    """Versions, machine, seeds, content hashes, what is simulated, and the command line."""
-    from .. import effects  # imports Mitsuba, which readers of manifests need not
-    from ..rendering.derivative_sampling import plain
+def describe(
+    backend: Backend, problem: "Problem", seed: int, target_seed: int, effects: dict[str, str]
+) -> dict:
+    """Versions, machine, seeds, content hashes, what is simulated, and the command line.
 
-    integrator = plain(problem.integrator)
+    ``effects``: effect → what is done about it (``effects.plan``)."""
+    integrator = problem.integrator
     return {
         "isas": __version__,
         "command": sys.argv,
@@ -88,8 +89,8 @@ def describe(backend: Backend, problem: "Problem", seed: int, target_seed: int) 
         "seeds": {"run": seed, "target": target_seed},
         "scene_hash": problem.content_hash,
         "target_hash": problem.target_hash,
-        "integrator": {"class": type(integrator).__name__, "max_depth": integrator.max_depth},
-        "effects": effects.plan(problem),
+        "integrator": {"class": integrator.name, "max_depth": integrator.max_depth},
+        "effects": effects,
         "views": [list(size) for size in problem.film_sizes],
         "unknowns": {
             u.key: {

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from ..runtime.errors import InputError
+from ..config.earlier import modern
+from ..runtime import images
+from ..runtime.errors import InputError, nearest
 from .files import (
     AFTER_KEYS,
     BEFORE_KEYS,
@@ -26,6 +28,8 @@ from .files import (
 
 if TYPE_CHECKING:
     import pandas
+
+_VALUE = "value/"  # of a checkpoint's arrays
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,21 @@ class Run:
     def complete(self) -> bool:
         """Whether the run has ended and its record, pictures included, with it."""
         return self.summary is not None and bool(self.summary.get("complete", True))
+
+    def parameters(self) -> dict[str, np.ndarray]:
+        """The unknowns where the run stands, by key, float32 in their own shapes. Raises InputError
+        where there is no checkpoint."""
+        arrays, _ = load_checkpoint(self.folder)
+        return {k[len(_VALUE) :]: array for k, array in arrays.items() if k.startswith(_VALUE)}
+
+    def frame(self, name: str) -> np.ndarray:
+        """frames/``name``.exr, such as ``result_v00``: ``(H, W, 3) float32``, linear. Raises
+        InputError, naming what there is, where there is none of this name."""
+        path = self.folder / "frames" / f"{name}.exr"
+        if not path.is_file():
+            names = sorted(each.stem for each in path.parent.glob("*.exr"))
+            raise InputError(f"{path}: no such frame; {nearest(name, names)}")
+        return images.read(path, finite=False)
 
     @property
     def keys(self) -> list[str]:
@@ -100,7 +119,7 @@ def _read_config(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
     content = parsed(path, lambda: yaml.safe_load(path.read_text(encoding="utf-8")))
-    return content if isinstance(content, dict) else {}
+    return modern(content) if isinstance(content, dict) else {}
 
 
 def _read_history(path: Path) -> pandas.DataFrame:

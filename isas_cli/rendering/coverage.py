@@ -9,11 +9,11 @@ import mitsuba as mi
 import numpy as np
 
 from ..runtime import streams
+from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
 from ..unknowns.parameters import flat
-from . import rays, replay
-from .targets import cached, digest
+from . import rays
 
 # An entry counts as seen from this share of a well seen one's sensitivity on. Texels that only
 # light the seen ones by interreflection, or that a view grazes, lie far below it: no view pins
@@ -72,7 +72,7 @@ def _measure(problem: Problem, base: int) -> dict[str, np.ndarray]:
             if mask is not None:
                 counts *= dr.gather(mi.Float, mask, pixel)
             adjoint = mi.Color3f(dr.select(signed, sign, 1) * counts) * weight
-            replay.backward(integrator, scene, stream, ray, adjoint)
+            integrator.backward(scene, stream, ray, adjoint)
 
     total = problem.views.total
     visited = min(total, _MOST)

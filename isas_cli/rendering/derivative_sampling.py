@@ -44,10 +44,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..config.schema import ROUGHNESSES, EstimatorConfig, roughness_of
+from ..config.schema import ROUGHNESSES, roughness_of
 from ..runtime.errors import InputError
 from ..unknowns.unknowns import Unknowns
 from .attached import mis_weight
+from .integrators import InOneGo, Integrator
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
@@ -57,44 +58,33 @@ _ALPHA = dict(zip(ROUGHNESSES, (dr.square, lambda x: x)))
 _SMALLEST = 1e-12  # keeps quotients finite
 
 
-def chosen(problem: "Problem", settings: EstimatorConfig) -> "Problem":
-    """``problem``, with derivatives estimated as ``settings`` say."""
-    return sampled(problem) if settings.derivative_sampling else problem
-
-
-def plain(integrator) -> mi.Integrator:
-    """The integrator that renders, whatever estimates derivatives."""
-    return integrator.base if isinstance(integrator, DerivativeSampling) else integrator
-
-
 def sampled(problem: "Problem") -> "Problem":
     """``problem`` with derivatives by roughness estimated like this; all else is shared with it."""
     integrator = DerivativeSampling(problem.integrator, problem.scene, problem.unknowns)
     return dataclasses.replace(problem, integrator=integrator)
 
 
-class DerivativeSampling:
+class DerivativeSampling(InOneGo):
     """Stands where a path integrator does: the same radiance, other estimates of derivatives.
 
     ``base``: the integrator, whose radiance and depths are kept. Roulette begins at the same depth,
     beyond the chosen vertex by the throughput from there on.
-    ``paths``: light paths per estimate.
     """
 
-    paths = 4  # to the vertex, and three from it
+    paths_per_derivative = 4  # to the vertex, and three from it
+    derivatives = "by roughness, directions drawn for the derivative's two parts"
 
-    def __init__(self, base: mi.Integrator, scene: mi.Scene, unknowns: Unknowns):
+    def __init__(self, base: Integrator, scene: mi.Scene, unknowns: Unknowns):
         """``unknowns``: roughnesses, which the configuration sees to. Raises InputError for an
         integrator that this estimate cannot follow, and for a roughness that it cannot reach."""
-        if type(base).__name__ != "PRBIntegrator" or base.hide_emitters:
+        if base.name != "PRBIntegrator" or base.hide_emitters:
             raise InputError(
                 "estimator.derivative_sampling=true: works for the integrator 'prb' with visible "
-                f"emitters, not for {type(base).__name__}; leave it out"
+                f"emitters, not for {base.name}; leave it out"
             )
-        self.base = base
+        super().__init__(base.base)
         # Materials that outlive their scene break recordings of kernels for other scenes.
         self._scene = scene
-        self.max_depth, self.rr_depth = base.max_depth, base.rr_depth
         self._bsdfs = {word: [] for word in _ALPHA}
         for key in unknowns.keys:
             word = roughness_of(key)

@@ -1,10 +1,4 @@
-"""All pixels of all views as one index range, and a distribution over it.
-
-There are two orders. *Pixels* count row after row, as images are stored. *Slots* count patch after
-patch, nested, and are what a distribution ranges over: its draws come out sorted, so neighbouring
-lanes of a wavefront get neighbouring slots, and these should be neighbours in both directions.
-Measured on pottery, 65,536 of 4 M pixels: the same step took 1.5 times as long row after row.
-"""
+"""A distribution over the pixels of all views."""
 
 from __future__ import annotations
 
@@ -14,116 +8,12 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-# Sides of the nested patches, pixels. A packet of 16 lanes whose draws lie s pixels apart covers a
-# compact patch for s around 64² / 4², 16² / 4² and 4: sparse, usual and concentrated sampling.
-_PATCHES = (128, 32, 8)
+from ..scene.views import Views, divide
+
 # Entries of a distribution's guide table at most: 256 KiB, which stays in the cache.
 _GUIDE = 1 << 16
 # Tiles of a distribution at most, about: 8 MiB.
 _TILES_AT_MOST = 1 << 20
-
-
-@dataclass
-class Views:
-    """The films of a problem laid end to end: pixel ``j`` of view ``v`` is ``offset[v] + y w + x``.
-
-    ``width``, ``height``, ``offset``, ``end``: ``(V,) uint32`` device arrays (pixels; ``end`` is
-    one past a view's last pixel); ``count``: views; ``total``: pixels of all views together.
-    A plain dataclass, so that Dr.Jit sees the arrays when a kernel is frozen.
-    """
-
-    width: mi.UInt32
-    height: mi.UInt32
-    offset: mi.UInt32
-    end: mi.UInt32
-    count: int
-    total: int
-    sizes: tuple  # ((width, height), …) on the host
-
-    @staticmethod
-    def of(sizes: list[tuple[int, int]]) -> "Views":
-        """Views of the given film sizes ``[(width, height), …]`` in pixels."""
-        offsets, total = [], 0
-        for width, height in sizes:
-            offsets.append(total)
-            total += width * height
-        if total >= 2**32 - 1:
-            raise ValueError(f"{total} pixels: pixel indices are 32 bits wide")
-        return Views(
-            mi.UInt32([w for w, _ in sizes]),
-            mi.UInt32([h for _, h in sizes]),
-            mi.UInt32(offsets),
-            mi.UInt32([*offsets[1:], total]),
-            len(sizes),
-            total,
-            tuple((int(w), int(h)) for w, h in sizes),
-        )
-
-    def _view(self, index: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
-        """View of each pixel or slot, and its number within the view."""
-        # The upper bound is inclusive: Dr.Jit's search may test it.
-        view = dr.binary_search(
-            0, self.count - 1, lambda v: dr.gather(mi.UInt32, self.end, mi.UInt32(v)) <= index
-        )
-        view = mi.UInt32(view)
-        return view, index - dr.gather(mi.UInt32, self.offset, view)
-
-    def locate(self, pixel: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32]:
-        """View, column and row of each pixel. Traced."""
-        view, rest = self._view(pixel)
-        width = dr.gather(mi.UInt32, self.width, view)
-        row = _divide(rest, width)
-        return view, rest - row * width, row
-
-    def index(self, view: mi.UInt32, column: mi.UInt32, row: mi.UInt32) -> mi.UInt32:
-        """The pixel at a column and row of a view. Traced."""
-        width = dr.gather(mi.UInt32, self.width, view)
-        return dr.gather(mi.UInt32, self.offset, view) + row * width + column
-
-    def locate_slot(self, slot: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32]:
-        """View, column and row of each slot. Traced.
-
-        Bands of patches from top to bottom, patches from left to right, each patch again so with
-        the next smaller side; patches at the border are cut off. One to one for films of any size.
-        """
-        view, rest = self._view(slot)
-        width = dr.gather(mi.UInt32, self.width, view)
-        height = dr.gather(mi.UInt32, self.height, view)
-        column, row = mi.UInt32(0), mi.UInt32(0)
-        for side in _PATCHES:
-            band = _divide(rest, width * side) * side
-            rest -= band * width
-            height = dr.minimum(height - band, side)
-            left = _divide(rest, height * side) * side
-            rest -= left * height
-            width = dr.minimum(width - left, side)
-            column, row = column + left, row + band
-        down = _divide(rest, width)
-        return view, column + rest - down * width, row + down
-
-    def slot(self, view: mi.UInt32, column: mi.UInt32, row: mi.UInt32) -> mi.UInt32:
-        """The inverse of ``locate_slot``. Traced."""
-        width = dr.gather(mi.UInt32, self.width, view)
-        height = dr.gather(mi.UInt32, self.height, view)
-        slot = dr.gather(mi.UInt32, self.offset, view)
-        for side in _PATCHES:
-            band = _divide(row, side) * side
-            slot += band * width
-            height = dr.minimum(height - band, side)
-            left = _divide(column, side) * side
-            slot += left * height
-            width = dr.minimum(width - left, side)
-            column, row = column - left, row - band
-        return slot + row * width + column
-
-
-def _divide(a: mi.UInt32, b: mi.UInt32) -> mi.UInt32:
-    """a // b, exactly: quotients of 32-bit numbers lie further apart than double precision rounds.
-
-    Vectorised, which integer division is not, and safe: the idle lanes at the end of a wavefront
-    gather zeros, and an integer division by zero kills the process.
-    """
-    return mi.UInt32(mi.Float64(a) / mi.Float64(dr.maximum(b, 1)))
 
 
 @dataclass
@@ -162,7 +52,7 @@ class Tiles:
 
     def slot(self, view: mi.UInt32, column: mi.UInt32, row: mi.UInt32) -> mi.UInt32:
         """The tile that a pixel lies in. Traced."""
-        return self.grid.slot(view, _divide(column, self.side), _divide(row, self.side))
+        return self.grid.slot(view, divide(column, self.side), divide(row, self.side))
 
 
 @dataclass
@@ -251,7 +141,7 @@ class PixelDistribution:
         pixels = width * height
         inside = mi.UInt32(dr.clip((goal - below) / mass, 0, 1) * mi.Float64(pixels))
         inside = dr.minimum(inside, pixels - 1)
-        down = _divide(inside, width)
+        down = divide(inside, width)
         probability = self._probability(mass, pixels)
         return view, column + inside - down * width, row + down, probability
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from .pixels import Views
+from ..scene.views import Views
 
 
 def spawn(

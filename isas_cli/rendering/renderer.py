@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..scene.problem import Problem
-from . import rays, replay
+from . import rays
 
 # Lanes per pass: large enough to fill the cores, small enough for a few hundred MB.
 _LANES = 1 << 20
@@ -36,7 +36,7 @@ class Renderer:
                 view, column, row = views.locate(pixel)
                 stream = rays.stream(seed, dr.width(pixel))
                 ray, weight = rays.spawn(sensors, views, view, column, row, stream)
-                radiance, _ = replay.primal(integrator, scene, stream, ray)
+                radiance, _ = integrator.primal(scene, stream, ray)
                 radiance *= weight
                 finite = dr.all(dr.isfinite(radiance))
                 total = total + dr.select(finite, radiance, 0)

@@ -3,61 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-import json
-import os
-import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
 
-from ..records import write_atomically
 from ..runtime import images, streams
-from ..runtime.errors import InputError, IsasError
+from ..runtime.cache import cached, digest
+from ..runtime.errors import InputError
 from ..scene.problem import Problem
 from .renderer import Renderer
 
 # Raised when what a cached target means changes.
 _FORMAT = 1
-
-
-def cache_folder() -> Path:
-    """Where rendered targets are kept: $ISAS_CACHE_DIR, else the user's cache folder."""
-    if os.environ.get("ISAS_CACHE_DIR"):
-        return Path(os.environ["ISAS_CACHE_DIR"])
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base) / "isas"
-
-
-def cached(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Arrays stored under ``key``, computed and stored when absent or unreadable.
-
-    A cache that cannot be written costs the next run its time, never this run its result.
-    """
-    path = cache_folder() / f"{key}.npz"
-    try:
-        with np.load(path) as stored:
-            return {name: stored[name] for name in stored.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
-        pass
-    arrays = compute()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, lambda temporary: _save(temporary, arrays))
-    except (OSError, IsasError):
-        pass
-    return arrays
-
-
-def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    with open(path, "wb") as file:
-        np.savez(file, **arrays)
-
-
-def digest(*parts) -> str:
-    """A short hash of JSON-able parts."""
-    return hashlib.blake2b(json.dumps(parts, sort_keys=True).encode(), digest_size=16).hexdigest()
 
 
 def render(

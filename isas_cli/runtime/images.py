@@ -14,8 +14,8 @@ import numpy as np
 import OpenImageIO as oiio
 
 from .. import __version__
-from ..records import write_atomically
 from .errors import InputError
+from .files import write_atomically
 
 _INT32 = range(-(2**31), 2**31)
 _INTEGER_FORMATS = {oiio.UINT8: 255.0, oiio.UINT16: 65535.0}

@@ -27,6 +27,7 @@ PURPOSES = (
     "offset_look",
 )
 _SLOTS = 32  # purposes per iteration, a power of two above len(PURPOSES)
+_BLOCK = 2**32 // _SLOTS  # iterations whose slots fit into 32 bits
 
 
 def _bijection(x: int) -> int:
@@ -42,8 +43,11 @@ def seed(base: int, iteration: int, purpose: str) -> int:
     """The 32-bit seed of ``purpose`` in ``iteration`` of a run with base seed ``base``.
 
     For one base the map is a bijection on iteration and purpose, so two streams of a run never
-    share a seed (up to 2^27 iterations). Different bases shuffle the seeds differently.
+    share a seed within a block of 2^27 iterations. Another block shuffles the seeds as another base
+    does: two of its streams and this one's meet by chance only, once in 2^32.
     """
-    key = int.from_bytes(hashlib.blake2b(str(base).encode(), digest_size=4).digest(), "little")
-    slot = iteration * _SLOTS + PURPOSES.index(purpose)
+    block, within = divmod(iteration, _BLOCK)
+    name = f"{base}/{block}" if block else str(base)
+    key = int.from_bytes(hashlib.blake2b(name.encode(), digest_size=4).digest(), "little")
+    slot = within * _SLOTS + PURPOSES.index(purpose)
     return _bijection((_bijection(slot & 0xFFFFFFFF) + key) & 0xFFFFFFFF)

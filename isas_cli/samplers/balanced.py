@@ -35,6 +35,8 @@ class Balanced(Sampler):
     is used.
     """
 
+    needs = frozenset(("forward", "backward"))
+
     refresh: int = 0
     power: float = 0.5
     passes: int = 4
@@ -80,5 +82,5 @@ class Balanced(Sampler):
 
     @property
     def paths_per_look(self) -> int:
-        derivatives = self.problem.paths_per_derivative * (self.passes + self.stage1.probes)
+        derivatives = self.paths_per_derivative * (self.passes + self.stage1.probes)
         return self.cells.count * self.stage1.spp * derivatives

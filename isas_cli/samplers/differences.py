@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..rendering import replay
 from ..runtime import streams
-from ..runtime.errors import InputError
 from ..unknowns import smoothing
 from ..unknowns.blur import Blur
 from .gradient import Gradient
@@ -33,11 +30,11 @@ class Differences(Gradient):
     (with Σ_c as in ``Ours``); in loss space Δℓ_j / p_j, hence p_j ∝ √E[(Σ_c Δℓ_jc)²]. Moments over
     paths and offsets at present, per cell as in stage 1 of ISAS Algorithm 1: ``stage1.probes``
     offsets a look, both of a pair with the same random numbers, denoised, refreshed every
-    ``refresh`` iterations. Only for ``sampler=plateau``.
+    ``refresh`` iterations. Only for ``estimator=plateau``.
     """
 
     uses = Sampler.uses
-    replays: ClassVar[bool] = False
+    needs = frozenset(("blur",))
 
     # One offset shows where that one's pair differs; averages over many, where pairs do.
     stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(probes=8, average=0.7))
@@ -47,11 +44,6 @@ class Differences(Gradient):
         self.blur, self.smooth = blur, smooth
 
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
-        if not hasattr(self, "blur"):
-            raise InputError(
-                "sampler=differences draws pixels for plateau-reduced gradients alone: say "
-                "sampler=plateau sampler.base=differences"
-            )
         super().prepare(problem, loss, batch, freeze)
         wrap = dr.freeze if freeze else (lambda f: f)
         samples = self.stage1.spp
@@ -113,7 +105,7 @@ def _trace_kernel(integrator, samples: int, paths: int):
             for path in range(paths):
                 own = seeds[0], seeds[1] + path * 0x9E3779B9
                 _, _, stream, ray, weight = spawned(sensors, views, cells, samples, own)
-                radiance, _ = replay.primal(integrator, scene, stream, ray)
+                radiance, _ = integrator.primal(scene, stream, ray)
                 found.append(radiance * weight)
             dr.eval(found)
             return found

@@ -40,6 +40,8 @@ class Joint(Sampler):
       residual paths for all.
     """
 
+    needs = frozenset(("forward",))
+
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
         super().prepare(problem, loss, batch, freeze)
         self._product = Product(problem, loss, self.cells, self.stage1.spp, freeze)
@@ -61,5 +63,5 @@ class Joint(Sampler):
 
     @property
     def paths_per_look(self) -> int:
-        pair = 1 + self.problem.paths_per_derivative
+        pair = 1 + self.paths_per_derivative
         return self.cells.count * self.stage1.spp * self.stage1.probes * pair

@@ -57,7 +57,7 @@ class Multiresolution(Sampler):
                 "sampler.base=multiresolution: it goes around another sampler, such as "
                 "sampler.base=ours"
             )
-        if not self.base.replays:
+        if "blur" in self.base.needs:
             raise InputError(
                 "sampler.base: multiresolution goes around a sampler that draws pixels for path "
                 "replay, such as sampler.base=ours"
@@ -67,6 +67,10 @@ class Multiresolution(Sampler):
         if not 0 < self.factor <= 1024:
             raise InputError(f"sampler.factor={self.factor}: must lie in (0, 1024]")
         self.floor, self.refresh, self.stage1 = self.base.floor, self.base.refresh, self.base.stage1
+
+    @property
+    def needs(self) -> frozenset[str]:
+        return self.base.needs
 
     @property
     def needs_moments(self) -> bool:

@@ -23,6 +23,7 @@ class Ours(Gradient):
     """
 
     uses = Sampler.uses
+    needs = frozenset(("forward",))
 
     def measured(self, values: dict, base: int, iteration: int) -> list[mi.Color3f]:
         _, first = self._stage1.residual(values, base, iteration)
@@ -38,5 +39,5 @@ class Ours(Gradient):
 
     @property
     def paths_per_look(self) -> int:
-        derivatives = self.problem.paths_per_derivative * self.stage1.probes
+        derivatives = self.paths_per_derivative * self.stage1.probes
         return self.cells.count * self.stage1.spp * (1 + derivatives)

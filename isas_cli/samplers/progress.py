@@ -75,6 +75,7 @@ class Progress(Sampler):
     stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(average=0.75))
 
     uses = Sampler.uses - {"probes"}
+    needs = frozenset(("forward", "backward"))
 
     needs_moments = True
 
@@ -180,11 +181,11 @@ class Progress(Sampler):
 
     @property
     def paths_per_look(self) -> int:
-        derivatives = self.problem.paths_per_derivative * (1 + len(self.problem.unknowns.keys))
+        derivatives = self.paths_per_derivative * (1 + len(self.problem.unknowns.keys))
         return self.cells.count * self.stage1.spp * (1 + derivatives)
 
     @property
     def paths_before(self) -> int:
-        derivatives = self.problem.paths_per_derivative * 2 * len(self.problem.unknowns.keys)
+        derivatives = self.paths_per_derivative * 2 * len(self.problem.unknowns.keys)
         survey = self.cells.count * self.stage1.spp * (1 + derivatives)
         return self.passes * survey + (self.passes - 1) * self.paths_per_look

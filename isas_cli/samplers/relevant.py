@@ -22,6 +22,7 @@ class Relevant(Sampler):
     """
 
     uses = Sampler.uses - {"denoise"}
+    needs = frozenset(("forward",))
 
     refresh: int = 0
     stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(spp=2, denoise="none"))
@@ -44,5 +45,5 @@ class Relevant(Sampler):
 
     @property
     def paths_per_look(self) -> int:
-        derivatives = self.problem.paths_per_derivative * self.stage1.probes
+        derivatives = self.paths_per_derivative * self.stage1.probes
         return self.cells.count * self.stage1.spp * derivatives

@@ -82,8 +82,9 @@ class Sampler:
         ("floor", "refresh", "resolution", "spp", "probes", "denoise", "average")
     )
     needs_moments: ClassVar[bool] = False
-    # Whether its pixels are for path replay.
-    replays: ClassVar[bool] = True
+    # What its looks take besides radiances: derivatives of paths, 'forward' (along a tangent) or
+    # 'backward', or the widths of the unknowns' 'blur'.
+    needs: ClassVar[frozenset[str]] = frozenset()
     # Progress of the schedules at the next look, told by the loop.
     scheduled: ClassVar[float] = 0.0
 
@@ -106,8 +107,9 @@ class Sampler:
     def _refuse_unused(self, where: str, value, usual: dict) -> None:
         name = where.rpartition(".")[2]
         if name not in self.uses and value != usual[name]:
-            kind = type(self).__name__.lower()
-            raise InputError(f"sampler.{where}={value}: {kind} has no use for it; leave it out")
+            raise InputError(
+                f"sampler.{where}={value}: {self.name} has no use for it; leave it out"
+            )
 
     def prepare(self, problem: Problem, loss, batch: int, freeze: bool = True) -> None:
         """Build what depends on the problem. Nothing is traced yet."""
@@ -120,23 +122,10 @@ class Sampler:
 
         self._expand = dr.freeze(expand) if freeze else expand
 
-    def check(self, problem: Problem, loss, batch: int) -> None:
-        """Raises InputError for what this sampler and ``problem`` cannot do together. Needs no
-        targets, which may take minutes; traces nothing."""
-        if not self.replays:
-            self.prepare(problem, loss, batch)
-        self.estimator(problem, loss, batch)
-
-    def estimator(self, problem: Problem, loss, batch: int, freeze: bool = True):
-        """How the gradient is estimated from the drawn pixels: by path replay."""
-        from ..estimators.two_path import TwoPath
-
-        return TwoPath(problem, loss, batch, freeze)
-
     @property
-    def looking(self) -> Sampler:
-        """What looks at the images and draws pixels: itself, or a sampler inside."""
-        return self
+    def name(self) -> str:
+        """As it is chosen."""
+        return type(self).__name__.lower()
 
     def resolution(self, problem: Problem, batch: int) -> int:
         """Cells along the longer side of a view."""
@@ -189,6 +178,11 @@ class Sampler:
     def distribution(self, weights: mi.Float) -> PixelDistribution:
         """The pmf over all pixels that the cells' weights stand for."""
         return self._expand(weights, self.cells, self.tiles, dr.opaque(mi.Float64, self.floor))
+
+    @property
+    def paths_per_derivative(self) -> int:
+        """Light paths behind one derivative of a pixel."""
+        return self.problem.integrator.paths_per_derivative
 
     @property
     def paths_per_look(self) -> int:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..rendering.derivative_sampling import DerivativeSampling
-from ..rendering.pixels import Views
+from ..scene.views import Views
 from ..unknowns.unknowns import Unknowns
+
+if TYPE_CHECKING:
+    from ..rendering.integrators import Integrator
 
 
 @dataclass
@@ -25,7 +28,7 @@ class Problem:
 
     name: str
     scene: mi.Scene
-    integrator: mi.Integrator
+    integrator: "Integrator"
     sensors: mi.SensorPtr
     film_sizes: list[tuple[int, int]]
     views: Views
@@ -36,12 +39,6 @@ class Problem:
     share: mi.Float | None = None
     target_hash: str = ""
     warnings: list[str] = field(default_factory=list)
-
-    @property
-    def paths_per_derivative(self) -> int:
-        """Light paths behind one estimate of a pixel's derivative."""
-        sampled = isinstance(self.integrator, DerivativeSampling)
-        return self.integrator.paths if sampled else 1
 
     @property
     def truth_known(self) -> bool:

@@ -48,8 +48,8 @@ class Blur:
         if self.size > _MOST_SINGLE:
             raise InputError(
                 f"{setting} takes a pair of renderings for each of the unknowns' {self.size} "
-                f"entries, and at most {_MOST_SINGLE}: leave textures out, or take sampler=plateau "
-                "with sampler.scheme=joint, one pair for all"
+                f"entries, and at most {_MOST_SINGLE}: leave textures out, or take "
+                "estimator=plateau with estimator.scheme=joint, one pair for all"
             )
 
     def vector(self, values: dict) -> np.ndarray:

@@ -86,6 +86,13 @@ class Unknowns:
     def keys(self) -> list[str]:
         return [u.key for u in self.items]
 
+    def axes(self, key: str) -> tuple[tuple[int, bool], ...]:
+        """Along which axes of an unknown's array entries are neighbours, and whether it closes on
+        itself there."""
+        if key in self._around:
+            return ((0, False), (1, True))
+        return ((0, False), (1, False)) if dr.is_tensor_v(self._templates[key]) else ()
+
     def values_of(self, arrays: dict[str, np.ndarray]) -> dict:
         """NumPy arrays by key → Dr.Jit values of the scene's types."""
         return {k: like(self._templates[k], a) for k, a in arrays.items()}

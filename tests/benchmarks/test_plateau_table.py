@@ -241,10 +241,10 @@ def test_methods_that_draw_pixels_have_the_same_of_them(task):
         if method in _plateau.RENDERED:
             assert cfg.estimator.batch == own.pixels * own.spp
         else:
-            assert (cfg.estimator.batch, cfg.sampler.spp) == (own.pixels, own.spp)
+            assert (cfg.estimator.batch, cfg.estimator.spp) == (own.pixels, own.spp)
         if method.startswith("plateau"):
             whole = method in ("plateau_joint", "plateau_renderer")
-            assert cfg.sampler.scheme == ("joint" if whole else own.scheme)
+            assert cfg.estimator.scheme == ("joint" if whole else own.scheme)
         assert (cfg.target.spp, cfg.optimizer.schedule) == (own.target_spp, own.schedule)
 
 

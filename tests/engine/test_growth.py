@@ -220,20 +220,20 @@ def test_a_seed_that_is_a_literal_is_noticed():
 def test_nothing_grows_while_objects_move(settings):
     """The scene is updated several times a step, its acceleration structure built as often."""
     p = blurred_problem()
-    sampler = instantiate(compose(translate(["scene=cup", *settings])).sampler, "sampler")
-    loss, batch = losses.L2(), 256
-    sampler.prepare(p, loss, batch)
-    looking = sampler.looking
-    if looking.refresh:
-        looking.refresh = BLOCK // 4
+    cfg = compose(translate(["scene=cup", *settings, "estimator.batch=256"]))
+    sampler, settings = (instantiate(cfg[name], name) for name in ("sampler", "estimator"))
+    loss = losses.L2()
+    settings.prepare(p, sampler, loss)
+    if sampler.refresh:
+        sampler.refresh = BLOCK // 4
     evaluator = Evaluator(p, loss, 50, 2, 1)
-    estimator = sampler.estimator(p, loss, batch)
+    estimator = settings.made(p, loss)
     stepper, budget = Stepper(p.unknowns, OptimizerConfig()), Budget(iterations=10_000)
-    running = Loop(p, looking, stepper, evaluator, budget, estimator, 1, 1)
+    running = Loop(p, sampler, stepper, evaluator, budget, estimator, 1, 1)
     running.rehearse()
 
     def iterate(i: int) -> bool:
-        looks = looking.due(running.position.iteration)
+        looks = sampler.due(running.position.iteration)
         running._iterate()
         return looks
 

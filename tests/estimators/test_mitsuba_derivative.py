@@ -15,7 +15,7 @@ from scipy import stats
 from isas_cli import losses
 from isas_cli.config.schema import BlurConfig, PoseConfig, UnknownConfig
 from isas_cli.estimators.finite_differences import FiniteDifferences
-from isas_cli.estimators.mitsuba import Stock
+from isas_cli.estimators.mitsuba import WholeImages
 from isas_cli.runtime.errors import InputError
 
 COUNT = 1500  # of estimates
@@ -27,7 +27,7 @@ def test_mitsubas_derivative_blurred(smooth):
     would take seconds a step."""
     p = blurred_problem(glows=True)
     # The offsets make the noise, not the paths: many estimates.
-    found = rows(Stock(p, losses.L2(), 2 * BATCH, smooth, silhouettes="direct"), p, COUNT)
+    found = rows(WholeImages(p, losses.L2(), 2 * BATCH, smooth, silhouettes="direct"), p, COUNT)
     assert unbiased(found, references_of(p)[smooth], seen=0.6)
 
 
@@ -35,7 +35,7 @@ def test_mitsubas_own_derivative():
     """Unblurred, of place and radiance, against differences over so small a step that they change
     no more: the mean image is smooth in both."""
     p = blurred_problem(glows=True)
-    found = rows(Stock(p, losses.L2(), 2 * BATCH, silhouettes="direct"), p, 100)
+    found = rows(WholeImages(p, losses.L2(), 2 * BATCH, silhouettes="direct"), p, 100)
     exact = rows(FiniteDifferences(p, losses.L2(), 64 * BATCH, 0.01), p, 60)
     assert unbiased(found, exact)
     assert np.all(np.abs(exact.mean(axis=0)) > 5 * exact.std(axis=0) / math.sqrt(len(exact)))
@@ -44,7 +44,7 @@ def test_mitsubas_own_derivative():
 def test_mitsubas_derivative_of_all_views():
     """A first camera that looks away: the second's gradient arrives."""
     p = blurred_problem(glows=True, blind=True)
-    found = rows(Stock(p, losses.L2(), 4 * BATCH, silhouettes="direct"), p, 4)
+    found = rows(WholeImages(p, losses.L2(), 4 * BATCH, silhouettes="direct"), p, 4)
     assert np.all(np.abs(found.mean(axis=0)) > 1e-4)
 
 
@@ -52,7 +52,7 @@ def test_kernel_and_renderer_agree_at_the_end_of_a_range():
     """The radiance near 1, where it is clamped."""
     p = blurred_problem(at=(AT[0], 0.9), widths=(0.05, 0.3), glows=True)
     by_kernel = rows(made(p, smooth="loss", scheme="separate"), p, 600)
-    by_renderer = rows(Stock(p, losses.L2(), 2 * BATCH, "loss", silhouettes="direct"), p, 200)
+    by_renderer = rows(WholeImages(p, losses.L2(), 2 * BATCH, "loss", silhouettes="direct"), p, 200)
     test = stats.ttest_ind(by_kernel[:, 1], by_renderer[:, 1], equal_var=False)
     print(by_kernel.mean(axis=0), by_renderer.mean(axis=0), test.pvalue)
     assert test.pvalue > LEVEL
@@ -69,13 +69,13 @@ def test_what_is_no_shape_cannot_be_moved_by_mitsubas_derivative(moved, smooth):
     unknowns = {"x": UnknownConfig(start=0.5, blur=BlurConfig(start=0.2, end=0.1))}
     p = without_targets(description() | lights, unknowns, poses)
     with pytest.raises(InputError, match=f"'x'. moves '{moved}', which is no shape") as refused:
-        Stock(p, losses.L2(), BATCH, smooth)
+        WholeImages(p, losses.L2(), BATCH, smooth)
     assert "\n" not in str(refused.value)
 
 
 def test_mitsuba_prints_nothing_on_standard_output(capfd):
     p = blurred_problem(glows=True)
-    rows(Stock(p, losses.L2(), 2 * BATCH, silhouettes="direct"), p, 1)
+    rows(WholeImages(p, losses.L2(), 2 * BATCH, silhouettes="direct"), p, 1)
     assert capfd.readouterr().out == ""
 
 
@@ -83,7 +83,7 @@ def test_mitsubas_own_derivative_does_not_see_over_a_plateau():
     """The ball outside the view: no derivative, while the blurred objective has a slope. (Upwards:
     a ball that comes into view at a wrong place is worse than none.)"""
     p = blurred_problem(at=(-2.6, AT[1]), widths=(0.8, 0.1), glows=True)
-    stock = rows(Stock(p, losses.L2(), BATCH, silhouettes="direct"), p, 8)
+    stock = rows(WholeImages(p, losses.L2(), BATCH, silhouettes="direct"), p, 8)
     plateau = rows(made(p, smooth="loss"), p, 800)
     assert np.abs(stock[:, 0]).max() < 1e-6
     mean, error = plateau[:, 0].mean(), plateau[:, 0].std() / math.sqrt(len(plateau))
@@ -94,6 +94,6 @@ def test_mitsubas_own_derivative_does_not_see_over_a_plateau():
 def test_the_edge_of_a_point_lights_shadow_is_missing():
     """A limit of Mitsuba's, which the baseline on `shadows` has: no traced ray meets the light."""
     p = blurred_problem(at=(0.0, AT[1]), point=True)
-    found = rows(Stock(p, losses.L2(), 16 * BATCH, silhouettes="uniform"), p, 150)
+    found = rows(WholeImages(p, losses.L2(), 16 * BATCH, silhouettes="uniform"), p, 150)
     exact = rows(FiniteDifferences(p, losses.L2(), 64 * BATCH, 0.05), p, 100)
     assert p_value(found, exact) < LEVEL

@@ -14,7 +14,7 @@ from isas_cli import losses
 from isas_cli.config.schema import BlurConfig
 from isas_cli.estimators import renderings
 from isas_cli.estimators.finite_differences import FiniteDifferences
-from isas_cli.estimators.mitsuba import Stock
+from isas_cli.estimators.mitsuba import WholeImages
 from isas_cli.estimators.plateau import Plateau
 from isas_cli.estimators.renderings import Renderings
 from isas_cli.rendering.pixels import PixelDistribution
@@ -85,7 +85,7 @@ def test_more_paths_of_the_residual_than_fit_are_refused(problem):
 def test_a_pair_for_each_of_very_many_entries_is_refused(problem, monkeypatch):
     """All their offsets are held at once."""
     monkeypatch.setattr(blur, "_MOST_SINGLE", 1)
-    with pytest.raises(InputError, match="sampler.scheme=separate takes a pair .* 2 entries"):
+    with pytest.raises(InputError, match="estimator.scheme=separate takes a pair .* 2 entries"):
         made(problem, scheme="separate")
     with pytest.raises(InputError, match="sampler=finite_differences takes a pair"):
         FiniteDifferences(problem, losses.L2(), BATCH, 1.0)
@@ -339,7 +339,7 @@ def test_estimates_follow_the_schedule(method):
         if method == "kernel":
             estimator = made(p, smooth="image")
         else:
-            estimator = Stock(p, losses.L2(), BATCH, "image", silhouettes="direct")
+            estimator = WholeImages(p, losses.L2(), BATCH, "image", silhouettes="direct")
         gradient = estimator.estimate(p.unknowns.starts(), uniform(p), 7, 3, progress)
         found.append([float(gradient[key][0]) for key in p.unknowns.keys])
     assert found[1] == pytest.approx(found[0], rel=1e-3)

@@ -11,7 +11,7 @@ from scipy import stats
 
 from isas_cli import losses
 from isas_cli.estimators.finite_differences import FiniteDifferences
-from isas_cli.estimators.mitsuba import Stock
+from isas_cli.estimators.mitsuba import WholeImages
 from isas_cli.estimators.plateau import Plateau
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 
@@ -20,8 +20,8 @@ MADE = {
     "image": lambda p, loss: Plateau(p, loss, BATCH, "image"),
     "loss": lambda p, loss: Plateau(p, loss, BATCH, "loss"),
     "finite_differences": lambda p, loss: FiniteDifferences(p, loss, BATCH, 1.0),
-    "mitsuba": lambda p, loss: Stock(p, loss, BATCH, silhouettes="direct"),
-    "renderer": lambda p, loss: Stock(p, loss, BATCH, "image", silhouettes="direct"),
+    "mitsuba": lambda p, loss: WholeImages(p, loss, BATCH, silhouettes="direct"),
+    "renderer": lambda p, loss: WholeImages(p, loss, BATCH, "image", silhouettes="direct"),
 }
 
 

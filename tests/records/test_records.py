@@ -30,6 +30,7 @@ ROW = {
     "nonfinite": 2,
     "stage1_seconds": 0,
     "learning_rate": 0.02,
+    "prior": 0.25,
 }
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
-from isas_cli.rendering import attached, rays, replay
+from isas_cli.rendering import attached, rays
+from isas_cli.rendering.integrators import Integrator
 from isas_cli.unknowns.parameters import flat
 
 UNKNOWNS = {
@@ -24,31 +25,29 @@ def setting(p, seed: int):
     return ray, stream
 
 
-def gradients(p, both_ways: bool, monkeypatch) -> tuple[np.ndarray, np.ndarray]:
+def gradients(p, both_ways: bool) -> tuple[np.ndarray, np.ndarray]:
     """Gradients of a weighted sum of radiances, and radiances."""
-    if not both_ways:
-        monkeypatch.setattr(attached, "handles", lambda integrator: False)
+    integrator = p.integrator if both_ways else Integrator(p.integrator.base)
     starts = p.unknowns.starts()
     p.unknowns.attach(starts)
     with dr.suspend_grad():
         ray, stream = setting(p, 5)
-        radiance, _ = replay.primal(p.integrator, p.scene, stream.clone(), ray)
+        radiance, _ = p.integrator.primal(p.scene, stream.clone(), ray)
         weights = np.random.default_rng(1).normal(size=(3, dr.width(ray.o)))
-        replay.backward(p.integrator, p.scene, stream, ray, mi.Color3f(weights))
+        integrator.backward(p.scene, stream, ray, mi.Color3f(weights))
     found = [np.array(flat(g), np.float64) for g in p.unknowns.gradients().values()]
     p.unknowns.write(starts)
-    monkeypatch.undo()
     return np.concatenate(found), np.array(radiance)
 
 
 @pytest.mark.parametrize("depth", [1, 2, 3, 4, 5])
-def test_gradients_agree_with_path_replay(depth, monkeypatch):
+def test_gradients_agree_with_path_replay(depth):
     if depth == 1:
         p = problem({"sky.radiance.value": 0.2}, depth=1)
     else:
         p = problem(UNKNOWNS, depth=depth)
-    unrolled, _ = gradients(p, True, monkeypatch)
-    replayed, _ = gradients(p, False, monkeypatch)
+    unrolled, _ = gradients(p, True)
+    replayed, _ = gradients(p, False)
     assert np.any(replayed != 0)
     assert np.allclose(unrolled, replayed, rtol=2e-4, atol=1e-5 * np.abs(replayed).max())
 
@@ -57,7 +56,7 @@ def test_radiance_agrees_with_path_replay():
     p = problem(UNKNOWNS, depth=4)
     with dr.suspend_grad():
         ray, stream = setting(p, 7)
-        stock, _ = replay.primal(p.integrator, p.scene, stream.clone(), ray)
+        stock, _ = p.integrator.primal(p.scene, stream.clone(), ray)
         own = attached.radiance(p.scene, stream, ray, 4)
     assert np.allclose(np.array(own), np.array(stock), rtol=1e-4, atol=1e-6)
 
@@ -72,7 +71,7 @@ def test_forward_agrees_with_path_replay(monkeypatch):
         p.unknowns.push_tangent(starts, {k: v * 0 + 1 for k, v in starts.items()})
         with dr.suspend_grad():
             ray, stream = setting(p, 9)
-            results.append(np.array(replay.forward(p.integrator, p.scene, stream, ray)))
+            results.append(np.array(p.integrator.forward(p.scene, stream, ray)))
         p.unknowns.write(starts)
     assert np.abs(results[1]).max() > 0.1
     assert np.allclose(*results, rtol=2e-4, atol=1e-5 * np.abs(results[1]).max())
@@ -96,11 +95,11 @@ def test_inner_product_of_forward_and_backward():
     p.unknowns.push_tangent(starts, tangents)
     with dr.suspend_grad():
         ray, stream = setting(p, 11)
-        jv = np.array(replay.forward(p.integrator, p.scene, stream, ray), np.float64)
+        jv = np.array(p.integrator.forward(p.scene, stream, ray), np.float64)
     p.unknowns.attach(starts)
     with dr.suspend_grad():
         ray, stream = setting(p, 11)
-        replay.backward(p.integrator, p.scene, stream, ray, weights)
+        p.integrator.backward(p.scene, stream, ray, weights)
     jtw = {k: np.array(flat(g), np.float64) for k, g in p.unknowns.gradients().items()}
     p.unknowns.write(starts)
     left = (jv * np.array(weights, np.float64)).sum()

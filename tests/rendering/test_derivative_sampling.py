@@ -13,7 +13,7 @@ from scipy import stats
 from isas_cli.config.compose import compose, pixel_samplers
 from isas_cli.engine.experiment import checked
 from isas_cli.losses import L2
-from isas_cli.rendering import derivative_sampling, rays, replay
+from isas_cli.rendering import derivative_sampling, rays
 from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns.parameters import flat
 
@@ -190,7 +190,7 @@ def _derivatives(problem, integrator, repeats: int, base: int) -> np.ndarray:
         with dr.suspend_grad():
             stream = rays.stream(seed, count)
             ray, weight = rays.spawn(sensors, views, *views.locate(pixel), stream)
-            replay.backward(integrator, scene, stream, ray, weight / count)
+            integrator.backward(scene, stream, ray, weight / count)
 
     run = dr.freeze(kernel)
     for i in range(repeats):
@@ -218,10 +218,10 @@ def test_forward_and_backward_agree_path_by_path():
         unknowns.starts(), unknowns.values_of({u.key: np.ones_like(u.start) for u in unknowns})
     )
     with dr.suspend_grad():
-        along = replay.forward(integrator, *spawned())
+        along = integrator.forward(*spawned())
     unknowns.attach(unknowns.starts())
     with dr.suspend_grad():
-        replay.backward(integrator, *spawned(), adjoint)
+        integrator.backward(*spawned(), adjoint)
     back = float(next(iter(unknowns.gradients().values()))[0])
     unknowns.write(unknowns.starts())
     forth = float(dr.sum(dr.sum(along * adjoint))[0])

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from montecarlo import chi_square, z_against
 
-from isas_cli.rendering.pixels import PixelDistribution, Tiles, Views
+from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.runtime import streams
 from isas_cli.samplers.stage1.cells import Cells
+from isas_cli.scene.views import Views
 
 
 def test_views_locate_every_pixel():
@@ -251,3 +252,7 @@ def test_seeds_never_coincide_within_a_run():
     seeds = {streams.seed(1, i, p) for i in range(2000) for p in streams.PURPOSES}
     assert len(seeds) == 2000 * len(streams.PURPOSES)
     assert streams.seed(1, 5, "draw") != streams.seed(2, 5, "draw")
+    # Numbers that do not fit into 32 bits with their purpose: looks of a rehearsal that take
+    # several streams an iteration reach them.
+    late = [streams.seed(1, (1 << 27) + i, "draw") for i in range(2000)]
+    assert len({*late, *seeds}) > len(late) + len(seeds) - 3

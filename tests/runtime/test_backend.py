@@ -192,7 +192,7 @@ def test_the_doctor_says_what_is_wrong(capsys, monkeypatch):
 
 def test_the_doctor_reports_a_machine_without_llvm():
     environment = dict(os.environ, **{llvm.VARIABLE: "/absent/libLLVM.so"})
-    code = "from isas_cli import doctor; raise SystemExit(doctor.report('llvm_ad_rgb'))"
+    code = "from isas_cli.cli import doctor; raise SystemExit(doctor.report('llvm_ad_rgb'))"
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert done.returncode == 2, done.stderr

@@ -14,7 +14,7 @@ from scenes_for_tests import dictionary
 
 from isas_cli import losses
 from isas_cli.config.compose import compose, instantiate, pixel_samplers
-from isas_cli.rendering import replay
+from isas_cli.rendering.integrators import Unrolled
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene.problem import Problem
 
@@ -264,15 +264,15 @@ def test_paths_of_stage_1_that_are_not_finite_leave_a_pmf(name, every, bench, mo
         bad = dr.select(lane % 2 == 0, mi.Float(np.nan), mi.Float(np.inf))
         return dr.select(spoilt, bad, colours)
 
-    primal, forward, backward = replay.primal, replay.forward, replay.backward
-    monkeypatch.setattr(replay, "forward", lambda *args: spoil(forward(*args)))
-    monkeypatch.setattr(replay, "backward", lambda *args: backward(*args[:-1], spoil(args[-1])))
+    primal, forward, backward = Unrolled.primal, Unrolled.forward, Unrolled.backward
+    monkeypatch.setattr(Unrolled, "forward", lambda *args: spoil(forward(*args)))
+    monkeypatch.setattr(Unrolled, "backward", lambda *args: backward(*args[:-1], spoil(args[-1])))
 
     def spoilt_primal(*args):
         radiance, state = primal(*args)
         return spoil(radiance), state
 
-    monkeypatch.setattr(replay, "primal", spoilt_primal)
+    monkeypatch.setattr(Unrolled, "primal", spoilt_primal)
     check_all(configured("sampler", name), bench)
 
 

@@ -20,7 +20,8 @@ from hard_scenes import SCENES, hard_problem
 from montecarlo import welch
 
 from isas_cli.config.compose import pixel_samplers
-from isas_cli.rendering import attached, rays, replay
+from isas_cli.rendering import rays
+from isas_cli.rendering.integrators import Integrator, Unrolled
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.runtime import streams
 from isas_cli.unknowns.parameters import flat
@@ -113,22 +114,21 @@ def test_reference_is_the_derivative_of_the_loss(bench, seed):
             assert abs(whole.mean() - half.mean()) < 0.1 * norm, "steps too long to extrapolate"
 
 
-def test_short_paths_differentiate_like_replayed_ones(bench, monkeypatch):
-    """Both routes of ``replay.backward`` on the same paths of at most five edges, through glass,
-    mirrors and all."""
+def test_short_paths_differentiate_like_replayed_ones(bench):
+    """Both ways to differentiate the same paths of at most five edges, through glass, mirrors and
+    all."""
     p = hard_problem(bench.name, depth=5)
-    assert attached.handles(p.integrator)
+    assert isinstance(p.integrator, Unrolled)
     starts, found = p.unknowns.starts(), []
     weights = mi.Color3f(np.random.default_rng(1).normal(size=(3, 16 * p.views.total)))
     for both_ways in (True, False):
-        if not both_ways:
-            monkeypatch.setattr(attached, "handles", lambda integrator: False)
+        integrator = p.integrator if both_ways else Integrator(p.integrator.base)
         p.unknowns.attach(starts)
         with dr.suspend_grad():
             pixel = dr.tile(dr.arange(mi.UInt32, p.views.total), 16)
             stream = rays.stream(mi.UInt32(5), dr.width(pixel))
             ray, _ = rays.spawn(p.sensors, p.views, *p.views.locate(pixel), stream)
-            replay.backward(p.integrator, p.scene, stream, ray, weights)
+            integrator.backward(p.scene, stream, ray, weights)
         found.append([np.array(flat(g), np.float64) for g in p.unknowns.gradients().values()])
         p.unknowns.write(starts)
     for unrolled, replayed in zip(*found):

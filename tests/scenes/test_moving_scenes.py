@@ -13,7 +13,7 @@ from isas_cli.engine.display import Display
 from isas_cli.engine.experiment import Phases
 from isas_cli.engine.loop import Hooks
 from isas_cli.engine.workshop import Workshop
-from isas_cli.rendering import replay
+from isas_cli.rendering.integrators import Integrator
 from isas_cli.runtime.errors import InputError, NumericalError
 from isas_cli.unknowns.parameters import as_numpy
 
@@ -69,7 +69,7 @@ def test_three_iterations(workshop, name):
 def test_a_path_that_is_not_a_number_costs_its_step(monkeypatch, share, status, spp):
     """Now and then: the step is left out and counted. Every time: the run says so and stops, with
     its values as they were."""
-    whole = replay.primal
+    whole = Integrator.primal
 
     def broken(integrator, scene, sampler, ray):
         radiance, state = whole(integrator, scene, sampler, ray)
@@ -79,7 +79,7 @@ def test_a_path_that_is_not_a_number_costs_its_step(monkeypatch, share, status, 
     settings = [*SMALL, "budget.iterations=40", f"sampler.spp={spp}"]
     workshop = workshop_of("scene=occlusion", *settings[:-1])
     loop = workshop.loop(*configured("scene=occlusion", "sampler=plateau", *settings))
-    monkeypatch.setattr(replay, "primal", broken)
+    monkeypatch.setattr(Integrator, "primal", broken)
     values, bad = [], []
 
     def watched(loop, progress):
@@ -175,27 +175,30 @@ def test_a_hidden_ball_is_found():
 @pytest.mark.parametrize(
     "overrides, words",
     [
-        (["sampler.base=ours"], "sampler.base=ours: it looks at derivatives"),
-        (["sampler.gradient=neither"], "sampler.gradient=neither: valid: kernel, renderer"),
-        (["sampler.gradient=renderer", "sampler.common=false"], "sampler.common=False"),
-        (["sampler.gradient=renderer", "sampler.base=gradient"], "must be uniform"),
-        (["sampler.silhouettes=direct"], "sampler.silhouettes=direct: only"),
-        (["sampler.pairs=0"], "sampler.pairs=0: at least 1"),
-        (["sampler.spp=0"], "sampler.spp=0: at least 1"),
-        (["sampler=finite_differences", "sampler.spp=0"], "sampler.spp=0: at least 1"),
-        (["sampler=finite_differences", "sampler.step=inf"], "sampler.step=inf: must be a finite"),
-        (["sampler.gradient=renderer", "sampler.spp=4"], "sampler.spp=4: the renderer's"),
-        (["sampler.smooth=time"], "sampler.smooth=time: valid: image, loss"),
-        (["sampler.residual=two"], "sampler.residual=two: valid: pair, one"),
-        (["sampler.residual=one", "sampler.smooth=loss"], "sampler.residual=one: only"),
-        (["sampler.residual_spp=4", "sampler.smooth=loss"], "sampler.residual_spp=4: only"),
-        (["sampler.residual_spp=1"], "sampler.residual_spp=1: even, at least 2"),
-        (["sampler.residual_spp=13"], "sampler.residual_spp=13: even"),
-        (["sampler.residual=one", "sampler.gradient=renderer"], "sampler.residual=one: only"),
+        (["sampler.base=ours"], "sampler=ours looks at derivatives"),
+        (["sampler.gradient=neither"], "estimator.gradient=neither: valid: kernel, renderer"),
+        (["sampler.gradient=renderer", "sampler.common=false"], "estimator.common=False"),
+        (["sampler.gradient=renderer", "sampler.base=gradient"], "take sampler=uniform"),
+        (["sampler.silhouettes=direct"], "estimator.silhouettes=direct: only"),
+        (["sampler.pairs=0"], "estimator.pairs=0: at least 1"),
+        (["sampler.spp=0"], "estimator.spp=0: at least 1"),
+        (["sampler=finite_differences", "sampler.spp=0"], "estimator.spp=0: at least 1"),
+        (
+            ["sampler=finite_differences", "sampler.step=inf"],
+            "estimator.step=inf: must be",
+        ),
+        (["sampler.gradient=renderer", "sampler.spp=4"], "estimator.spp=4: the renderer's"),
+        (["sampler.smooth=time"], "estimator.smooth=time: valid: image, loss"),
+        (["sampler.residual=two"], "estimator.residual=two: valid: pair, one"),
+        (["sampler.residual=one", "sampler.smooth=loss"], "estimator.residual=one: only"),
+        (["sampler.residual_spp=4", "sampler.smooth=loss"], "estimator.residual_spp=4: only"),
+        (["sampler.residual_spp=1"], "estimator.residual_spp=1: even, at least 2"),
+        (["sampler.residual_spp=13"], "estimator.residual_spp=13: even"),
+        (["sampler.residual=one", "sampler.gradient=renderer"], "estimator.residual=one: only"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(overrides, words):
-    from isas_cli.config.compose import instantiate
-
+    settings = overrides if "sampler=" in overrides[0] else ["sampler=plateau", *overrides]
     with pytest.raises(InputError, match=words):
-        instantiate(configured("scene=cup", "sampler=plateau", *overrides)[0].sampler, "sampler")
+        cfg, typed, _ = configured("scene=cup", *settings)
+        experiment.started([cfg], typed)

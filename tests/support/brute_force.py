@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from isas_cli.rendering import rays, replay
+from isas_cli.rendering import rays
 from isas_cli.runtime import streams
 from isas_cli.unknowns.parameters import flat, unflat
 
@@ -41,7 +41,7 @@ def per_path_derivatives(
             p.unknowns.push_tangent(starts, tangents)
             with dr.suspend_grad():
                 _, stream, ray, weight = _paths(p, cells, samples, base, iteration, purpose)
-                derivative = replay.forward(p.integrator, p.scene, stream, ray) * weight
+                derivative = p.integrator.forward(p.scene, stream, ray) * weight
             rows.append(np.array(derivative, np.float64))
     return np.array(rows)
 
@@ -50,7 +50,7 @@ def per_path_residuals(p, loss, cells, samples: int, base: int, iteration: int) 
     """∂ℓ/∂I of every path that stage 1 traces: ``(3, C · samples)``."""
     p.unknowns.write(p.unknowns.starts())
     pixel, stream, ray, weight = _paths(p, cells, samples, base, iteration, "stage1_primal")
-    radiance, _ = replay.primal(p.integrator, p.scene, stream, ray)
+    radiance, _ = p.integrator.primal(p.scene, stream, ray)
     derivative = loss.derivative(radiance * weight, dr.gather(mi.Color3f, p.targets, pixel))
     return np.array(derivative, np.float64)
 

@@ -8,9 +8,10 @@ import mitsuba as mi
 import numpy as np
 
 from isas_cli.config.schema import PoseConfig, UnknownConfig
-from isas_cli.rendering.pixels import Views
+from isas_cli.rendering import integrators
 from isas_cli.samplers.sampler import Stage1Settings
 from isas_cli.scene.problem import Problem
+from isas_cli.scene.views import Views
 from isas_cli.unknowns.poses import Poses
 from isas_cli.unknowns.specs import parse
 from isas_cli.unknowns.unknowns import Unknowns
@@ -88,7 +89,7 @@ def without_targets(
 ) -> Problem:
     """``description``: Mitsuba's, whose values are the truth; ``unknowns``: key → start, or all
     of its settings."""
-    gc.collect()  # see build.problem
+    gc.collect()  # see assemble.problem
     scene = mi.load_dict(description, optimize=False)
     film = [tuple(int(x) for x in s.film().crop_size()) for s in scene.sensors()]
     specs = {
@@ -100,7 +101,7 @@ def without_targets(
     result = Problem(
         "test",
         scene,
-        scene.integrator(),
+        integrators.adapt(scene.integrator()),
         scene.sensors_dr(),
         film,
         Views.of(film),

@@ -10,8 +10,7 @@ from pathlib import Path
 import yaml
 from omegaconf import DictConfig, OmegaConf
 
-# Where and how fast a run is computed, and what it is called: not what is computed.
-_BESIDES = ("hydra", "name", "overwrite", "threads", "variant", "tracker")
+from ...config.roles import Role, meaning
 
 
 def register() -> None:
@@ -33,7 +32,7 @@ def same(cfg: DictConfig, folder: Path) -> bool:
 
 def _fingerprint(*, _root_: DictConfig) -> str:
     """Eight hexadecimal digits of all settings but the seed."""
-    text = _text(_root_, (*_BESIDES, "seed"))
+    text = _text(_root_, (Role.PLACE, Role.SEED))
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
@@ -44,12 +43,12 @@ def _job_name(*, _root_: DictConfig) -> str:
     return f"{_root_.name}-{name}" if "name" in typed else name
 
 
-def _text(cfg: DictConfig, besides: Collection[str] = _BESIDES) -> str:
-    """The settings as text, whatever their order. Each is resolved in its place: it may refer to
-    one that is left out."""
+def _text(cfg: DictConfig, besides: Collection[Role] = (Role.PLACE,)) -> str:
+    """The settings as text, whatever their order, but for those of some roles. Each is resolved in
+    its place: it may refer to one that is left out."""
     plain = {}
     for key in cfg:
-        if key not in besides:
+        if meaning(key).role not in besides:
             value = cfg[key]
             is_node = OmegaConf.is_config(value)
             plain[key] = OmegaConf.to_container(value, resolve=True) if is_node else value

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...rendering import rays, replay
+from ...rendering import rays
 from ...rendering.pixels import PixelDistribution, Tiles
 from ...runtime import streams
 from ...samplers.stage1.cell_moments import random_signs
@@ -132,14 +132,14 @@ def _kernel(problem: Problem, loss, copies: int):
 
             first = rays.stream(seeds[1], count)
             ray, weight = rays.spawn(sensors, views, view, column, row, first)
-            radiance, _ = replay.primal(integrator, scene, first, ray)
+            radiance, _ = integrator.primal(scene, first, ray)
             residual = loss.derivative(radiance * weight, dr.gather(mi.Color3f, targets, pixel))
             if mask is not None:
                 residual *= dr.gather(mi.Float, mask, pixel)
 
             second = rays.stream(seeds[2], count)
             ray, weight = rays.spawn(sensors, views, view, column, row, second)
-            derivative = replay.forward(integrator, scene, second, ray) * weight
+            derivative = integrator.forward(scene, second, ray) * weight
             dr.eval(residual, derivative)
             found = []
             for factor in (residual, derivative):

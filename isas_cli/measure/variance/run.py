@@ -71,11 +71,13 @@ def run(plan: Plan) -> int:
     machine = started(list(plan.cfgs.values()), typed)
     with Progress() as display:
         phases = Phases(display)
-        from ...rendering import derivative_sampling  # imports Mitsuba
-
-        problem = derivative_sampling.chosen(
-            built(typed, phases, plan.cfgs.values()), typed.estimator
-        )
+        estimator = instantiate(plan.common.estimator, "estimator")
+        if not estimator.replays:
+            raise InputError(
+                f"estimator={plan.common.estimator.name}: variances are measured of path replay's "
+                "gradient: leave it out"
+            )
+        problem = estimator.on(built(typed, phases, plan.cfgs.values()))
         bench, contestants, best = _prepared(plan, typed, problem, phases)
         with interrupt.graceful(display.interrupted) as stop:
             return _Record(plan, typed, machine, bench, contestants, best, display).make(stop)
@@ -91,7 +93,7 @@ def _prepared(plan: Plan, typed: Config, problem: "Problem", phases: Phases):
     phases.begin("prepare")
     values = _point(problem, plan.at)
     loss = instantiate(plan.common.loss, "loss")
-    batch, freeze = typed.estimator.batch, typed.estimator.freeze
+    batch, freeze = typed.estimator["batch"], typed.estimator["freeze"]
     bench = Bench(problem, loss, values, batch, typed.seed, typed.optimizer, freeze)
     best: Best | None = None
     if plan.best:
@@ -143,7 +145,7 @@ class _Record:
 
         self.table: list[dict] = []
         self._open()
-        results = Results(self.typed.estimator.batch, self.best)
+        results = Results(self.typed.estimator["batch"], self.best)
 
         def finished(rounds: list[int]) -> None:
             self.table = rows(self.contestants, rounds, results)
@@ -214,7 +216,7 @@ class _Record:
         where = {0.0: "at the start values", 1.0: "at the truth"}
         at = where.get(self.plan.at, f"{self.plan.at:g} of the way from start to truth")
         repeats = self.table[0]["repeats"]
-        batch = self.typed.estimator.batch
+        batch = self.typed.estimator["batch"]
         return f"{self.typed.scene.name}, gradient {at}, {repeats} estimates of {batch} pixels each"
 
     def _announce(self) -> None:

@@ -6,20 +6,8 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-# What changes neither the problem nor what is computed to solve it.
-_IGNORED = (
-    "seed",
-    "name",
-    "overwrite",
-    "threads",
-    "variant",
-    "hydra",
-    "frames",
-    "evaluation",
-    "tracker",
-)
-# Of the scene: texts, menus, and what its content hash stands for already.
-_SILENT = ("scene.name", "scene.description", "scene.sizes")
+from ...config.roles import Role, meaning
+
 _UNSET = "unset"
 
 Settings = dict[str, str]
@@ -49,18 +37,12 @@ def split(flat: Settings) -> tuple[Settings, Settings]:
     """Settings of the problem (which scene, size, targets, starts) and of the method."""
     problem, method = {}, {}
     for key, value in flat.items():
-        group = key.partition(".")[0]
-        if group in _IGNORED or key.startswith(_SILENT):
-            continue
-        (problem if _of_problem(group, key) else method)[key] = value
+        role = meaning(key).role
+        if role is Role.PROBLEM:
+            problem[key] = value
+        elif role is Role.METHOD:
+            method[key] = value
     return problem, method
-
-
-def _of_problem(group: str, key: str) -> bool:
-    # How fast, and within which bounds, an unknown may move is the method's affair.
-    if key.startswith("scene.unknowns.") and key.endswith((".lr", ".range")):
-        return False
-    return group in ("scene", "size", "target")
 
 
 def methods(settings: Sequence[Settings]) -> list[str]:

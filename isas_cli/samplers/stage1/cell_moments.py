@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from ...rendering import rays, replay
+from ...rendering import rays
 from ...runtime import streams
 from ...scene.problem import Problem
 from ...unknowns.parameters import flat, unflat
@@ -112,7 +112,7 @@ def _residual_kernel(integrator, loss, samples: int):
     def kernel(scene, sensors, views, leaves, cells, targets, mask, seeds):
         with dr.suspend_grad():
             _, pixel, stream, ray, weight = spawned(sensors, views, cells, samples, seeds)
-            radiance, _ = replay.primal(integrator, scene, stream, ray)
+            radiance, _ = integrator.primal(scene, stream, ray)
             target = dr.gather(mi.Color3f, targets, pixel)
             derivative = loss.derivative(radiance * weight, target)
             if mask is not None:
@@ -126,7 +126,7 @@ def _derivative_kernel(integrator, samples: int):
     def kernel(scene, sensors, views, leaves, cells, seeds):
         with dr.suspend_grad():
             _, _, stream, ray, weight = spawned(sensors, views, cells, samples, seeds)
-            return cell_moments(replay.forward(integrator, scene, stream, ray) * weight, samples)
+            return cell_moments(integrator.forward(scene, stream, ray) * weight, samples)
 
     return kernel
 
@@ -142,7 +142,7 @@ def _sensitivity_kernel(integrator, samples: int):
             if image is not None:
                 cell = dr.arange(mi.UInt32, cells.count * samples) // samples
                 adjoint *= dr.gather(mi.Color3f, image, cell)
-            replay.backward(integrator, scene, stream, ray, adjoint * weight)
+            integrator.backward(scene, stream, ray, adjoint * weight)
 
     return kernel
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from ...rendering.pixels import Tiles, Views
+from ...rendering.pixels import Tiles
+from ...scene.views import Views
 
 
 @dataclass

@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from ...rendering import rays, replay
+from ...rendering import rays
 from ...runtime import streams
 from ...scene.problem import Problem
 from .cell_moments import random_signs
@@ -37,7 +37,7 @@ class Product:
 
                 first = rays.stream(seeds[1], count)
                 ray, weight = rays.spawn(sensors, views, view, column, row, first)
-                radiance, _ = replay.primal(integrator, scene, first, ray)
+                radiance, _ = integrator.primal(scene, first, ray)
                 target = dr.gather(mi.Color3f, targets, pixel)
                 residual = loss.derivative(radiance * weight, target)
                 if mask is not None:
@@ -45,7 +45,7 @@ class Product:
 
                 second = rays.stream(seeds[2], count)
                 ray, weight = rays.spawn(sensors, views, view, column, row, second)
-                derivative = replay.forward(integrator, scene, second, ray) * weight
+                derivative = integrator.forward(scene, second, ray) * weight
                 square = dr.square(dr.sum(residual * derivative))
                 dr.eval(square)
                 mean = dr.block_reduce(dr.ReduceOp.Add, square, spp) * (1.0 / spp)

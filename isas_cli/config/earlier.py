@@ -1,0 +1,43 @@
+"""Configurations of earlier records as they would be written today."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .schema import PRESETS
+
+_OF_ESTIMATORS = ("batch", "freeze", "derivative_sampling")
+
+
+def modern(config: dict[str, Any]) -> dict[str, Any]:
+    """``config`` of a run, whichever version wrote it, with an estimator of its own.
+
+    Until 0.1 samplers of the names of PRESETS held the settings of what is an estimator now, and
+    the sampler that drew their pixels as ``base``. Modules have moved since as well.
+    """
+    sampler, estimator = config.get("sampler"), config.get("estimator")
+    if not isinstance(sampler, dict) or "name" in (estimator or {}):
+        return config
+    common = {key: value for key, value in (estimator or {}).items() if key in _OF_ESTIMATORS}
+    chosen = sampler.get("name")
+    if chosen in PRESETS:
+        common.pop("derivative_sampling", None)
+        own = {k: v for k, v in sampler.items() if k not in ("name", "_target_", "base")}
+        base = dict(sampler.get("base") or {"name": "uniform"})
+        if base["name"] == "uniform":
+            base["name"] = chosen
+        config = {**config, "sampler": base}
+        name = chosen
+    else:
+        own, name = {}, "two_path"
+    target = f"isas_cli.estimators.{name}.Settings"
+    found = {"name": name, "_target_": target, **common, **_known(own)}
+    return {**config, "estimator": found, "prior": config.get("prior") or _NO_PRIOR}
+
+
+_NO_PRIOR = {"name": "none", "_target_": "isas_cli.losses.priors.Nothing"}
+
+
+def _known(settings: dict[str, Any]) -> dict[str, Any]:
+    """Without what was every sampler's and meant nothing here."""
+    return {k: v for k, v in settings.items() if k not in ("floor", "refresh", "stage1")}

@@ -1,0 +1,184 @@
+"""Priors: a term on the unknowns themselves beside the loss of the images.
+
+    ℒ'(θ) = ℒ(θ) + weight R(θ),    R = Σ_keys 1/K Σ_k ρ(differences of entry k to its neighbours)
+
+over the K entries of each key that has neighbours: texels along both sides of a texture, of an
+environment map (which closes on itself sideways), channels each by itself. An entry at an open end
+has no neighbour there. R is a function of θ alone, so its gradient has no noise and no bias; it is
+billed with the step. Entries that no pixel touched move as well, towards their neighbours: where
+``optimizer.mask_updates`` would have left them, they are touched now.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..runtime.errors import InputError, nearest
+from ..unknowns.parameters import flat, unflat
+from ..unknowns.unknowns import Unknowns
+
+
+@dataclass
+class Nothing:
+    """No prior: R = 0."""
+
+    def on(self, unknowns: Unknowns) -> None:
+        return None
+
+
+@dataclass
+class Prior:
+    """Base of priors on neighbours.
+
+    ``weight``: of R beside ℒ, at least 0; ``keys``: of which unknowns, None for all that have
+    neighbours. Raises InputError for a weight that is no such number.
+    """
+
+    weight: float = 0.01
+    keys: list[str] | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.weight < np.inf:
+            raise InputError(f"prior.weight={self.weight}: must be a finite number, at least 0")
+
+    def on(self, unknowns: Unknowns) -> "OnUnknowns":
+        """The prior of these unknowns. Raises InputError where none of them has neighbours, and
+        for a key that is no unknown or has none."""
+        axes = {u.key: unknowns.axes(u.key) for u in unknowns}
+        valid = [key for key in axes if axes[key]]
+        for key in self.keys or []:
+            if key not in valid:
+                raise InputError(
+                    f"prior.keys: '{key}' is no unknown with neighbouring entries; "
+                    f"{nearest(key, valid)}"
+                )
+        if not valid:
+            raise InputError(
+                "prior: no unknown has neighbouring entries, as the texels of a texture have: say "
+                "prior=none"
+            )
+        chosen = self.keys or valid
+        shapes = {u.key: u.start.shape for u in unknowns}
+        return OnUnknowns(self, {key: Neighbours.of(shapes[key], axes[key]) for key in chosen})
+
+    def energy(self, steps: list[mi.Float]) -> mi.Float:
+        """ρ of every entry from its steps to the next entry along each axis. Traced."""
+        raise NotImplementedError
+
+    def slopes(self, steps: list[mi.Float]) -> list[mi.Float]:
+        """∂ρ/∂step of every entry along each axis. Traced."""
+        raise NotImplementedError
+
+
+@dataclass
+class Smoothness(Prior):
+    """ρ = Σ_a d_a²: the gradient of R is, but for its scale, the grid's Laplacian."""
+
+    def energy(self, steps: list[mi.Float]) -> mi.Float:
+        return sum((dr.square(d) for d in steps), mi.Float(0))
+
+    def slopes(self, steps: list[mi.Float]) -> list[mi.Float]:
+        return [2 * d for d in steps]
+
+
+@dataclass
+class TotalVariation(Prior):
+    """ρ = √(Σ_a d_a² + ε²) - ε: one large step costs no more than many small ones that make it.
+
+    ``epsilon``: ε, in the unknown's unit; below it ρ is quadratic, so that it has a derivative.
+    """
+
+    weight: float = 0.001
+    epsilon: float = 0.001
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.epsilon < np.inf:
+            raise InputError(f"prior.epsilon={self.epsilon}: must be a finite number above 0")
+
+    def _length(self, steps: list[mi.Float]) -> mi.Float:
+        return dr.sqrt(sum((dr.square(d) for d in steps), mi.Float(self.epsilon**2)))
+
+    def energy(self, steps: list[mi.Float]) -> mi.Float:
+        return self._length(steps) - self.epsilon
+
+    def slopes(self, steps: list[mi.Float]) -> list[mi.Float]:
+        length = self._length(steps)
+        return [d / length for d in steps]
+
+
+@dataclass
+class Neighbours:
+    """For each entry of a flat array, along each axis: the next one and the one before, itself at
+    an open end. ``(K,) uint32`` each."""
+
+    following: list
+    preceding: list
+    count: int
+
+    @staticmethod
+    def of(shape: tuple[int, ...], axes: tuple[tuple[int, bool], ...]) -> "Neighbours":
+        """``axes``: (axis, whether it closes on itself) of an array of this shape."""
+        index = np.arange(np.prod(shape), dtype=np.uint32).reshape(shape)
+        following, preceding = [], []
+        for axis, wraps in axes:
+            after, before = np.roll(index, -1, axis), np.roll(index, 1, axis)
+            if not wraps:
+                last = [slice(None)] * index.ndim
+                last[axis] = slice(-1, None)
+                after[tuple(last)] = index[tuple(last)]
+                last[axis] = slice(0, 1)
+                before[tuple(last)] = index[tuple(last)]
+            following.append(mi.UInt32(after.ravel()))
+            preceding.append(mi.UInt32(before.ravel()))
+        return Neighbours(following, preceding, index.size)
+
+
+class OnUnknowns:
+    """A prior on the unknowns of one problem."""
+
+    name: ClassVar[str] = "prior"
+
+    def __init__(self, prior: Prior, neighbours: dict[str, Neighbours]):
+        self.prior, self.neighbours = prior, neighbours
+        self._slope = dr.freeze(self._traced_slope)
+
+    def value(self, values: dict) -> float:
+        """``weight`` R at ``values``. Waits."""
+        total = 0.0
+        for key, around in self.neighbours.items():
+            x = flat(values[key])
+            found = self.prior.energy(_steps(x, around.following))
+            total += float(dr.sum(mi.Float64(found))[0]) / around.count
+        return self.prior.weight * total
+
+    def add(self, values: dict, gradients: dict) -> dict:
+        """``gradients`` with ``weight`` ∂R/∂θ added, by key."""
+        result = dict(gradients)
+        for key, around in self.neighbours.items():
+            # Opaque: weights differ between runs that share a recording.
+            scale = dr.opaque(mi.Float, self.prior.weight / around.count)
+            slope = self._slope(flat(values[key]), around.following, around.preceding, scale)
+            result[key] = unflat(gradients[key], flat(gradients[key]) + slope)
+        return result
+
+    def _traced_slope(self, x, following, preceding, scale):
+        slopes = self.prior.slopes(_steps(x, following))
+        dr.eval(slopes)
+        total = mi.Float(0)
+        own = dr.arange(mi.UInt32, dr.width(x))
+        for slope, before in zip(slopes, preceding):
+            # An entry ends the step of the one before it and begins its own. (At an open end a
+            # step is 0, and so is its slope.)
+            ends = dr.gather(mi.Float, slope, before)
+            total += dr.select(before == own, 0, ends) - slope
+        return total * scale
+
+
+def _steps(x: mi.Float, following: list) -> list[mi.Float]:
+    return [dr.gather(mi.Float, x, after) - x for after in following]

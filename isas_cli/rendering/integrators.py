@@ -1,0 +1,139 @@
+"""One face for all integrators: radiance of paths along given rays, and their derivatives.
+
+Everything that traces goes through an ``Integrator`` of this module, which says what it can do:
+
+- ``primal``: radiance of one path per ray;
+- ``backward``: adds ⟨adjoint, dL/dθ⟩ to the gradients of the scene;
+- ``forward``: the derivative along a tangent, where ``has_forward``;
+- ``simulates``: the effects that its paths have: 'surfaces', 'media'.
+
+The order of events matters, so it is kept in one place: a replay must see the random numbers of
+the primal pass again (the sampler is cloned before it), nothing may track derivatives but the
+integrator itself, and results are evaluated before anyone reduces them (otherwise each channel's
+reduction renders again).
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from ..runtime.errors import InputError
+from . import attached
+
+# Mitsuba's class → what it simulates, and whether it differentiates in forward mode.
+_REPLAYED = {
+    "PRBIntegrator": (("surfaces",), True),
+    "PRBVolpathIntegrator": (("surfaces", "media"), False),
+}
+
+
+class Integrator:
+    """Path replay backpropagation by a Mitsuba integrator, ``base``.
+
+    ``max_depth``: edges of the longest path (2^32 - 1: no limit); ``paths_per_derivative``: light
+    paths behind one estimate of a pixel's derivative.
+    """
+
+    paths_per_derivative = 1
+    derivatives = "path replay backpropagation"
+
+    def __init__(self, base: mi.Integrator):
+        self.base = base
+        self.simulates, self.has_forward = _REPLAYED[type(base).__name__]
+        self.max_depth, self.rr_depth = base.max_depth, base.rr_depth
+        self.hide_emitters = base.hide_emitters
+
+    @property
+    def name(self) -> str:
+        """Mitsuba's name of the class that renders."""
+        return type(self.base).__name__
+
+    def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, mi.Color3f]:
+        """Radiance of one path per ray, and the state that a replay of the same paths needs."""
+        return self._sample(dr.ADMode.Primal, scene, sampler, ray)
+
+    def backward(self, scene, sampler, ray, adjoint: mi.Color3f) -> None:
+        """Trace one path per ray and add ⟨adjoint, dL/dθ⟩ to the gradients of the scene.
+
+        ``adjoint (3, N)``: ∂ℒ/∂L per path, importance weights included.
+        """
+        replayed = sampler.clone()
+        _, state = self.primal(scene, sampler, ray)
+        dr.eval(adjoint, state)
+        self._sample(dr.ADMode.Backward, scene, replayed, ray, adjoint, state)
+
+    def forward(self, scene, sampler, ray) -> mi.Color3f:
+        """Directional derivative of each path's radiance, ``(3, N)``; only where ``has_forward``.
+
+        The direction is the tangent that was pushed into the scene's parameters beforehand
+        (``Unknowns.push_tangent``). The result counts a parameter that a path meets at several
+        bounces once per meeting, summed before anything is squared.
+        """
+        replayed = sampler.clone()
+        _, state = self.primal(scene, sampler, ray)
+        dr.eval(state)
+        derivative, _ = self._sample(dr.ADMode.Forward, scene, replayed, ray, None, state)
+        dr.eval(derivative)
+        return derivative
+
+    def _sample(self, mode, scene, sampler, ray, adjoint=None, state=None):
+        radiance, _, _, state = self.base.sample(
+            mode=mode,
+            scene=scene,
+            sampler=sampler,
+            ray=ray,
+            depth=mi.UInt32(0),
+            δL=adjoint,
+            δaovs=None,
+            state_in=state,
+            active=mi.Bool(True),
+        )
+        return radiance, state
+
+
+class InOneGo(Integrator):
+    """Derivatives of what ``radiance`` computes with derivatives attached, without a replay.
+
+    ``radiance(scene, sampler, ray)`` is called with derivatives on (``dr.resume_grad``).
+    """
+
+    def radiance(self, scene, sampler, ray) -> mi.Spectrum:
+        raise NotImplementedError
+
+    def backward(self, scene, sampler, ray, adjoint: mi.Color3f) -> None:
+        with dr.resume_grad():
+            radiance = self.radiance(scene, sampler, ray)
+            # Paths too short to reach any unknown have no derivative.
+            if dr.grad_enabled(radiance):
+                dr.backward_from(adjoint * radiance)
+
+    def forward(self, scene, sampler, ray) -> mi.Color3f:
+        derivative = dr.zeros(mi.Color3f, dr.width(ray.o))
+        with dr.resume_grad():
+            radiance = self.radiance(scene, sampler, ray)
+            if dr.grad_enabled(radiance):
+                derivative = mi.Color3f(dr.forward_to(radiance))
+        dr.eval(derivative)
+        return derivative
+
+
+class Unrolled(InOneGo):
+    """Short paths, unrolled (``attached``)."""
+
+    derivatives = "short paths unrolled and differentiated in one go"
+
+    def radiance(self, scene, sampler, ray) -> mi.Spectrum:
+        return attached.radiance(scene, sampler, ray, self.max_depth)
+
+
+def adapt(base: mi.Integrator | None, where: str = "the scene") -> Integrator:
+    """The face of a Mitsuba integrator. Raises InputError, naming ``where``, for one whose paths
+    cannot be replayed here."""
+    if type(base).__name__ not in _REPLAYED:
+        named = "no integrator" if base is None else f"the integrator {base.class_name()}"
+        raise InputError(
+            f"{where} has {named}, and paths are replayed by prb (surfaces) or prbvolpath (media): "
+            "give it one of these"
+        )
+    return (Unrolled if attached.handles(base) else Integrator)(base)

@@ -1,0 +1,98 @@
+"""Arrays kept between runs: rendered targets and what views see. Of bounded size, oldest first."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from .errors import InputError, IsasError
+from .files import write_atomically
+
+_DEFAULT_GIB = 4.0
+
+
+def folder() -> Path:
+    """$ISAS_CACHE_DIR, else the user's cache folder."""
+    if os.environ.get("ISAS_CACHE_DIR"):
+        return Path(os.environ["ISAS_CACHE_DIR"])
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(base) / "isas"
+
+
+def limit() -> int:
+    """Bytes that the cache may hold: $ISAS_CACHE_GIB, else 4 GiB. Raises InputError for what is no
+    number."""
+    text = os.environ.get("ISAS_CACHE_GIB") or str(_DEFAULT_GIB)
+    try:
+        gib = float(text)
+        if not 0 <= gib < 2**20:
+            raise ValueError
+    except ValueError:
+        raise InputError(f"ISAS_CACHE_GIB={text}: a number of GiB, at least 0") from None
+    return int(gib * 2**30)
+
+
+def size() -> int:
+    """Bytes that it holds."""
+    return sum(stat.st_size for _, stat in _entries())
+
+
+def cached(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Arrays stored under ``key``, computed and stored when absent or unreadable.
+
+    What has not been used for longest goes first where the cache outgrows its ``limit``. A cache
+    that cannot be written costs the next run its time, never this run its result.
+    """
+    path = folder() / f"{key}.npz"
+    try:
+        with np.load(path) as stored:
+            found = {name: stored[name] for name in stored.files}
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+        pass
+    else:
+        with contextlib.suppress(OSError):
+            os.utime(path)  # used just now
+        return found
+    arrays = compute()
+    with contextlib.suppress(OSError, IsasError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, lambda temporary: _save(temporary, arrays))
+        _shrink(limit(), keep=path)
+    return arrays
+
+
+def digest(*parts) -> str:
+    """A short hash of JSON-able parts."""
+    return hashlib.blake2b(json.dumps(parts, sort_keys=True).encode(), digest_size=16).hexdigest()
+
+
+def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    with open(path, "wb") as file:
+        np.savez(file, **arrays)
+
+
+def _entries() -> list[tuple[Path, os.stat_result]]:
+    """Stored files, the one that was not used for longest first. Another process may take some."""
+    found = []
+    for path in folder().glob("*.npz"):
+        with contextlib.suppress(OSError):
+            found.append((path, path.stat()))
+    return sorted(found, key=lambda each: each[1].st_mtime)
+
+
+def _shrink(most: int, keep: Path) -> None:
+    entries = _entries()
+    held = sum(stat.st_size for _, stat in entries)
+    for path, stat in entries:
+        if held <= most:
+            return
+        if path != keep:
+            path.unlink(missing_ok=True)
+            held -= stat.st_size

@@ -1,0 +1,58 @@
+"""The rooms of isas_cli and who may know whom: imports run one way."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import isas_cli
+
+ROOT = Path(isas_cli.__file__).parent
+# From the ground up; rooms on one floor may know each other.
+FLOORS = (
+    ("runtime",),
+    ("config",),
+    ("records",),
+    ("unknowns", "scene"),
+    ("rendering",),
+    ("losses", "samplers"),
+    ("estimators",),
+    ("effects",),
+    ("report",),
+    ("engine",),
+    ("measure",),
+    ("cli",),
+)
+LEVEL = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
+
+
+def imported(path: Path) -> set[str]:
+    """The rooms that a module's imports reach, those for annotations alone left out."""
+    tree = ast.parse(path.read_text())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            node.body = []
+    depth = len(path.relative_to(ROOT).parts)
+    rooms = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.level == depth:
+            names = [node.module] if node.module else [alias.name for alias in node.names]
+            rooms |= {name.partition(".")[0] for name in names}
+    return rooms & set(LEVEL)
+
+
+def test_every_package_is_a_room():
+    assert {p.parent.name for p in ROOT.glob("*/__init__.py")} - {"configs", "scenes"} == set(LEVEL)
+
+
+@pytest.mark.parametrize("room", LEVEL)
+def test_a_room_knows_nobody_above_it(room):
+    for path in (ROOT / room).rglob("*.py"):
+        above = {other for other in imported(path) if LEVEL[other] > LEVEL[room]}
+        assert not above, f"{path.relative_to(ROOT)} imports from {', '.join(sorted(above))}"
+
+
+def test_the_report_never_renders():
+    for path in (ROOT / "report").rglob("*.py"):
+        assert "mitsuba" not in path.read_text().split("import ")[-1], path
+        assert imported(path) <= {"runtime", "config", "records"}, path
