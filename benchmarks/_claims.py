@@ -145,17 +145,13 @@ CLAIMS = [
 ]
 
 
-def write(results: Path) -> None:
-    """claims.md: the table, from the CSV files at hand."""
-    lines = ["| figure | the paper's claim | our measurement | holds |", "|---|---|---|---|"]
+def lines(results: Path) -> list[str]:
+    """The table, from the CSV files at hand."""
+    made = ["| figure | the paper's claim | our measurement | holds |", "|---|---|---|---|"]
     for claim in CLAIMS:
         try:
             words, verdict = claim.found(results)
         except NotMeasured as missing:
             words, verdict = str(missing), "–"
-        lines.append(f"| {claim.figure} | {claim.says} | {words} | {verdict} |")
-    (results / "claims.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    write(Path(__file__).parent / "results")
+        made.append(f"| {claim.figure} | {claim.says} | {words} | {verdict} |")
+    return made

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pandas
 
 _ALWAYS = ["uniform", "relevant", "gradient", "ours", "progress"]
 
 
-def write(tables: list[pandas.DataFrame], path: Path) -> None:
+def lines(tables: list[pandas.DataFrame]) -> list[str]:
     """``tables``: of each scene, a row per sampler (``reproduce.table``)."""
     samplers = [*_ALWAYS, *sorted({s for t in tables for s in t["sampler"]} - set(_ALWAYS))]
     head = ["scene", "", *(f"`{s}`" for s in samplers)]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    made = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for table in tables:
         rows = table.set_index("sampler")
         scene = f"{rows['scene'].iloc[0]}, {rows['seconds'].iloc[0]:g} s"
@@ -23,8 +21,8 @@ def write(tables: list[pandas.DataFrame], path: Path) -> None:
             ("", "image", lambda s: _error(rows, s, "image_rmse")),
             ("", "time", lambda s: _time(rows, s)),
         ):
-            lines.append("| " + " | ".join([first, what, *map(cell, samplers)]) + " |")
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+            made.append("| " + " | ".join([first, what, *map(cell, samplers)]) + " |")
+    return made
 
 
 def _error(rows: pandas.DataFrame, sampler: str, measure: str) -> str:

@@ -17,7 +17,8 @@ as many paths of each (3 times as many in all, by separate pairs 3 per entry of 
 smooth=loss, 4 per entry by finite differences); Mitsuba's render whole images, at least one path a
 pixel.
 
-Writes results/plateau_<task>_rates.csv, the search, and the tables (`_plateau_table.py`).
+Writes results/plateau_<task>_rates.csv, the search, the tables (`_plateau_table.py`) and
+their page.
 
     make reproduce SCENES=plateau
     python benchmarks/_plateau.py cup shadows --starts 20
@@ -36,6 +37,7 @@ from pathlib import Path
 
 import _plateau_table
 import numpy as np
+import pages
 import pandas
 
 RESULTS = _plateau_table.RESULTS
@@ -290,6 +292,7 @@ def main() -> None:
     RESULTS.mkdir(exist_ok=True)
     for task in chosen.tasks or TASKS:
         print(compared(task, root, chosen).to_string(index=False), flush=True)
+        pages.write()
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 Per task results/plateau_<task>.csv (a row per method: medians and quartiles over the starts),
 plateau_<task>_runs.csv (a row per run) and plateau_<task>_curves.csv (error against billed time);
-of all tasks measured so far plateau.md, beside the paper's table 1, and plateau_errors.png.
+of all tasks measured so far plateau_errors.png. The page of these is `_page_plateau.py`'s.
 
     python benchmarks/_plateau_table.py FOLDER TASK…    (anew, from the races in FOLDER)
 """
@@ -18,25 +18,6 @@ from scipy.optimize import linear_sum_assignment
 
 RESULTS = Path(__file__).parent / "results"
 TASKS = ("cup", "shadows", "occlusion", "global_illumination", "sort", "caustic")
-# Mean squared errors of image and parameters by its method and of parameters by Mitsuba's
-# derivative; seconds an iteration of both. PRDPT table 1; "–" there is NaN here.
-PAPER = {
-    "cup": (4.92e-6, 4.18e-7, 7.5e-2, 0.10, 1.12),
-    "shadows": (1.74e-5, 1.81e-3, 5.06, 0.04, 0.64),
-    "occlusion": (2.34e-4, 3.29e-3, np.nan, 0.09, 0.37),
-    "global_illumination": (5.07e-5, 8.71e-4, np.nan, 0.15, 0.44),
-    "sort": (3.81e-3, 4.19e-1, np.nan, 2.23, 2.88),
-    "caustic": (1.89e-5, 9.76e-5, 8.50, 0.08, 1.02),
-}
-# Of our parameter errors, before they are squared. The paper does not say its own.
-UNITS = {
-    "cup": "degree",
-    "shadows": "length",
-    "occlusion": "length",
-    "global_illumination": "length, degree, reflectance",
-    "sort": "length",
-    "caustic": "length",
-}
 ORDER = ("plateau", "plateau_drawn", "plateau_joint", "plateau_loss", "plateau_renderer", "mitsuba")
 ORDER += ("finite_differences", "finite_differences_wide")
 QUARTILES = {"_low": 0.25, "": 0.5, "_high": 0.75}
@@ -201,108 +182,8 @@ def write(task: str, folder: Path) -> pandas.DataFrame:
     )
     made = table(task, found)
     made.to_csv(RESULTS / f"plateau_{task}.csv", index=False, float_format="%.4g")
-    measured = {t: RESULTS / f"plateau_{t}.csv" for t in TASKS}
-    tables = {t: pandas.read_csv(path) for t, path in measured.items() if path.exists()}
-    (RESULTS / "plateau.md").write_text(markdown(tables))
-    draw(list(tables))
+    draw([t for t in TASKS if (RESULTS / f"plateau_{t}.csv").exists()])
     return made
-
-
-def _number(row, name: str, form: str) -> str:
-    if name not in row or pandas.isna(row[name]):
-        return ""
-    found = (row[name], row[name + "_low"], row[name + "_high"])
-    middle, low, high = ("–" if np.isinf(x) else format(x, form) for x in found)
-    return f"{middle} [{low}, {high}]"
-
-
-def overview(tables: dict[str, pandas.DataFrame]) -> list[str]:
-    """A row per task: what is left of the start's error, and from how many starts less than 1 %, or
-    how many cubes are in place."""
-    shown = ("plateau", "plateau_drawn", "mitsuba", "finite_differences")
-    head = ["task", *(f"`{method}`" for method in shown)]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for task, rows in tables.items():
-        by_method = {row["method"]: row for row in rows.to_dict("records")}
-        cells = [f"{task}, {rows['budget'].iloc[0]:.0f} s"]
-        for row in (by_method.get(method) for method in shown):
-            if row is None:
-                cells.append("–")
-            elif "filled" in row:
-                cells.append(f"{_number(row, 'filled', '.0f')} of 75")
-            else:
-                below = f"{row['within_1_percent']} of {row['starts']}"
-                cells.append(f"{row['share_of_start']:.2g}, {below}")
-        lines.append("| " + " | ".join(cells) + " |")
-    return lines
-
-
-def markdown(tables: dict[str, pandas.DataFrame]) -> str:
-    """What is left of the errors, task by task; a row per task and method; the paper's table 1
-    beside ours."""
-    head = ["task", "method", "starts", "image MSE", "share of the start's error", "below 1 %"]
-    head[-1] += ", or in place"
-    head += ["share of the budget until `plateau`'s error", "iterations"]
-    head += ["time an iteration / `plateau`'s"]
-    lines = [
-        "Share of the start's error, median over the starts, and from how many of them it is below "
-        "1 %; of sort, places filled.",
-        "",
-        *overview(tables),
-        "",
-        "Medians [quartiles] over the starts. Image MSE is less the noise of its own measurement: "
-        "0 where nothing is left of it. The share of the budget is that from which on a run stays "
-        "at or below what `plateau` has at the end, over the starts from which that is nearer than "
-        "where it began; by evaluations, the last of which stand at 0.72, 0.78, 0.85, 0.93 and 1 "
-        "(0.72, 0.80, 0.88, 0.96 and 1 here): 0.96 is level.",
-        "",
-    ]
-    lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for task, rows in tables.items():
-        is_sort = "filled" in rows
-        for number, row in enumerate(rows.to_dict("records")):
-            below = f"{row['within_1_percent']} of {row['starts']}"
-            cells = [
-                f"{task}, {row['budget']:.0f} s" if number == 0 else "",
-                f"`{row['method']}`",
-                str(row["starts"]),
-                _number(row, "image_mse", ".1e"),
-                "" if is_sort else _number(row, "share_of_start", ".2g"),
-                _number(row, "filled", ".0f") + " of 75" if is_sort else below,
-                "" if is_sort else _number(row, "time", ".2f"),
-                f"{row['iterations']:.0f}",
-                _number(row, "pace", ".1f"),
-            ]
-            lines.append("| " + " | ".join(cells) + " |")
-    head = ["task", "image MSE, paper's ∂κP", "ours", "parameter MSE, paper's ∂κP", "ours"]
-    head += ["paper's Mitsuba", "ours", "ours is the square of a"]
-    head += ["time of Mitsuba's iteration / ∂κP's, paper", "ours", "billed ms an iteration, ours"]
-    at_start = ""
-    if "sort" in tables:
-        ours = tables["sort"].set_index("method").loc["plateau"]
-        at_start = f", at the start {ours['sorted_mse_at_start']:.1e} ({ours['start_mse']:.1e})"
-    lines += [
-        "",
-        "Beside the paper's table 1 (of sort, cubes may be at each other's places; in brackets "
-        f"with each at its own{at_start}). Milliseconds are those of the machine that measured.",
-        "",
-    ]
-    lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for task, rows in tables.items():
-        ours, mitsuba = (rows.set_index("method").loc[m] for m in ("plateau", "mitsuba"))
-        image, error, theirs, seconds, automatic = PAPER[task]
-        cells = [task, f"{image:.1e}", f"{ours['image_mse']:.1e}"]
-        # A cube at the place of another of its colour is not wrong.
-        which = "sorted_mse" if task == "sort" else "parameter_mse"
-        own = [f"{row[which]:.1e}" for row in (ours, mitsuba)]
-        if task == "sort":
-            own = [f"{x} ({row['parameter_mse']:.1e})" for x, row in zip(own, (ours, mitsuba))]
-        cells += [f"{error:.1e}", own[0]]
-        cells += ["–" if np.isnan(theirs) else f"{theirs:.1e}", own[1]]
-        cells += [UNITS[task], f"{automatic / seconds:.1f}", f"{mitsuba['pace']:.1f}"]
-        cells += [f"{1e3 * ours['seconds_per_iteration']:.0f}"]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
 
 
 def draw(tasks: list[str]) -> None:
@@ -344,12 +225,15 @@ def draw(tasks: list[str]) -> None:
 
 
 def main() -> None:
+    import pages  # knows this module
+
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="of the races")
     parser.add_argument("tasks", nargs="+", choices=TASKS)
     chosen = parser.parse_args()
     for task in chosen.tasks:
         print(write(task, chosen.folder / task / "starts").to_string(index=False))
+    pages.write()
 
 
 if __name__ == "__main__":

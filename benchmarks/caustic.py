@@ -29,6 +29,7 @@ def main() -> None:
     if chosen.most not in [4**n for n in range(16)] or chosen.most <= max(SHOWN):
         parser.error(f"--most={chosen.most}: a power of 4 above {max(SHOWN)}")
     backend.start()
+    import pages
     import pandas
 
     rows, maps = [], {}
@@ -38,6 +39,7 @@ def main() -> None:
     RESULTS.mkdir(exist_ok=True)
     table = pandas.DataFrame(rows)
     table.to_csv(RESULTS / "caustic.csv", index=False, float_format="%.4g")
+    pages.write()
     print(table.to_string(index=False))
     drawn(maps, RESULTS / "caustic_densities.png")
 

@@ -199,6 +199,8 @@ def draw(all_axes: list[Axis], tables: list[pandas.DataFrame], path: Path) -> No
 
 
 def main() -> None:
+    import pages  # knows this module
+
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--quick", action="store_true", help="three points an axis, two rounds")
@@ -218,6 +220,7 @@ def main() -> None:
         folder.mkdir(exist_ok=True)
         table = pandas.concat(rows)
         table.to_csv(folder / "cost_against_size.csv", index=False, float_format="%.6f")
+        pages.write()
         draw(axes(chosen.quick), tables, folder / "cost_against_size.png")
 
 

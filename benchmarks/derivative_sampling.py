@@ -27,6 +27,7 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=16384)
     chosen = parser.parse_args()
     backend.start()
+    import pages
     import pandas
     from _child import problem_of
 
@@ -38,6 +39,7 @@ def main() -> None:
         RESULTS.mkdir(exist_ok=True)
         table = pandas.DataFrame(rows)
         table.to_csv(RESULTS / "derivative_sampling.csv", index=False, float_format="%.4g")
+        pages.write()
 
 
 def measured(problem, roughness: float, chosen: argparse.Namespace) -> dict[str, float]:

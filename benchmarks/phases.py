@@ -11,6 +11,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import pages
 import pandas
 
 HERE = Path(__file__).parent
@@ -35,6 +36,7 @@ def main() -> None:
     results = HERE / "results"
     results.mkdir(exist_ok=True)
     pandas.concat(tables).to_csv(results / "phases.csv", index=False, float_format="%.4g")
+    pages.write()
 
 
 if __name__ == "__main__":

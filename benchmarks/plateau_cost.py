@@ -24,6 +24,7 @@ import sys
 from pathlib import Path
 
 import _rows
+import pages
 import pandas
 from _plateau_cost import GUIDED, SIDES
 from _plateau_table import TASKS
@@ -72,6 +73,7 @@ def main() -> None:
             rows = pandas.concat([*(e[e["task"] != task] for e in earlier), found])
             output.parent.mkdir(exist_ok=True)
             rows.to_csv(output, index=False, float_format="%.6f")
+            pages.write()
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from pathlib import Path
 import _plateau
 import _plateau_table
 import numpy as np
+import pages
 import pandas
 
 OUTPUT = _plateau.RESULTS / "plateau_iterations.csv"
@@ -85,6 +86,7 @@ def main() -> None:
         anew = (earlier["task"] == task) & earlier["factor"].isin(chosen.factors)
         earlier = pandas.concat([earlier[~anew], rows])
         earlier.to_csv(OUTPUT, index=False, float_format="%.4g")
+        pages.write()
 
 
 if __name__ == "__main__":

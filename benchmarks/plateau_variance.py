@@ -26,6 +26,7 @@ from pathlib import Path
 
 import _rows
 import numpy as np
+import pages
 import pandas
 from _plateau_table import TASKS
 
@@ -165,6 +166,7 @@ def main() -> None:
         if not chosen.quick:
             earlier = pandas.concat([earlier[earlier["task"] != task], rows])
             earlier.to_csv(output, index=False, float_format="%.4g")
+            pages.write()
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import pages
 import pandas
 
 from isas_cli import records
@@ -57,6 +58,7 @@ def main() -> None:
     table = pandas.DataFrame(rows)
     (HERE / "results").mkdir(exist_ok=True)
     table.to_csv(HERE / "results" / "race.csv", index=False, float_format="%.4g")
+    pages.write()
     ratio = table.groupby("contestant")["race_over_alone"].agg(["median", "min", "max"])
     print(ratio.round(3).to_string())
 

@@ -16,6 +16,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import pages
 import pandas
 
 from isas_cli import records
@@ -55,6 +56,7 @@ def main() -> None:
     table = pandas.DataFrame(rows)
     (HERE / "results").mkdir(exist_ok=True)
     table.to_csv(HERE / "results" / "recording.csv", index=False, float_format="%.4g")
+    pages.write()
     speed = table.groupby("tracker")["iterations_per_billed_second"].median()
     writing = table.groupby("tracker")["writing_share_of_wall"].max()
     print(f"writing at most {writing['none']:.2%} of wall time, {writing['tensorboard']:.2%} with")

@@ -7,9 +7,8 @@ reported. Contestants take turns.
 
 Writes for each scene results/<scene>.csv (a row per sampler), <scene>_rates.csv (the search for
 rates), <scene>_errors.png (error against billed time and light paths) and <scene>_gallery.png
-(target, start, result, density of `ours`); and over all scenes measured so far reproduce.csv and
-reproduce.md, the tables as one, and claims.md, each figure of the paper beside what was found. The
-whole takes hours.
+(target, start, result, density of `ours`); over all scenes measured so far reproduce.csv; and the
+pages (`pages.py`). The whole takes hours.
 
     make reproduce SCENES="pottery bowl"
 """
@@ -23,11 +22,10 @@ import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import _claims
 import _gallery
-import _overview
 import _plateau
 import numpy as np
+import pages
 import pandas
 from PIL import Image
 
@@ -242,8 +240,7 @@ def main() -> None:
         found = [RESULTS / f"{name}.csv" for name in SCENES]
         tables = [pandas.read_csv(path) for path in found if path.exists()]
         pandas.concat(tables).to_csv(RESULTS / "reproduce.csv", index=False)
-        _overview.write(tables, RESULTS / "reproduce.md")
-        _claims.write(RESULTS)
+        pages.write()
 
 
 if __name__ == "__main__":

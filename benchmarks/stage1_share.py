@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 
 import _rows
+import pages
 import pandas
 
 HERE = Path(__file__).parent
@@ -141,6 +142,7 @@ def main() -> None:
     if not chosen.quick:
         table = pandas.DataFrame(rows)
         table.to_csv(HERE / "results" / "stage1_share.csv", index=False, float_format="%.4g")
+        pages.write()
 
 
 if __name__ == "__main__":

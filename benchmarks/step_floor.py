@@ -18,6 +18,7 @@ import sys
 from pathlib import Path
 
 import _rows
+import pages
 import pandas
 
 HERE = Path(__file__).parent
@@ -66,6 +67,7 @@ def main() -> None:
     if output is not None:
         output.parent.mkdir(exist_ok=True)
         pandas.concat(rows).to_csv(output, index=False, float_format="%.6f")
+        pages.write()
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pages
 import pandas
 
 HERE = Path(__file__).parent
@@ -42,6 +43,7 @@ def main() -> None:
     table = pandas.DataFrame(rows)
     (HERE / "results").mkdir(exist_ok=True)
     table.to_csv(HERE / "results" / "step_time.csv", index=False, float_format="%.5f")
+    pages.write()
     wide = table.pivot(index=["batch", "round"], columns="side", values="seconds")
     for side in SIDES[1:]:
         for batch, group in (wide[side] / wide["stock"]).groupby("batch"):

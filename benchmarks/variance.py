@@ -13,6 +13,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+import pages
+
 HERE = Path(__file__).parent
 CONTESTANTS = "[{sampler:ours},{sampler:joint},{sampler:progress}]"
 MADE = {"variance.csv": ".csv", "variance.png": ".png", "densities_v00.png": "_densities.png"}
@@ -31,6 +33,7 @@ def main() -> None:
     (HERE / "results").mkdir(exist_ok=True)
     for name, ending in MADE.items():
         shutil.copy(folder / name, HERE / "results" / f"variance_dodoco{ending}")
+    pages.write()
 
 
 if __name__ == "__main__":

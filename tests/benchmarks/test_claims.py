@@ -20,8 +20,7 @@ def rows(tmp_path: Path, scene: str, measure: str = "parameter_rmse", **samplers
 
 def judged(tmp_path: Path, figure: str, scene: str) -> tuple[str, str]:
     """Measurement and verdict in the row of ``figure`` that speaks of ``scene``."""
-    _claims.write(tmp_path)
-    for line in (tmp_path / "claims.md").read_text().splitlines():
+    for line in _claims.lines(tmp_path):
         cells = [cell.strip() for cell in line.split(" | ")]
         if cells[0] == f"| {figure}" and scene in cells[2]:
             return cells[2], cells[3].rstrip(" |")

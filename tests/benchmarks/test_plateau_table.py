@@ -4,6 +4,7 @@ import argparse
 import shutil
 from pathlib import Path
 
+import _page_plateau
 import _plateau
 import _plateau_table as tables
 import numpy as np
@@ -91,7 +92,7 @@ def test_a_failed_run_counts_as_one_that_did_not_arrive():
     (row,) = tables.table("cup", found).to_dict("records")
     assert (row["within_1_percent"], row["within_5_percent"], row["failed"]) == (1, 2, 1)
     assert row["share_of_start"] == 0.04 and row["share_of_start_high"] == np.inf
-    assert tables._number(row, "time", ".2f") == "– [1.00, –]"
+    assert _page_plateau._number(row, "time", ".2f") == "– [1.00, –]"
 
 
 def test_cubes_at_each_others_places_are_sorted():
@@ -286,8 +287,8 @@ def test_from_records_to_the_tables(tmp_path, monkeypatch):
     # An evaluation stands until the next; the last is the end's, though it came late.
     assert (own["0.00"], own["0.48"], own["0.52"], own["0.96"]) == (1, 1, 0.5, 0.5)
     assert own["1.00"] == pytest.approx(0.0075)  # a quarter of the way to the other start's
-    page = (tables.RESULTS / "plateau.md").read_text()
-    assert "| cup, 10 s | 0.005, 1 of 2 | – | 0.8, 0 of 2 | – |" in page
+    rows = _page_plateau.overview({"cup": pandas.read_csv(tables.RESULTS / "plateau_cup.csv")})
+    assert rows[-1] == "| cup, 10 s | 0.005, 1 of 2 | – | 0.8, 0 of 2 | – |"
     assert (tables.RESULTS / "plateau_errors.png").stat().st_size > 0
 
 

@@ -1,0 +1,115 @@
+"""What adaptive_sampling.md says, from the tables of the samplers' races."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import _claims
+import _overview
+import numpy as np
+import pandas
+
+GOAL = 1 / 3  # of `uniform`'s time
+_TURNED = 0.9  # share of the budget
+_ONE_NUMBER = ("dodoco", "trashcan")  # scenes whose unknown is one
+
+
+def facts(results: Path) -> dict:
+    table = pandas.read_csv(results / "reproduce.csv")
+    scenes = [rows for _, rows in table.groupby("scene", sort=False)]
+    by = {rows["scene"].iloc[0]: rows.set_index("sampler") for rows in scenes}
+    textures = [name for name in by if name not in _ONE_NUMBER]
+    # Where `uniform` has its final error long before the end, a time to it says nothing.
+    turned = [s for s in by if by[s].loc["uniform", "time_to_uniform"] < _TURNED]
+    times = {s: by[s].loc["progress", "time_to_uniform"] for s in by if s not in turned}
+    variance = pandas.read_csv(results / "variance_dodoco.csv").set_index("sampler")
+    looks = pandas.read_csv(results / "caustic.csv").set_index(["scene", "looks"])["distance"]
+    return {
+        "table": _overview.lines(scenes),
+        "short": short(by, turned),
+        "claims": _claims.lines(results),
+        "ours_parameters": sides(by, "ours", "uniform", "parameter_rmse"),
+        "ours_image": sides(by, "ours", "uniform", "image_rmse"),
+        "ours_gradient": sides(by, "ours", "gradient", "parameter_rmse"),
+        "ours_least_image": [s for s in by if by[s]["image_rmse"].idxmin() == "ours"],
+        "ours_worst": [s for s in by if by[s]["parameter_rmse"].idxmax() == "ours"],
+        "progress_best": [s for s in textures if leads(by[s], "progress")],
+        "progress_behind": [s for s in textures if not leads(by[s], "progress")],
+        "progress_worse": sides(by, "progress", "uniform", "parameter_rmse")["above"],
+        "times": [time for time in times.values() if np.isfinite(time)],
+        "not_reached": [s for s, time in times.items() if not np.isfinite(time)],
+        "in_goal": [s for s, time in times.items() if time <= GOAL],
+        "turned": turned,
+        "steps_of_uniform": [
+            by[s].loc["uniform", "iterations"] / by[s].loc["relevant", "iterations"] for s in by
+        ],
+        "worst_twentieth": {s: list(by[s]["worst_twentieth"]) for s in ("pottery", "jumpydumpy")},
+        "trashcan": by["trashcan"].to_dict("index"),
+        "dodoco_high": by["dodoco"]["parameter_rmse_high"].max(),
+        "multires": multires(by["multires"]),
+        "at_ends": at_ends(results, list(by)),
+        "variance": variance.to_dict("index"),
+        "looks": {scene: dict(looks[scene]) for scene in ("caustic_failure", "dodoco")},
+        "derivative": pandas.read_csv(results / "derivative_sampling.csv").to_dict("records"),
+    }
+
+
+def leads(rows: pandas.DataFrame, sampler: str, measure: str = "parameter_rmse") -> bool:
+    """Least error, or a range that overlaps that of the least."""
+    best = rows.loc[rows[measure].idxmin()]
+    return rows.loc[sampler, f"{measure}_low"] <= best[f"{measure}_high"]
+
+
+def sides(by: dict, sampler: str, rival: str, measure: str) -> dict[str, list[str]]:
+    """Scenes on which the ranges lie apart: ``sampler``'s ``below`` or ``above`` the rival's."""
+    own, other = (
+        {s: rows.loc[name, [f"{measure}_low", f"{measure}_high"]] for s, rows in by.items()}
+        for name in (sampler, rival)
+    )
+    return {
+        "below": [s for s in by if own[s].iloc[1] < other[s].iloc[0]],
+        "above": [s for s in by if own[s].iloc[0] > other[s].iloc[1]],
+    }
+
+
+def multires(rows: pandas.DataFrame) -> dict:
+    """What is left of the start's error; by how much the best two are ahead of the others."""
+    error = rows["parameter_rmse"].sort_values()
+    return {
+        "share": list(rows["share_of_start"]),
+        "iterations": list(rows["iterations"]),
+        "ahead": list(error.index[:2]),
+        "by": [error.iloc[i] / error.iloc[0] - 1 for i in range(2, len(error))],
+    }
+
+
+def at_ends(results: Path, scenes: list[str]) -> dict[str, list[str]]:
+    """Scenes of which every sampler's best rate was the ``largest`` or ``smallest`` tried."""
+    found = {"largest": [], "smallest": []}
+    for scene in scenes:
+        rates = pandas.read_csv(results / f"{scene}_rates.csv")
+        best = rates.loc[rates.groupby("sampler")["final"].idxmin(), "rate"]
+        for name, end in (("largest", rates["rate"].max()), ("smallest", rates["rate"].min())):
+            if (best == end).all():
+                found[name].append(scene)
+    return found
+
+
+def short(by: dict[str, pandas.DataFrame], turned: list[str]) -> list[str]:
+    """The README's table: what is left of the start's error, and the time that it took."""
+    shown = ("uniform", "ours", "progress")
+    head = ["scene", *(f"`{s}`" for s in shown), "time of `progress` to `uniform`'s error"]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for scene, rows in by.items():
+        least = min(rows.loc[s, "share_of_start"] for s in shown)
+        cells = [f"{scene.replace('_relative', ', relative L2')}, {rows['seconds'].iloc[0]:g} s"]
+        for sampler in shown:
+            share = rows.loc[sampler, "share_of_start"]
+            text = f"{100 * share:.1f} %"
+            cells.append(f"**{text}**" if share == least else text)
+        time = rows.loc["progress", "time_to_uniform"]
+        cells.append(f"{time:.2f}" if np.isfinite(time) else "not reached")
+        if scene in turned:
+            cells[-1] = "–"
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines

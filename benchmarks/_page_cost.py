@@ -1,0 +1,80 @@
+"""What cost.md says: of steps, looks, phases, sizes and records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cost_against_size
+import pandas
+
+
+def facts(results: Path) -> dict:
+    def read(name: str) -> pandas.DataFrame:
+        return pandas.read_csv(results / f"{name}.csv")
+
+    shares = read("stage1_share")
+    phases = read("phases")
+    recording = read("recording").groupby("tracker")
+    return {
+        "step_time": step_time(read("step_time")),
+        "floor": floor(read("step_floor")),
+        "stage1": {name: list(rows["share"]) for name, rows in shares.groupby("sampler")},
+        "first_look": list(shares[shares["sampler"] == "progress"]["first_ms"] / 1000),
+        "half": shares[shares["sampler"] == "progress"]["share_half"].max(),
+        "phases": {
+            scene: dict(zip(rows["phase"], rows["share"]))
+            for scene, rows in phases.groupby("scene", sort=False)
+        },
+        "sizes": sizes(read("cost_against_size")),
+        "writing": recording["writing_share_of_wall"].max().to_dict(),
+        "race": read("race").groupby("contestant")["race_over_alone"].median().to_dict(),
+        "race_spread": list(read("race")["race_over_alone"]),
+    }
+
+
+def step_time(table: pandas.DataFrame) -> list[dict]:
+    """Per batch, of each side of ours the ratio to the stock loop: median, least, most."""
+    wide = table.pivot(index=["batch", "round"], columns="side", values="seconds")
+    rows = []
+    for batch, group in wide.groupby("batch"):
+        row = {"batch": batch, "rounds": len(group)}
+        for side in ("isas", "isas-ours"):
+            ratio = group[side] / group["stock"]
+            row[side] = (ratio.median(), ratio.min(), ratio.max())
+        rows.append(row)
+    return rows
+
+
+def floor(table: pandas.DataFrame) -> list[dict]:
+    """Per scene, sampler and batch: the step over its floor, and over Mitsuba's `prb`."""
+    rows = []
+    for keys, group in table.groupby(["scene", "sampler", "batch"], sort=False):
+        own = group["step"] / group["passes"]
+        row = dict(zip(("scene", "sampler", "batch"), keys))
+        row |= {"median": own.median(), "low": own.min(), "high": own.max()}
+        row |= {"prb": (group["step"] / group["prb"]).median()}
+        rows.append(row)
+    return rows
+
+
+def sizes(table: pandas.DataFrame) -> list[dict]:
+    """Per axis and sampler: first and last size and step, and what lies off theory's line."""
+    rows = []
+    for axis in cost_against_size.axes(quick=False):
+        made = cost_against_size.summary(axis, table[table["axis"] == axis.name])
+        for sampler, own in made.groupby("sampler", sort=False):
+            own = own.sort_values("size")
+            off = own["median"] / own["theory"] - 1
+            far = off[off.abs() > cost_against_size.FAR]
+            rows.append(
+                {
+                    "label": axis.label,
+                    "theory": axis.theory,
+                    "sampler": sampler,
+                    "sizes": (own["size"].iloc[0], own["size"].iloc[-1]),
+                    "steps": tuple(1e3 * own["median"].iloc[[0, -1]]),
+                    "far": [(own.loc[i, "size"], value) for i, value in far.items()],
+                    "scatter": ((own["max"] - own["min"]) / own["median"]).max(),
+                }
+            )
+    return rows

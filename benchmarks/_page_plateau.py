@@ -1,0 +1,192 @@
+"""What plateau.md says, from the tables of the races on PRDPT's tasks and of what they rest on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas
+from _plateau_table import GRID, TASKS
+
+# Mean squared errors of image and parameters by its method and of parameters by Mitsuba's
+# derivative; seconds an iteration of both. PRDPT table 1; "–" there is NaN here.
+PAPER = {
+    "cup": (4.92e-6, 4.18e-7, 7.5e-2, 0.10, 1.12),
+    "shadows": (1.74e-5, 1.81e-3, 5.06, 0.04, 0.64),
+    "occlusion": (2.34e-4, 3.29e-3, np.nan, 0.09, 0.37),
+    "global_illumination": (5.07e-5, 8.71e-4, np.nan, 0.15, 0.44),
+    "sort": (3.81e-3, 4.19e-1, np.nan, 2.23, 2.88),
+    "caustic": (1.89e-5, 9.76e-5, 8.50, 0.08, 1.02),
+}
+# Of our parameter errors, before they are squared. The paper does not say its own.
+UNITS = {
+    "cup": "degree",
+    "shadows": "length",
+    "occlusion": "length",
+    "global_illumination": "length, degree, reflectance",
+    "sort": "length",
+    "caustic": "length",
+}
+SHOWN = ("plateau", "plateau_drawn", "mitsuba", "finite_differences")
+EIGHT = 8  # what the paper says that the baseline's iteration costs, in its own
+
+
+def facts(results: Path) -> dict:
+    paths = {task: results / f"plateau_{task}.csv" for task in TASKS}
+    tables = {task: pandas.read_csv(path) for task, path in paths.items() if path.exists()}
+    by = {
+        task: {row["method"]: row for row in rows.to_dict("records")}
+        for task, rows in tables.items()
+    }
+    paces = {task: rows["mitsuba"]["pace"] for task, rows in by.items()}
+    return {
+        "overview": overview(tables),
+        "details": details(tables),
+        "paper": beside_the_paper(tables),
+        "by": by,
+        "settled": {task: settled(results, task) for task in by},
+        "paces": paces,
+        "reached_eight": [task for task, pace in paces.items() if pace >= EIGHT],
+        "iterations": as_many_iterations(results),
+        "sort": of_sort(results, by["sort"]),
+        "cost": costs(results),
+        "variance": variances(results / "plateau_variance.csv"),
+        "residual": variances(results / "plateau_residual.csv"),
+    }
+
+
+def settled(results: Path, task: str, level: float = 0.01) -> dict[str, float]:
+    """Of each method, the share of the budget from which the median error stays below ``level`` of
+    the start's; infinite where it does not."""
+    curves = pandas.read_csv(results / f"plateau_{task}_curves.csv")
+    found = {}
+    for row in curves[curves["quartile"] == 0.5].itertuples(index=False):
+        above = np.flatnonzero(np.array(row[2:], float) >= level)
+        first = above[-1] + 1 if above.size else 0
+        found[row.method] = GRID[first] if first < len(GRID) else np.inf
+    return found
+
+
+def as_many_iterations(results: Path) -> dict[str, list[float]]:
+    """Of each task and start, what Mitsuba's derivative leaves at the best factor tried."""
+    table = pandas.read_csv(results / "plateau_iterations.csv")
+    best = table.groupby(["task", "trial"], sort=False)["share_of_start"].min()
+    return {task: list(best[task]) for task in dict.fromkeys(table["task"])}
+
+
+def of_sort(results: Path, rows: dict[str, dict]) -> dict:
+    """Places filled start by start, and until when Mitsuba's median is ahead."""
+    runs = pandas.read_csv(results / "plateau_sort_runs.csv")
+    curves = pandas.read_csv(results / "plateau_sort_curves.csv")
+    middle = curves[curves["quartile"] == 0.5].set_index("method").iloc[:, 1:]
+    ahead = np.flatnonzero(middle.loc["mitsuba"].to_numpy() < middle.loc["plateau"].to_numpy())
+    return {
+        "filled": {m: list(own["filled"].astype(int)) for m, own in runs.groupby("method")},
+        "astray": 75 - rows["plateau"]["filled"],
+        "ahead_until": GRID[ahead[-1]] if ahead.size else 0.0,
+        "apart": {m: np.sqrt(row["sorted_mse"]) for m, row in rows.items()},
+        "apart_at_start": np.sqrt(rows["plateau"]["sorted_mse_at_start"]),
+    }
+
+
+def costs(results: Path) -> dict[str, dict[str, float]]:
+    """Per side, task → time of a step over that of `plateau`: medians over the rounds."""
+    found: dict[str, dict[str, float]] = {}
+    for name in ("plateau_cost", "plateau_cost_guided"):
+        table = pandas.read_csv(results / f"{name}.csv")
+        for task, rows in table.groupby("task", sort=False):
+            wide = rows.pivot(index="round", columns="side", values="seconds")
+            for side in wide.columns.drop("plateau"):
+                ratio = wide[side] / wide["plateau"]
+                found.setdefault(side, {})[task] = float(ratio.median())
+    return found
+
+
+def variances(path: Path) -> dict:
+    """task → share of the budget → side → its row."""
+    found: dict = {}
+    for row in pandas.read_csv(path).to_dict("records"):
+        found.setdefault(row["task"], {}).setdefault(row["progress"], {})[row["side"]] = row
+    return found
+
+
+def overview(tables: dict[str, pandas.DataFrame]) -> list[str]:
+    """A row per task: what is left of the start's error, and from how many starts less than 1 %, or
+    how many cubes are in place."""
+    made = _head(["task", *(f"`{method}`" for method in SHOWN)])
+    for task, rows in tables.items():
+        by_method = {row["method"]: row for row in rows.to_dict("records")}
+        cells = [f"{task}, {rows['budget'].iloc[0]:.0f} s"]
+        for row in (by_method.get(method) for method in SHOWN):
+            if row is None:
+                cells.append("–")
+            elif "filled" in row:
+                cells.append(f"{_number(row, 'filled', '.0f')} of 75")
+            else:
+                below = f"{row['within_1_percent']} of {row['starts']}"
+                cells.append(f"{row['share_of_start']:.2g}, {below}")
+        made.append(_row(cells))
+    return made
+
+
+def details(tables: dict[str, pandas.DataFrame]) -> list[str]:
+    """What is left of the errors: a row per task and method."""
+    head = ["task", "method", "starts", "image MSE", "share of the start's error"]
+    head += ["below 1 %, or in place", "share of the budget until `plateau`'s error", "iterations"]
+    made = _head([*head, "time an iteration / `plateau`'s"])
+    for task, rows in tables.items():
+        is_sort = "filled" in rows
+        for number, row in enumerate(rows.to_dict("records")):
+            below = f"{row['within_1_percent']} of {row['starts']}"
+            cells = [
+                f"{task}, {row['budget']:.0f} s" if number == 0 else "",
+                f"`{row['method']}`",
+                str(row["starts"]),
+                _number(row, "image_mse", ".1e"),
+                "" if is_sort else _number(row, "share_of_start", ".2g"),
+                _number(row, "filled", ".0f") + " of 75" if is_sort else below,
+                "" if is_sort else _number(row, "time", ".2f"),
+                f"{row['iterations']:.0f}",
+                _number(row, "pace", ".1f"),
+            ]
+            made.append(_row(cells))
+    return made
+
+
+def beside_the_paper(tables: dict[str, pandas.DataFrame]) -> list[str]:
+    """The paper's table 1 beside ours."""
+    head = ["task", "image MSE, paper's ∂κP", "ours", "parameter MSE, paper's ∂κP", "ours"]
+    head += ["paper's Mitsuba", "ours", "ours is the square of a"]
+    head += ["time of Mitsuba's iteration / ∂κP's, paper", "ours", "billed ms an iteration, ours"]
+    made = _head(head)
+    for task, rows in tables.items():
+        ours, mitsuba = (rows.set_index("method").loc[m] for m in ("plateau", "mitsuba"))
+        image, error, theirs, seconds, automatic = PAPER[task]
+        cells = [task, f"{image:.1e}", f"{ours['image_mse']:.1e}"]
+        # A cube at the place of another of its colour is not wrong.
+        which = "sorted_mse" if task == "sort" else "parameter_mse"
+        own = [f"{row[which]:.1e}" for row in (ours, mitsuba)]
+        if task == "sort":
+            own = [f"{x} ({row['parameter_mse']:.1e})" for x, row in zip(own, (ours, mitsuba))]
+        cells += [f"{error:.1e}", own[0]]
+        cells += ["–" if np.isnan(theirs) else f"{theirs:.1e}", own[1]]
+        cells += [UNITS[task], f"{automatic / seconds:.1f}", f"{mitsuba['pace']:.1f}"]
+        cells += [f"{1e3 * ours['seconds_per_iteration']:.0f}"]
+        made.append(_row(cells))
+    return made
+
+
+def _head(names: list[str]) -> list[str]:
+    return [_row(names), "|" + "---|" * len(names)]
+
+
+def _row(cells: list[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _number(row, name: str, form: str) -> str:
+    if name not in row or pandas.isna(row[name]):
+        return ""
+    found = (row[name], row[name + "_low"], row[name + "_high"])
+    middle, low, high = ("–" if np.isinf(x) else format(x, form) for x in found)
+    return f"{middle} [{low}, {high}]"

@@ -1,0 +1,94 @@
+"""The pages of results: they say what the tables say, and are those that are committed."""
+
+import re
+
+import _page_adaptive
+import numpy as np
+import pages
+import pandas
+import pytest
+
+RENDERED = pages.rendered()
+NUMBERS = re.compile(r"\b(nan|inf|np\.)")
+
+
+@pytest.mark.parametrize("path", RENDERED, ids=lambda path: path.name)
+def test_committed_pages_are_those_of_the_committed_tables(path):
+    found = path.read_text(encoding="utf-8")
+    assert found == RENDERED[path], f"{path}: run python benchmarks/pages.py"
+
+
+@pytest.mark.parametrize("path", RENDERED, ids=lambda path: path.name)
+def test_pages_hold_no_number_that_is_none(path):
+    assert not NUMBERS.search(RENDERED[path])
+    widths = set()
+    for line in RENDERED[path].splitlines():
+        if line.startswith("|"):
+            widths.add(line.replace("\\|", "").count("|"))
+            assert len(widths) == 1, line
+        else:
+            widths.clear()
+
+
+ROOT = pages.README.parent
+FOLDERS = ("benchmarks", "configs", "isas_cli", "scenes")
+PAGES = [pages.README, *sorted(page for name in FOLDERS for page in (ROOT / name).glob("*.md"))]
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_and_pictures_are_there(path):
+    targets = re.findall(r"\]\(([^)#]+)[^)]*\)", path.read_text(encoding="utf-8"))
+    for target in targets:
+        assert target.startswith("https://") or (path.parent / target).exists(), target
+
+
+def test_the_readme_fits_on_two_screens():
+    lines = pages.README.read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 150
+    assert max(map(len, lines)) <= 400
+
+
+def raced(**samplers) -> pandas.DataFrame:
+    """(median, low, high) of the parameter error, and the time to `uniform`'s."""
+    columns = ["parameter_rmse", "parameter_rmse_low", "parameter_rmse_high", "time_to_uniform"]
+    rows = pandas.DataFrame.from_dict(samplers, orient="index", columns=columns)
+    return rows.assign(share_of_start=rows["parameter_rmse"] / 10, seconds=5.0)
+
+
+def test_scenes_are_on_a_side_only_where_the_ranges_lie_apart():
+    by = {
+        "apart": raced(ours=(1, 0.9, 1.1, 0.5), uniform=(2, 1.9, 2.1, 1.0)),
+        "level": raced(ours=(1, 0.9, 1.95, 0.5), uniform=(2, 1.9, 2.1, 1.0)),
+        "worse": raced(ours=(3, 2.9, 3.1, np.inf), uniform=(2, 1.9, 2.1, 1.0)),
+    }
+    found = _page_adaptive.sides(by, "ours", "uniform", "parameter_rmse")
+    assert found == {"below": ["apart"], "above": ["worse"]}
+    assert [_page_adaptive.leads(by[s], "ours") for s in by] == [True, True, False]
+
+
+def test_the_short_table_says_where_an_error_is_not_reached():
+    ends = {"uniform": (2, 1.9, 2.1, 1.0), "ours": (3, 3, 3, np.inf)}
+    by = {
+        "soon": raced(progress=(1, 1, 1, 0.25), **ends),
+        "never": raced(progress=(2.5, 2, 3, np.inf), **ends),
+        "rises_relative": raced(progress=(1, 1, 1, 0.1), **ends),
+    }
+    lines = _page_adaptive.short(by, turned=["rises_relative"])
+    assert lines[2:] == [
+        "| soon, 5 s | 20.0 % | 30.0 % | **10.0 %** | 0.25 |",
+        "| never, 5 s | **20.0 %** | 30.0 % | 25.0 % | not reached |",
+        "| rises, relative L2, 5 s | 20.0 % | 30.0 % | **10.0 %** | – |",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [([], "none"), (["a"], "`a`"), (["a", "b"], "`a` and `b`"), ("abc", "`a`, `b` and `c`")],
+)
+def test_lists_in_words(names, words):
+    assert pages.listed(names, "`" if names else "") == words
+
+
+def test_spans_in_words():
+    assert pages.span([0.5, 0.1, 0.3]) == "0.10 to 0.50"
+    assert pages.span([0.101, 0.099], ".1f") == "0.1"
