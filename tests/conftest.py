@@ -20,7 +20,9 @@ def pytest_configure(config: pytest.Config) -> None:
     matplotlib.use("Agg")
     os.environ["MPLBACKEND"] = "Agg"  # for the commands that tests start
     os.environ["ISAS_CACHE_DIR"] = tempfile.mkdtemp(prefix="isas-cache-")
-    config.stash[_STARTED] = backend.start()
+    # Workers side by side have a core each.
+    threads = 1 if "PYTEST_XDIST_WORKER" in os.environ else 0
+    config.stash[_STARTED] = backend.start(threads=threads)
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
