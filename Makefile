@@ -3,24 +3,29 @@
 .DEFAULT_GOAL := help
 .ONESHELL:
 .SHELLFLAGS := -ec
-.PHONY: help setup demo test bench reproduce clean
+.PHONY: help setup demo test test-all bench reproduce clean
 
 VENV := .venv
 CANDIDATES := python3.12 python3.11 python3.13 python3.10 python3
 STAMP := $(VENV)/.installed
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check --quiet
+# Neighbouring tests share problems, so each worker gets a run of them.
+WORKERS := -n auto --dist worksteal
 BENCHMARKS := $(filter-out benchmarks/_% benchmarks/reproduce.py,$(sort $(wildcard benchmarks/*.py)))
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
 
 setup: $(STAMP) ## make .venv with pinned packages and .venv/bin/isas
 
 demo: setup ## recover a pottery texture in about two minutes and write a report
 	@$(VENV)/bin/isas run scene=pottery sampler=ours size=default budget.seconds=60
 
-test: setup ## run the tests
-	@$(VENV)/bin/python -m pytest
+test: setup ## run the tests, a worker a core: about ten minutes on two
+	@$(VENV)/bin/python -m pytest $(WORKERS)
+
+test-all: setup ## run the slow tests as well
+	@$(VENV)/bin/python -m pytest $(WORKERS) -m ''
 
 bench: setup ## run the measurements under benchmarks/, one after the other
 	@for script in $(BENCHMARKS); do

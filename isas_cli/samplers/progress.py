@@ -18,6 +18,8 @@ from .stage1.path_cost import PathCost
 
 # Paths of one pass over the cells, about: in batches, and at most.
 _BATCHES, _LANES = 8, 1 << 18
+# A key of at most so many entries has few.
+_FEW = 8
 # Number of the survey's streams, far from those of any iteration's look.
 _SURVEY = (1 << 27) - (1 << 16)
 
@@ -53,7 +55,8 @@ class Progress(Sampler):
     (δ → 0) or out of reach (s/h ≫ δ) has x → ∞ and gets nothing; ``floor`` keeps p > 0. Where
     unknowns share pixels this is no optimum but its mixture. J is measured as the mean of single
     paths' |∂I_j/∂θ|, smaller than the root of their mean square where paths differ: the latter
-    would be exact and is so much noisier that runs on textures ended worse with it.
+    would be exact and is so much noisier that runs on textures ended worse with it. A key of few
+    entries is spread by the latter: there it is all that says where to look.
 
     **Estimation.** Fine cells, denoised, and means of values instead of products of single paths:
     at equal iterations coarse cells ended worse than noisy ones. Per cell:
@@ -131,11 +134,21 @@ class Progress(Sampler):
         along = tangents(sensitivity, curvature, moments, self.least)
         weights = mi.Float(0)
         for key, tangent in along.items():
-            size = self._along(values, key, tangent, passes, base, first)
-            weights += dr.sum(noise * self._denoise(size))
+            mean, second = self._along(values, key, tangent, passes, base, first)
+            image = dr.sum(noise * self._denoise(mean))
+            if dr.width(tangent) <= _FEW:
+                image = self._spread(image, second, noise, cost)
+            weights += image
         weights *= dr.rsqrt(cost)
         dr.eval(weights)
         return weights
+
+    def _spread(self, image, second, noise, cost) -> mi.Float:
+        """The key's share of the weights in ``image``, spread by the root mean square of J."""
+        exact = dr.sum(noise * dr.sqrt(self._denoise(second)))
+        dr.eval(image, exact)
+        share = [dr.sum(dr.sqrt(cost) * weights) for weights in (image, exact)]
+        return exact * dr.select(share[1] > 0, share[0] / share[1], 0)
 
     def _survey(self, base: int) -> tuple[dict, mi.Float]:
         """h by key, flat, and c per cell, at the start values."""
@@ -149,7 +162,7 @@ class Progress(Sampler):
         for key in unknowns.keys:
             ones = dr.opaque(mi.Float, 1, dr.width(flat(starts[key])))
             # A sum over its cells is next: noise in single ones is of no account.
-            image = self._along(starts, key, ones, self.passes, base, first) * weight
+            image = self._along(starts, key, ones, self.passes, base, first)[0] * weight
             dr.eval(image)
             curvature[key] = self._stage1.sensitivity(starts, self.passes, base, first, image)[key]
         dr.eval(curvature, cost)
@@ -157,18 +170,20 @@ class Progress(Sampler):
 
     def _along(
         self, values: dict, key: str, tangent: mi.Float, passes: int, base: int, first: int
-    ) -> mi.Color3f:
-        """Mean |∂I_j/∂θ · tangent| per cell, ``(3, C)``, the tangent on one key."""
+    ) -> tuple[mi.Color3f, mi.Color3f]:
+        """Means of |∂I_j/∂θ · tangent| and of its square per cell, ``(3, C)``, the tangent on one
+        key."""
         tangents = {}
         for other, value in values.items():
             entries = dr.opaque(mi.Float, 0, dr.width(flat(value)))
             tangents[other] = unflat(value, tangent if other == key else entries)
         dr.eval(tangents)
-        size = mi.Color3f(0)
+        mean, second = mi.Color3f(0), mi.Color3f(0)
         for i in range(passes):
-            size += self._stage1.derivative(values, tangents, base, first + i)[0] / passes
-        dr.eval(size)
-        return size
+            found = self._stage1.derivative(values, tangents, base, first + i)
+            mean, second = mean + found[0] / passes, second + found[1] / passes
+        dr.eval(mean, second)
+        return mean, second
 
     def measured(self, values: dict, base: int, iteration: int) -> list[mi.Color3f]:
         """The residual's second moment alone, which the noise of a look comes from."""

@@ -21,6 +21,7 @@ from isas_cli.runtime.errors import InputError
 COUNT = 1500  # of estimates
 
 
+@pytest.mark.slow  # 1,500 steps of projective integrators, which are never frozen
 @pytest.mark.parametrize("smooth", ("image", "loss"))
 def test_mitsubas_derivative_blurred(smooth):
     """κ∂P, by prb_projective, of a ball that glows: no silhouette is seen by way of others, which

@@ -4,6 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from crosses import some
 from gradient_estimates import Gradients, configured, difference_quotients
 from hard_scenes import SCENES, assemble
 from montecarlo import welch
@@ -104,6 +105,7 @@ def test_gradient_is_that_of_bsdf_sampling(pair, seed):
     assert outcome.always_visible < 0.3, str(outcome)
 
 
+@pytest.mark.parametrize("pair", some([*PROBLEMS], ("interreflection", "two")), indirect=True)
 def test_gradient_is_the_slope_of_the_loss(pair, seed):
     rng = np.random.default_rng(seed)
     rows = pair.drawn.uniform(2 * REPEATS, seed)
@@ -161,7 +163,7 @@ def test_emission_counted_twice_is_noticed(shared, seed, monkeypatch):
     assert shared.against_plain(drawn.uniform(REPEATS, seed)).p_value < LEVEL
 
 
-@pytest.mark.parametrize("name", pixel_samplers())
+@pytest.mark.parametrize("name", some(pixel_samplers(), ("progress",)))
 def test_goes_with_every_pixel_sampler(name, shared, seed):
     made = shared.drawn.prepared(configured("sampler", name))
     outcome = shared.against_plain(shared.drawn.sampled(made, REPEATS, seed))

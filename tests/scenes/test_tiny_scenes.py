@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crosses import crossed, some
 from omegaconf import DictConfig, OmegaConf
 
 from isas_cli import effects
@@ -35,7 +36,7 @@ def configured(*overrides: str) -> tuple[DictConfig, Config, Budget]:
     return cfg, *experiment.checked(cfg)
 
 
-@pytest.fixture(scope="module", params=SCENES)
+@pytest.fixture(scope="module")
 def workshop(request) -> Workshop:
     """The problem of one scene, from its configuration, for all samplers."""
     _, typed, budget = configured(f"scene={request.param}", *SMALL)
@@ -44,7 +45,7 @@ def workshop(request) -> Workshop:
     return made
 
 
-@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("workshop, sampler", crossed(SCENES, SAMPLERS, 3), indirect=["workshop"])
 def test_three_iterations(workshop, sampler):
     chosen = f"scene={workshop.problem.name}", f"sampler={sampler}"
     cfg, typed, budget = configured(*chosen, *SMALL)
@@ -78,7 +79,7 @@ def roughness() -> Workshop:
         return Workshop(experiment.built(typed, Phases(display)))
 
 
-@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("sampler", some(SAMPLERS, ("uniform", "balanced", "progress")))
 def test_derivative_sampling_with_each_sampler(roughness, sampler):
     """From the setting to the steps, which take five paths a pixel instead of two."""
     loops = {}
