@@ -1,0 +1,41 @@
+"""Records of earlier versions: their configurations as they would be written today."""
+
+from isas_cli.config.compose import compose, translate
+from isas_cli.config.earlier import modern
+
+ESTIMATOR = {"batch": 512, "derivative_sampling": False, "freeze": True}
+
+
+def test_a_pixel_sampler_s_run_gets_the_two_path_estimator():
+    sampler = {"name": "ours", "_target_": "isas_cli.samplers.ours.Ours", "floor": 0.05}
+    found = modern({"sampler": sampler, "estimator": ESTIMATOR, "seed": 1})
+    assert found["sampler"] == sampler and found["seed"] == 1
+    today = compose(["scene=pottery", "sampler=ours", "estimator.batch=512"])
+    assert found["estimator"] == today.estimator and found["prior"] == today.prior
+
+
+def test_a_gradient_s_run_gets_its_estimator_and_the_sampler_that_drew_for_it():
+    base = {"name": "differences", "_target_": "isas_cli.samplers.differences.Differences"}
+    old = {
+        "name": "plateau",
+        "_target_": "isas_cli.samplers.plateau.Plateau",
+        "base": base,
+        "scheme": "separate",
+        "spp": 4,
+    }
+    found = modern({"sampler": old, "estimator": ESTIMATOR})
+    assert found["sampler"] == base
+    settings = found["estimator"]
+    assert (settings["name"], settings["scheme"], settings["spp"]) == ("plateau", "separate", 4)
+    assert settings["batch"] == 512 and "derivative_sampling" not in settings
+    uniform = {"name": "uniform", "_target_": "isas_cli.samplers.uniform.Uniform"}
+    found = modern({"sampler": {**old, "base": uniform}, "estimator": ESTIMATOR})
+    today = compose(translate(["scene=pottery", "sampler=plateau"]))
+    assert found["sampler"] == today.sampler
+    assert found["estimator"]["_target_"] == today.estimator["_target_"]
+
+
+def test_today_s_configuration_stays_as_it_is():
+    today = {"sampler": {"name": "ours"}, "estimator": {"name": "two_path"}, "prior": {}}
+    assert modern(today) is today
+    assert modern({}) == {}

@@ -1,0 +1,64 @@
+"""The cache of targets: of bounded size, and never what a run depends on."""
+
+import os
+
+import numpy as np
+import pytest
+
+from isas_cli.runtime import cache
+from isas_cli.runtime.errors import InputError
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    return tmp_path
+
+
+def stored(key: str, used: float) -> None:
+    """An entry of about 80 kB that was last used ``used`` seconds after 1970."""
+    cache.cached(key, lambda: {"x": np.zeros(10_000)})
+    os.utime(cache.folder() / f"{key}.npz", (used, used))
+
+
+def test_what_was_not_used_for_longest_goes_first(folder, monkeypatch):
+    monkeypatch.setenv("ISAS_CACHE_GIB", str(250e3 / 2**30))
+    for number, key in enumerate(("a", "b", "c")):
+        stored(key, 1000.0 + number)
+    assert cache.size() == pytest.approx(240e3, rel=0.01)
+    # Being read is being used.
+    cache.cached("a", lambda: pytest.fail("it was stored"))
+    stored("d", 5000.0)
+    assert sorted(path.stem for path in folder.glob("*.npz")) == ["a", "c", "d"]
+    assert cache.size() <= cache.limit()
+
+
+def test_what_does_not_fit_is_kept_until_the_next(folder, monkeypatch):
+    monkeypatch.setenv("ISAS_CACHE_GIB", "0")
+    stored("a", 1000.0)
+    assert [path.stem for path in folder.glob("*.npz")] == ["a"]
+    stored("b", 2000.0)
+    assert [path.stem for path in folder.glob("*.npz")] == ["b"]
+
+
+def test_a_damaged_entry_is_made_anew(folder):
+    stored("a", 1000.0)
+    (folder / "a.npz").write_bytes(b"half")
+    assert cache.cached("a", lambda: {"x": np.ones(2)})["x"].tolist() == [1, 1]
+    assert cache.cached("a", lambda: {})["x"].tolist() == [1, 1]
+
+
+@pytest.mark.parametrize("text", ("much", "-1", "nan", "inf"))
+def test_a_limit_that_is_no_number_is_refused(monkeypatch, text):
+    monkeypatch.setenv("ISAS_CACHE_GIB", text)
+    with pytest.raises(InputError, match=f"ISAS_CACHE_GIB={text}: a number of GiB"):
+        cache.limit()
+
+
+def test_the_doctor_tells_it(folder):
+    from isas_cli.cli import doctor
+
+    stored("a", 1000.0)
+    ((name, words),) = doctor._cache()
+    assert name == "target cache" and str(folder) in words
+    assert "0.1 of at most 4096 MiB, oldest go first" in words
