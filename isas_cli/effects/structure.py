@@ -30,21 +30,21 @@ def plan(problem: "Problem") -> dict[str, str]:
         "paths": _depth(depth),
         "refraction": _transmission(shapes),
         "media": _media(shapes),
-        "moving silhouettes": _moving(problem.unknowns.poses),
+        "moving silhouettes": _moving(problem.unknowns.moving),
         "colour": "linear RGB, no spectra, no polarisation",
         "derivatives": _derivatives(problem),
     }
 
 
-def _moving(poses: list[str]) -> str:
-    if poses:
-        return f"{', '.join(poses)} move objects: compared at several places, or sampled"
+def _moving(keys: list[str]) -> str:
+    if keys:
+        return f"{', '.join(keys)} move objects: compared at several places, or sampled"
     return "not differentiated: no unknown moves geometry"
 
 
 def _derivatives(problem: "Problem") -> str:
     integrator = problem.integrator
-    if problem.unknowns.poses:
+    if problem.unknowns.moving:
         return "not by path replay: as the sampler says"
     if isinstance(integrator, DerivativeSampling):
         return "by roughness, directions drawn for the derivative's two parts"

@@ -182,7 +182,7 @@ def _check_films(problem: "Problem") -> None:
 def _check_shapes(problem: "Problem") -> None:
     """Raises InputError for poses that move anything but shapes."""
     unknowns = problem.unknowns
-    for name in unknowns.poses:
+    for name in unknowns.moving:
         for key in unknowns.written(name):
             if not isinstance(owner(unknowns.params, key), mi.Shape):
                 raise InputError(
@@ -198,7 +198,7 @@ def _settings(problem: "Problem") -> dict:
 
 def _integrator(problem: "Problem", silhouettes: str) -> mi.Integrator:
     settings = _settings(problem)
-    if not problem.unknowns.poses:
+    if not problem.unknowns.moving:
         return mi.load_dict({"type": "prb", **settings})
     settings |= SILHOUETTES[silhouettes]
     found = mi.load_dict({"type": "prb_projective", **settings})

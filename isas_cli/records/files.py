@@ -29,6 +29,8 @@ AFTER_KEYS = [
     "stage1_seconds",
     "learning_rate",
 ]
+# What a manifest says of `parameter_rmse` where it is no length, angle, … of one unit.
+RELATIVE, OWN_UNIT = "relative to the start", "parameter's unit"
 WHOLE_NUMBERS = ("iteration", "paths", "nonfinite")
 
 

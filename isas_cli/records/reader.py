@@ -17,6 +17,7 @@ from .files import (
     AFTER_KEYS,
     BEFORE_KEYS,
     KEY_PREFIX,
+    OWN_UNIT,
     SCHEMA_VERSION,
     WHOLE_NUMBERS,
     check_schema,
@@ -47,6 +48,12 @@ class Run:
     def complete(self) -> bool:
         """Whether the run has ended and its record, pictures included, with it."""
         return self.summary is not None and bool(self.summary.get("complete", True))
+
+    @property
+    def parameter_rmse_is(self) -> str:
+        """What the column `parameter_rmse` is in: a unit, or what else its values are. Records of
+        earlier versions do not say, and are in the parameters' own units, mixed or not."""
+        return self.manifest.get("parameter_rmse_is") or OWN_UNIT
 
     @property
     def keys(self) -> list[str]:
