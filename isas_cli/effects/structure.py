@@ -29,15 +29,15 @@ def plan(problem: "Problem", derivatives: str) -> dict[str, str]:
         "paths": _depth(depth),
         "refraction": _transmission(shapes),
         "media": _media(shapes, problem.integrator.simulates),
-        "moving silhouettes": _moving(problem.unknowns.poses),
+        "moving silhouettes": _moving(problem.unknowns.moving),
         "colour": "linear RGB, no spectra, no polarisation",
         "derivatives": derivatives,
     }
 
 
-def _moving(poses: list[str]) -> str:
-    if poses:
-        return f"{', '.join(poses)} move objects: compared at several places, or sampled"
+def _moving(keys: list[str]) -> str:
+    if keys:
+        return f"{', '.join(keys)} move objects: compared at several places, or sampled"
     return "not differentiated: no unknown moves geometry"
 
 

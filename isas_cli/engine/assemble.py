@@ -20,8 +20,6 @@ from ..runtime.errors import InputError, nearest
 from ..scene import mesh_checks, scene_file
 from ..scene.problem import Problem
 from ..scene.views import Views
-from ..unknowns.parameters import textures
-from ..unknowns.poses import Poses
 from ..unknowns.specs import narrow_blurs, parse
 from ..unknowns.unknowns import Unknowns
 
@@ -60,10 +58,8 @@ def problem(
     params = mi.traverse(loaded)
     content = _content_hash(loaded, integrator, params, description)
     photographs = scene.targets is not None
-    poses = Poses(scene.poses, params)
-    found = parse(params, scene.unknowns, not photographs, poses)
-    # Traversed anew: reading a parameter marks it as a candidate for an update.
-    unknowns = Unknowns(mi.traverse(loaded), found, poses)
+    found = parse(params, scene.unknowns, not photographs, scene.poses)
+    unknowns = Unknowns(mi.traverse(loaded), found)
     result = Problem(
         scene.name,
         loaded,
@@ -74,7 +70,7 @@ def problem(
         unknowns,
         content,
         warnings=[
-            *mesh_checks.check_scene(loaded, textures(params, unknowns.keys)),
+            *mesh_checks.check_scene(loaded, unknowns.textures),
             *narrow_blurs(found),
         ],
     )

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..records import VALUE_PREFIX
+from ..records import KEY_PREFIX, VALUE_PREFIX
 from ..rendering.renderer import Renderer
 from ..runtime import streams
 from ..scene.problem import Problem
@@ -104,18 +105,25 @@ class Evaluator:
         return found
 
     def parameter_errors(self, values: dict) -> dict[str, float]:
-        """RMSE over the entries that some view sees, per key, and over all keys together.
+        """The error of each unknown over the entries that some view sees, and of all together.
 
-        ``parameter_rmse`` is the root of the mean over *keys* of the squared errors, in the
-        parameters' own units: a scalar weighs as much as a texture.
+        ``parameter_rmse`` is the root of the mean over *unknowns* of the squared errors: a scalar
+        weighs as much as a texture. Where units differ, each error is first divided by the
+        unknown's own at the start, so that 1 is the start; by ``Unknown.scale`` where it starts at
+        its truth. Where they are alike it is in that unit. The manifest says which.
         """
         if not self.problem.truth_known:
             return {}
-        errors = {}
-        for unknown in self.problem.unknowns:
-            difference = (as_numpy(values[unknown.key]) - unknown.truth)[unknown.seen]
-            if unknown.period:  # the shorter way round
-                difference -= unknown.period * np.round(difference / unknown.period)
-            errors[f"parameter_rmse/{unknown.key}"] = float(np.sqrt(np.mean(difference**2)))
-        together = math.sqrt(sum(e * e for e in errors.values()) / len(errors))
-        return {"parameter_rmse": together} | errors
+        unknowns = self.problem.unknowns
+        errors = {u.key: u.error(as_numpy(values[u.key])) for u in unknowns}
+        squares = [(error / self._sizes[key]) ** 2 for key, error in errors.items()]
+        together = math.sqrt(sum(squares) / len(squares))
+        return {"parameter_rmse": together} | {f"{KEY_PREFIX}{k}": e for k, e in errors.items()}
+
+    @cached_property
+    def _sizes(self) -> dict[str, float]:
+        """What each unknown's error is divided by before a mean is taken."""
+        unknowns = self.problem.unknowns
+        if unknowns.unit is not None:
+            return dict.fromkeys(unknowns.keys, 1.0)
+        return {u.key: u.error(u.start) or u.scale for u in unknowns}

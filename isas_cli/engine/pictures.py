@@ -50,7 +50,7 @@ class Pictures:
         self.writer.frame(name, image, channels, {**self.tags, "what": what, **more}, exposure)
 
     def values(self, kind: str, values: dict, iteration: int) -> None:
-        """Every view at ``values``, and their texture unknowns. ``kind``: start or result."""
+        """Every view at ``values``, and pictures of the unknowns. ``kind``: start or result."""
         self.problem.unknowns.write(values)
         for view in self.views:
             image = self.renderer.view(
@@ -61,7 +61,7 @@ class Pictures:
             if kind == "result":
                 error = np.abs(image - self.problem.target_image(view))
                 self._write(f"error_v{view:02d}", error, _RGB, "|result - target|", **tags)
-        self._textures(kind, {k: as_numpy(v) for k, v in values.items()}, iteration)
+        self._unknowns(kind, {k: as_numpy(v) for k, v in values.items()}, iteration)
 
     def snapshot(self, values: dict, iteration: int, seconds: float) -> np.ndarray:
         """The first view at ``values``, every n-th pixel of it, for an animation afterwards.
@@ -83,7 +83,7 @@ class Pictures:
         return image
 
     def targets(self) -> None:
-        """Targets of the chosen views and, where known, true textures."""
+        """Targets of the chosen views and pictures of what is true, where known."""
         for view in self.views:
             self._write(
                 f"target_v{view:02d}",
@@ -94,7 +94,7 @@ class Pictures:
                 view=view,
             )
         if self.problem.truth_known:
-            self._textures("truth", {u.key: u.truth for u in self.problem.unknowns}, 0)
+            self._unknowns("truth", {u.key: u.truth for u in self.problem.unknowns}, 0)
 
     def density(self, density: np.ndarray, iteration: int) -> None:
         """Pixel probability times number of pixels: 1 is uniform."""
@@ -106,9 +106,10 @@ class Pictures:
                 self._write(f"density_v{view:02d}", image, ["Y"], "p_j n", **tags)
             offset += width * height
 
-    def _textures(self, kind: str, arrays: dict[str, np.ndarray], iteration: int) -> None:
-        for key, array in arrays.items():
-            if array.ndim == 3 and array.shape[2] in (1, 3):
-                channels = _RGB if array.shape[2] == 3 else ["Y"]
-                tags = {"key": key, "iteration": iteration}
-                self._write(f"{kind}_{safe_name(key)}", array, channels, kind, 1.0, **tags)
+    def _unknowns(self, what: str, arrays: dict[str, np.ndarray], iteration: int) -> None:
+        for unknown in self.problem.unknowns:
+            for name, picture in unknown.kind.pictures(arrays[unknown.key]).items():
+                key = f"{unknown.key}.{name}" if name else unknown.key
+                channels = _RGB if picture.shape[2] == 3 else ["Y"]
+                tags = {"key": unknown.key, "iteration": iteration}
+                self._write(f"{what}_{safe_name(key)}", picture, channels, what, 1.0, **tags)

@@ -52,7 +52,7 @@ class Settings(Estimator):
         return WholeImages(problem, loss, self.batch, silhouettes=self.silhouettes)
 
     def derivatives(self, problem: "Problem") -> str:
-        if problem.unknowns.poses:
+        if problem.unknowns.moving:
             return f"Mitsuba's prb_projective on whole images, silhouettes: {self.silhouettes}"
         return f"Mitsuba's {problem.integrator.name} on whole images"
 
@@ -211,7 +211,7 @@ def _check_films(problem: "Problem") -> None:
 def _check_shapes(problem: "Problem") -> None:
     """Raises InputError for poses that move anything but shapes."""
     unknowns = problem.unknowns
-    for name in unknowns.poses:
+    for name in unknowns.moving:
         for key in unknowns.written(name):
             if not isinstance(owner(unknowns.params, key), mi.Shape):
                 raise InputError(
@@ -223,7 +223,7 @@ def _check_shapes(problem: "Problem") -> None:
 
 def _integrator(problem: "Problem", silhouettes: str) -> mi.Integrator:
     own = problem.integrator
-    if not problem.unknowns.poses:
+    if not problem.unknowns.moving:
         return own.base
     if "media" in own.simulates:
         raise InputError(

@@ -72,9 +72,9 @@ class TwoPath:
         path, for measurements; None for its ``backward``.
 
         Raises InputError where an unknown moves objects."""
-        if problem.unknowns.poses:
+        if problem.unknowns.moving:
             raise InputError(
-                f"scene.unknowns: '{problem.unknowns.poses[0]}' moves objects, and path replay "
+                f"scene.unknowns: '{problem.unknowns.moving[0]}' moves objects, and path replay "
                 "does not differentiate visibility: take sampler=plateau (or the baselines "
                 "sampler=mitsuba and sampler=finite_differences)"
             )

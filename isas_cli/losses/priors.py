@@ -49,7 +49,7 @@ class Prior:
     def on(self, unknowns: Unknowns) -> "OnUnknowns":
         """The prior of these unknowns. Raises InputError where none of them has neighbours, and
         for a key that is no unknown or has none."""
-        axes = {u.key: unknowns.axes(u.key) for u in unknowns}
+        axes = {u.key: u.kind.axes for u in unknowns}
         valid = [key for key in axes if axes[key]]
         for key in self.keys or []:
             if key not in valid:

@@ -29,6 +29,8 @@ AFTER_KEYS = [
     "learning_rate",
     "prior",
 ]
+# What a manifest says of `parameter_rmse` where it is no length, angle, … of one unit.
+RELATIVE, OWN_UNIT = "relative to the start", "parameter's unit"
 WHOLE_NUMBERS = ("iteration", "paths", "nonfinite")
 
 

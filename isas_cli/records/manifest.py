@@ -14,6 +14,7 @@ import psutil
 from .. import __version__
 from ..runtime.backend import Backend
 from . import follow
+from .files import OWN_UNIT, RELATIVE
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
@@ -63,6 +64,12 @@ def continuation(
     }
 
 
+def _headline(unit: str | None) -> str:
+    """What ``parameter_rmse`` is, in words that a label can take; ``unit``: of all unknowns, None
+    where they differ."""
+    return RELATIVE if unit is None else unit or OWN_UNIT
+
+
 def describe(
     backend: Backend, problem: "Problem", seed: int, target_seed: int, effects: dict[str, str]
 ) -> dict:
@@ -92,8 +99,11 @@ def describe(
         "integrator": {"class": integrator.name, "max_depth": integrator.max_depth},
         "effects": effects,
         "views": [list(size) for size in problem.film_sizes],
+        "parameter_rmse_is": _headline(problem.unknowns.unit),
         "unknowns": {
             u.key: {
+                "kind": u.kind.name,
+                "unit": u.kind.unit,
                 "shape": list(u.start.shape),
                 "range": [u.low, u.high],
                 "lr": u.lr,

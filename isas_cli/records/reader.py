@@ -19,6 +19,7 @@ from .files import (
     AFTER_KEYS,
     BEFORE_KEYS,
     KEY_PREFIX,
+    OWN_UNIT,
     SCHEMA_VERSION,
     WHOLE_NUMBERS,
     check_schema,
@@ -66,6 +67,12 @@ class Run:
             names = sorted(each.stem for each in path.parent.glob("*.exr"))
             raise InputError(f"{path}: no such frame; {nearest(name, names)}")
         return images.read(path, finite=False)
+
+    @property
+    def parameter_rmse_is(self) -> str:
+        """What the column `parameter_rmse` is in: a unit, or what else its values are. Records of
+        earlier versions do not say, and are in the parameters' own units, mixed or not."""
+        return self.manifest.get("parameter_rmse_is") or OWN_UNIT
 
     @property
     def keys(self) -> list[str]:

@@ -12,14 +12,11 @@ from ..runtime import streams
 from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
-from ..unknowns.parameters import flat
+from ..unknowns.kind import THRESHOLD, WELL_SEEN
+from ..unknowns.parameters import as_numpy
+from ..unknowns.unknowns import Unknown
 from . import rays
 
-# An entry counts as seen from this share of a well seen one's sensitivity on. Texels that only
-# light the seen ones by interreflection, or that a view grazes, lie far below it: no view pins
-# them down, and an error there says nothing about a method. Well seen is a high quantile, not the
-# median: where most texels are grazed, the median is one of those.
-_THRESHOLD, _WELL_SEEN = 0.05, 0.9
 _LANES = 1 << 20
 _MOST = 1 << 24  # pixels visited; above this a stratified subset of them
 
@@ -27,34 +24,71 @@ _MOST = 1 << 24  # pixels visited; above this a stratified subset of them
 def fill_in(problem: Problem, base: int) -> None:
     """Set ``seen`` of every unknown, from the cache where possible.
 
+    Of what moves geometry all entries count. The others are judged by what path replay
+    differentiates, at the start values; where something moves and the truth is known, also with
+    that at its true place: an entry counts that is seen from either. One that shows itself only on
+    the way between is left out of the errors.
+
     Raises InputError for an unknown that no view sees: nothing could be learnt about it. Where
-    objects move all entries count: what is hidden at the start need not stay so.
+    something moves that cannot be told, and all entries of such an unknown count.
     """
-    if problem.unknowns.poses:
-        for unknown in problem.unknowns:
-            unknown.seen = np.ones(unknown.start.shape, bool)
-        return
-    # What is seen depends on the start: a light that starts at zero shows nothing.
-    starts = [hashlib.blake2b(u.start.tobytes()).hexdigest() for u in problem.unknowns]
-    masked = "" if problem.mask is None else problem.target_hash
-    what = (problem.content_hash, problem.unknowns.keys, starts, masked, base)
-    key = digest("coverage", 4, *what, mi.__version__, _THRESHOLD, _WELL_SEEN)
-    arrays = cached(f"coverage-{key}", lambda: _measure(problem, base))
-    for index, unknown in enumerate(problem.unknowns):
-        unknown.seen = arrays[f"seen{index}"].reshape(unknown.start.shape)
-        if not unknown.seen.any():
+    judged = [u for u in problem.unknowns if not u.kind.moves_geometry]
+    arrays = cached(_key(problem, base), lambda: _judge(problem, judged, base)) if judged else {}
+    for unknown in problem.unknowns:
+        unknown.seen = np.ones(unknown.start.shape, bool)
+    for index, unknown in enumerate(judged):
+        seen = arrays[f"seen{index}"].reshape(unknown.start.shape)
+        if seen.any():
+            unknown.seen = seen
+        elif not problem.unknowns.moving:
             raise InputError(
                 f"scene.unknowns['{unknown.key}']: no view sees it, so no image can tell its "
                 "value; turn a camera towards it or take it off the list"
             )
 
 
-def _measure(problem: Problem, base: int) -> dict[str, np.ndarray]:
-    """Largest of |Σ_j ∂I_j/∂θ_k| and |Σ_j ±∂I_j/∂θ_k| per entry, thresholded.
+def _key(problem: Problem, base: int) -> str:
+    # What is seen depends on the start: a light that starts at zero shows nothing.
+    unknowns = [
+        (
+            u.key,
+            type(u.kind).__qualname__,
+            u.kind.settings,
+            u.truth is not None,
+            hashlib.blake2b(u.start.tobytes()).hexdigest(),
+        )
+        for u in problem.unknowns
+    ]
+    masked = "" if problem.mask is None else problem.target_hash
+    what = problem.content_hash, unknowns, masked, base
+    return "coverage-" + digest("coverage", 5, *what, mi.__version__, THRESHOLD, WELL_SEEN)
+
+
+def _judge(problem: Problem, judged: list[Unknown], base: int) -> dict[str, np.ndarray]:
+    """Which entries count as seen, by ``seen<index>`` among ``judged``."""
+    unknowns = problem.unknowns
+    starts = {u.key: u.start for u in unknowns}
+    places = [starts]
+    if unknowns.moving and problem.truth_known:
+        places.append(starts | {key: unknowns[key].truth for key in unknowns.moving})
+    arrays: dict[str, np.ndarray] = {}
+    for values in places:
+        unknowns.write(unknowns.values_of(values))
+        found = _measure(problem, {u.key: values[u.key] for u in judged}, base)
+        for index, unknown in enumerate(judged):
+            seen = unknown.kind.seen(found[unknown.key])
+            name = f"seen{index}"
+            arrays[name] = arrays[name] | seen if name in arrays else seen
+    unknowns.write(unknowns.starts())
+    return arrays
+
+
+def _measure(problem: Problem, values: dict[str, np.ndarray], base: int) -> dict[str, np.ndarray]:
+    """Largest of |Σ_j ∂I_j/∂θ_k| and |Σ_j ±∂I_j/∂θ_k| per entry, by key of ``values``, at which
+    they are taken; all other unknowns stay where they are in the scene.
 
     Two backward passes over all pixels: one with unit adjoint, which is strong for reflectances,
-    and one with random signs, which does not vanish where derivatives of both signs meet. Taken
-    at the start values: what is visible must not depend on the truth.
+    and one with random signs, which does not vanish where derivatives of both signs meet.
     """
     unknowns, integrator = problem.unknowns, problem.integrator
 
@@ -80,9 +114,9 @@ def _measure(problem: Problem, base: int) -> dict[str, np.ndarray]:
     passes = -(-visited // lanes)
     samples = 4 if visited <= _LANES else 1
     run = dr.freeze(kernel)
-    largest = None
+    largest: dict[str, np.ndarray] = {}
     for signed in (False, True):
-        unknowns.attach(unknowns.starts())
+        unknowns.attach(unknowns.values_of(values))
         for i in range(passes * samples):
             chunk, stride = i % passes, total / visited
             run(
@@ -97,15 +131,8 @@ def _measure(problem: Problem, base: int) -> dict[str, np.ndarray]:
                 dr.opaque(mi.Bool, signed),
             )
             dr.sync_thread()
-        found = [np.abs(np.array(flat(g))) for g in unknowns.gradients().values()]
-        largest = found if largest is None else [np.fmax(a, b) for a, b in zip(largest, found)]
-    unknowns.write(unknowns.starts())
-    return {f"seen{i}": _threshold(c) for i, c in enumerate(largest)}
-
-
-def _threshold(sensitivity: np.ndarray) -> np.ndarray:
-    finite = np.where(np.isfinite(sensitivity), sensitivity, 0)
-    positive = finite[finite > 0]
-    if positive.size == 0:
-        return np.zeros(finite.shape, bool)
-    return finite > _THRESHOLD * np.quantile(positive, _WELL_SEEN)
+        gradients = unknowns.gradients()
+        for key in values:
+            found = np.abs(as_numpy(gradients[key]))
+            largest[key] = np.fmax(largest[key], found) if key in largest else found
+    return largest

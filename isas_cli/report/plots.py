@@ -17,7 +17,7 @@ from .figures import COLOURS, GREY, STYLE, Picture, cost_axis, figure, log_value
 _COSTS = ("seconds", "paths")
 _UNITS = {
     "image_rmse": "image RMSE (linear radiance)",
-    "parameter_rmse": "parameter RMSE (parameter's unit)",
+    "parameter_rmse": "parameter RMSE",
     "loss": "loss",
     "gradient_norm": "norm of the gradient",
     "nonfinite": "non-finite gradient entries",
@@ -48,7 +48,8 @@ def _errors(run: Run, path: Path) -> Picture | None:
         for cost, axes in zip(_COSTS, row):
             _curve(axes, run, cost, name, colour=colour)
             log_values(axes, run.history[name].to_numpy())
-        row[0].set_ylabel(_UNITS[name])
+        words = f" ({run.parameter_rmse_is})" if name == "parameter_rmse" else ""
+        row[0].set_ylabel(_UNITS[name] + words)
     grid[0][0].legend(loc="best")
     save(canvas, path)
     return Picture(path, "Error against billed seconds and against light paths.")

@@ -9,6 +9,7 @@ derivatives by these flow on to θ. At θ = ``at`` everything stands as it was l
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
@@ -16,8 +17,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..config.schema import PoseConfig
 from ..runtime.errors import InputError, nearest
+from .kind import Kind, Loaded
+from .parameters import like
 
 _MOVABLE = ("vertex_positions", "to_world", "position")
 
@@ -33,7 +35,9 @@ class _Object:
     position: mi.Point3f | None = None
 
     @staticmethod
-    def of(params: mi.SceneParameters, id: str) -> "_Object":
+    def of(params: Mapping, id: str) -> "_Object":
+        """``params``: values by key; a copy is made."""
+
         def value(name: str):
             key = f"{id}.{name}"
             return params[key] if key in params else None
@@ -49,9 +53,9 @@ class _Object:
             return _Object(id, to_world=type(value("to_world"))(value("to_world")))
         return _Object(id, position=mi.Point3f(value("position")))
 
-    @property
-    def keys(self) -> list[str]:
-        return [f"{self.id}.{name}" for name in self.values()]
+    def named(self) -> dict:
+        """Mitsuba's parameters by their whole key."""
+        return {f"{self.id}.{name}": value for name, value in self.values().items()}
 
     def places(self) -> np.ndarray:
         """Points of the object, ``(n, 3)``: vertices, or its place and what is a unit from there
@@ -79,32 +83,92 @@ class _Object:
         )
 
 
-class Pose:
-    """One pose: ``size`` entries, of ``parts`` × (1 or the number of directions)."""
+class Pose(Kind):
+    """One pose: ``parts`` × ``each`` entries, ``each`` 1 or the number of directions."""
 
-    def __init__(self, name: str, spec: PoseConfig, params: mi.SceneParameters):
-        where = f"scene.poses['{name}']"
-        self.name, self.spec, self.parts = name, spec, spec.parts
+    name = "pose"
+    moves_geometry = True
+
+    @classmethod
+    def keys(cls, loaded: Loaded) -> list[str]:
+        return list(loaded.poses)
+
+    @classmethod
+    def check(cls, loaded: Loaded, chosen: list[str]) -> None:
+        for name in loaded.poses:
+            if name not in chosen:
+                raise InputError(
+                    f"scene.poses['{name}'] is not among scene.unknowns: give it a start there, or "
+                    "leave it out"
+                )
+
+    def __init__(self, key: str, loaded: Loaded):
+        where, spec, params = f"scene.poses['{key}']", loaded.poses[key], loaded.params
+        if key in params:
+            raise InputError(f"{where}: the scene has a parameter of this name")
+        self.key, self.spec, self.parts, self.settings = key, spec, spec.parts, repr(spec)
         self.ids = _matching(where, spec.objects, params)
         if self.parts > 1:
             for id in self.ids:
                 _check_parts(where, id, self.parts, params)
-        self.each = 1 if spec.kind == "rotation" else len(spec.directions)
-        self.size = self.parts * self.each
+        turns = spec.kind == "rotation"
+        self.each = 1 if turns else len(spec.directions)
         at = np.zeros(self.each) if spec.at is None else np.asarray(spec.at, float)
         if at.shape not in ((self.each,), (self.size,)):
             raise InputError(f"{where}.at={list(spec.at)}: {self.each} numbers, one per direction")
-        self.at = np.broadcast_to(at.reshape(-1, self.each), (self.size // self.each, self.each))
-        self.at = np.ascontiguousarray(self.at, np.float32).reshape(-1)
+        at = np.broadcast_to(at.reshape(-1, self.each), (self.size // self.each, self.each))
+        self.present = np.ascontiguousarray(at, np.float32).reshape(-1)
+        self._rest = {id: _Object.of(params, id) for id in self.ids}
+        dr.eval([item.values() for item in self._rest.values()])
+        self._names = {id: list(item.named()) for id, item in self._rest.items()}
+        self.writes = [name for names in self._names.values() for name in names]
+        self.range = -np.inf, np.inf
+        self.unit = "degrees" if turns else "scene units"
+        self.period = spec.period if turns else None
+        self.scale = self._scale()
+        # After all that gives an object its shape, and in the order in which poses are given.
+        self.order = 1, list(loaded.poses).index(key)
 
     @property
-    def period(self) -> float | None:
-        """After which a value means the same again."""
-        return self.spec.period if self.spec.kind == "rotation" else None
+    def size(self) -> int:
+        """How many entries."""
+        return self.parts * self.each
+
+    def _scale(self) -> float:
+        """How large the numbers are that this pose's are added to, in its own unit: coordinates, of
+        at least 1, and for a rotation the angle under which its longest arm sees them."""
+        points = np.concatenate([item.places() for item in self._rest.values()])
+        coordinates = max(1.0, float(np.abs(points).max()))
+        if self.spec.kind == "translation":
+            return coordinates
+        axis = np.asarray(self.spec.axis, float) / np.linalg.norm(self.spec.axis)
+        arm = np.linalg.norm(np.cross(points - np.asarray(self.spec.origin, float), axis), axis=1)
+        # What turns about its own middle has no arm: nothing moves that could be resolved.
+        return math.degrees(coordinates / max(float(arm.max()), 1e-3 * coordinates))
+
+    def value(self, array: np.ndarray) -> mi.Float:
+        return like(mi.Float, array)
+
+    def write(self, leaf: mi.Float, written: dict) -> None:
+        for id, rest in self._rest.items():
+            if not written.keys().isdisjoint(self._names[id]):  # moved or shaped already
+                rest = _Object.of(rest.named() | written, id)
+            written |= self.move(rest, leaf).named()
+
+    def place(self, where: str) -> tuple[Kind, np.ndarray]:
+        if self.spec.kind != "translation":
+            raise InputError(f"{where}: only for a translation")
+        if len(self.ids) > 1:
+            raise InputError(f"{where}: only for a pose of one object that nothing else moves")
+        rest = self._rest[self.ids[0]]
+        if rest.points is not None:
+            return self, np.array(rest.points).T.reshape(self.parts, -1, 3).mean(axis=1)
+        at = rest.to_world.translation() if rest.position is None else rest.position
+        return self, np.array(at).reshape(1, 3)
 
     def move(self, item: _Object, θ: mi.Float) -> _Object:
         """``item`` after this movement. Traced, differentiable by ``θ (size,)``."""
-        moved = θ - mi.Float(self.at)
+        moved = θ - mi.Float(self.present)
         if item.points is None:
             transform = self._transform([self._entry(moved, i) for i in range(self.each)])
             if item.position is not None:
@@ -144,72 +208,6 @@ class Pose:
             return mi.Transform4f().translate(self._offset(amounts))
         origin = mi.Vector3f(*map(float, self.spec.origin))
         return mi.Transform4f().translate(origin).rotate(self._axis, amounts[0]).translate(-origin)
-
-
-class Poses:
-    """All poses of a scene; where several move one object, in the order in which they are given."""
-
-    def __init__(self, specs: dict[str, PoseConfig], params: mi.SceneParameters):
-        for name in specs:
-            if name in params:
-                raise InputError(f"scene.poses['{name}']: the scene has a parameter of this name")
-        self.items = {name: Pose(name, spec, params) for name, spec in specs.items()}
-        ids = dict.fromkeys(id for pose in self.items.values() for id in pose.ids)
-        self._rest = {id: _Object.of(params, id) for id in ids}
-        dr.eval(self._rest and [item.values() for item in self._rest.values()])
-
-    def __contains__(self, name: str) -> bool:
-        return name in self.items
-
-    def __bool__(self) -> bool:
-        return bool(self.items)
-
-    def keys(self, names: list[str]) -> list[str]:
-        """The scene's parameters that the poses ``names`` write."""
-        ids = dict.fromkeys(id for name in names if name in self for id in self.items[name].ids)
-        return [key for id in ids for key in self._rest[id].keys]
-
-    def scale(self, name: str) -> float:
-        """How large the numbers are that this pose's are added to, in its own unit: coordinates, of
-        at least 1, and for a rotation the angle under which its longest arm sees them."""
-        pose = self.items[name]
-        points = np.concatenate([self._rest[id].places() for id in pose.ids])
-        coordinates = max(1.0, float(np.abs(points).max()))
-        if pose.spec.kind == "translation":
-            return coordinates
-        axis = np.asarray(pose.spec.axis, float) / np.linalg.norm(pose.spec.axis)
-        arm = np.linalg.norm(np.cross(points - np.asarray(pose.spec.origin, float), axis), axis=1)
-        # What turns about its own middle has no arm: nothing moves that could be resolved.
-        return math.degrees(coordinates / max(float(arm.max()), 1e-3 * coordinates))
-
-    def middles(self, name: str, where: str) -> np.ndarray:
-        """Where the parts of the pose ``name`` are as they were loaded, ``(parts, 3)``, of the one
-        object that it alone moves; raises InputError, naming ``where``, if there are more."""
-        pose = self.items[name]
-        if pose.spec.kind != "translation":
-            raise InputError(f"{where}: only for a translation")
-        others = [other for other in self.items.values() if set(other.ids) & set(pose.ids)]
-        if len(pose.ids) > 1 or len(others) > 1:
-            raise InputError(f"{where}: only for a pose of one object that nothing else moves")
-        rest = self._rest[pose.ids[0]]
-        if rest.points is not None:
-            return np.array(rest.points).T.reshape(pose.parts, -1, 3).mean(axis=1)
-        place = rest.to_world.translation() if rest.position is None else rest.position
-        return np.array(place).reshape(1, 3)
-
-    def placed(self, values: dict) -> dict:
-        """The scene's parameters, by key, for the poses of ``values`` (others: at rest). Traced."""
-        moved: dict[str, _Object] = {}
-        for name, pose in self.items.items():
-            if name not in values:
-                continue
-            for id in pose.ids:
-                moved[id] = pose.move(moved.get(id, self._rest[id]), values[name])
-        return {
-            f"{id}.{name}": value
-            for id, item in moved.items()
-            for name, value in item.values().items()
-        }
 
 
 def _turn(vector: mi.Vector3f, axis: mi.Vector3f, degrees: mi.Float) -> mi.Vector3f:

@@ -8,33 +8,18 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
+from ..config.schema import PoseConfig
 from ..runtime import images
 from ..runtime.errors import InputError, nearest
-from .parameters import differentiable_keys, is_environment, is_float, loaded, moves_geometry, owner
-from .poses import Poses
+from . import registry
+from .kind import Kind, Loaded
+from .parameters import as_numpy, is_float, is_grid, moves_geometry
 from .smoothing import stable
-from .unknowns import Unknown, present
-
-# Ranges outside which a parameter means nothing (or gains energy), by the last word of its key.
-# Roughness stays above 0.03: below about that the principled lobe's derivative dies.
-_RANGES = {
-    "base_color": (0.0, 1.0),
-    "reflectance": (0.0, 1.0),
-    "albedo": (0.0, 1.0),
-    "roughness": (0.03, 1.0),
-    "alpha": (0.03, 1.0),
-    "metallic": (0.0, 1.0),
-    "spec_trans": (0.0, 1.0),
-    "radiance": (0.0, np.inf),
-    "intensity": (0.0, np.inf),
-    "irradiance": (0.0, np.inf),
-}
+from .unknowns import Unknown
 
 
-def _start(
-    spec, key: str, params: mi.SceneParameters, poses: Poses | None, truth_known: bool
-) -> np.ndarray:
-    current = present(params, poses, key)
+def _start(spec, kind: Kind, loaded: Loaded, truth_known: bool) -> np.ndarray:
+    current, key = kind.present, kind.key
     if spec is None:
         if truth_known:
             raise InputError(
@@ -45,7 +30,7 @@ def _start(
     if isinstance(spec, Mapping) and "uniform" in spec:
         return _random_start(spec, key, current.shape)
     if isinstance(spec, Mapping):
-        return _start_of_another(spec, key, current.shape, params)
+        return _start_of_another(spec, key, current.shape, loaded)
     if isinstance(spec, str):
         picture = images.read(Path(spec))
         if picture.shape != current.shape:
@@ -79,7 +64,7 @@ def _random_start(spec: Mapping, key: str, shape: tuple[int, ...]) -> np.ndarray
 
 
 def _start_of_another(
-    spec: Mapping, key: str, shape: tuple[int, ...], params: mi.SceneParameters
+    spec: Mapping, key: str, shape: tuple[int, ...], loaded: Loaded
 ) -> np.ndarray:
     """``{of: other}``: what the scene was loaded with as ``other``, which may be unknown itself."""
     where = f"scene.unknowns['{key}'].start"
@@ -88,32 +73,31 @@ def _start_of_another(
             f"{where}={dict(spec)}: a mapping is {{of: another key}} or "
             "{uniform: [low, high], seed: 1}"
         )
-    other = spec["of"]
+    other, params = spec["of"], loaded.params
     valid = [k for k in params.keys() if k != key and is_float(params[k])]
     if other not in valid:
         raise InputError(
             f"{where}.of={other}: no other parameter that holds numbers; "
             f"{nearest(str(other), valid)}"
         )
-    value = loaded(params, other)
+    kind = registry.offered(loaded).get(other)
+    value = kind(other, loaded).present if kind else as_numpy(params[other])
     if value.shape != shape:
         raise InputError(f"{where}: '{other}' is {value.shape}, the parameter {shape}")
     return value
 
 
-def _range(spec, key: str, params: mi.SceneParameters) -> tuple[float, float]:
-    if spec is None and key not in params:  # a pose
-        return -np.inf, np.inf
-    if spec is None:
-        # A light's own numbers ('scale', 'data') have names that say nothing: none is negative.
-        light = isinstance(owner(params, key), mi.Emitter)
-        default = (0.0 if light else -np.inf, np.inf)
-        return next((_RANGES[w] for w in reversed(key.split(".")) if w in _RANGES), default)
+def _range(spec, kind: Kind) -> tuple[float, float]:
+    low, high = kind.range if spec is None else _given(spec, kind.key)
+    return float(low), float(high)
+
+
+def _given(spec, key: str) -> list[float]:
     if len(spec) != 2 or not spec[0] < spec[1]:
         raise InputError(
             f"scene.unknowns['{key}'].range={list(spec)}: give [low, high] with low < high"
         )
-    return float(spec[0]), float(spec[1])
+    return spec
 
 
 def narrow_blurs(unknowns: list[Unknown]) -> list[str]:
@@ -131,60 +115,69 @@ def narrow_blurs(unknowns: list[Unknown]) -> list[str]:
 
 
 def parse(
-    params: mi.SceneParameters, specs: dict, truth_known: bool, poses: Poses | None = None
+    params: mi.SceneParameters,
+    specs: dict,
+    truth_known: bool,
+    poses: dict[str, PoseConfig] | None = None,
 ) -> list[Unknown]:
     """Check the configured unknowns against the scene and read starts and truths.
 
-    ``specs``: key → object with ``start``, ``range``, ``lr``, ``blur`` (``config.UnknownConfig``).
-    Raises InputError for an unknown key (nearest and all differentiable ones listed), for one
-    that moves geometry, an illegal range, a start outside it, or when there is no unknown.
+    ``specs``: key → object with ``start``, ``range``, ``lr``, ``blur`` (``config.UnknownConfig``);
+    ``poses``: those of the configuration, by name.
+    Raises InputError for an unknown key (nearest and all that a kind offers listed), for one that
+    no kind can handle, an illegal range, a start outside it, or when there is no unknown.
     """
-    valid = [*(poses.items if poses else ()), *differentiable_keys(params)]
-    if not valid:
+    loaded = Loaded(params, dict(poses or {}))
+    offered = registry.offered(loaded)
+    if not offered:
         raise InputError("the scene has no differentiable parameter to recover")
     if not specs:
         raise InputError(
-            f"scene.unknowns is empty: name what to recover; valid: {', '.join(valid)}"
+            f"scene.unknowns is empty: name what to recover; valid: {', '.join(offered)}"
         )
     found = []
     for key, spec in specs.items():
-        if key not in valid:
-            if key in params and moves_geometry(params, key):
-                raise InputError(
-                    f"scene.unknowns: '{key}' moves geometry, whose visibility path replay does "
-                    "not differentiate; move the object by scene.poses and sampler=plateau; "
-                    f"valid: {', '.join(valid)}"
-                )
-            raise InputError(
-                f"scene.unknowns: '{key}' is no differentiable parameter; {nearest(key, valid)}"
-            )
-        start = _start(spec.start, key, params, poses, truth_known)
-        low, high = _range(spec.range, key, params)
-        if not np.all(np.isfinite(start)) or start.min() < low or start.max() > high:
-            raise InputError(
-                f"scene.unknowns['{key}'].start lies outside its range [{low:g}, {high:g}]"
-            )
-        if key in params and is_environment(params, key) and not start.any():
-            raise InputError(
-                f"scene.unknowns['{key}'].start: a map that is zero everywhere cannot be sampled; "
-                "start above 0"
-            )
-        if spec.lr is not None and not spec.lr > 0:
-            raise InputError(f"scene.unknowns['{key}'].lr={spec.lr}: must be above 0")
-        truth = present(params, poses, key) if truth_known else None
-        if truth is not None and (truth.min() < low or truth.max() > high):
-            raise InputError(
-                f"scene.unknowns['{key}']: the scene's own value, the truth, is outside its range "
-                f"[{low:g}, {high:g}]; give a range that holds it"
-            )
-        found.append(Unknown(key, start, truth, low, high, spec.lr, blur=spec.blur))
-        if poses and key in poses:
-            found[-1].period = poses.items[key].period
-            found[-1].scale = poses.scale(key)
-    for name in poses.items if poses else ():
-        if name not in specs:
-            raise InputError(
-                f"scene.poses['{name}'] is not among scene.unknowns: give it a start there, or "
-                "leave it out"
-            )
+        if key not in offered:
+            raise InputError(f"scene.unknowns: {_unfit(params, key, list(offered))}")
+        found.append(_unknown(offered[key](key, loaded), spec, loaded, truth_known))
+    for kind in registry.kinds():
+        kind.check(loaded, list(specs))
     return found
+
+
+def _unfit(params: mi.SceneParameters, key: str, valid: list[str]) -> str:
+    """Why no kind offers ``key``, and what is valid."""
+    if key in params and moves_geometry(params, key):
+        return (
+            f"'{key}' moves geometry, whose visibility path replay does not differentiate; move "
+            f"the object by scene.poses and sampler=plateau; valid: {', '.join(valid)}"
+        )
+    if key in params and is_grid(params, key):
+        return (
+            f"'{key}' is the grid of a volume, and volumes' grids are not supported yet; valid: "
+            f"{', '.join(valid)}"
+        )
+    return f"'{key}' is no differentiable parameter; {nearest(key, valid)}"
+
+
+def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
+    where = f"scene.unknowns['{kind.key}']"
+    start = _start(spec.start, kind, loaded, truth_known)
+    low, high = _range(spec.range, kind)
+    if not np.all(np.isfinite(start)) or start.min() < low or start.max() > high:
+        raise InputError(f"{where}.start lies outside its range [{low:g}, {high:g}]")
+    reason = kind.refusal(start)
+    if reason:
+        raise InputError(f"{where}.start: {reason}")
+    if spec.lr is not None and not spec.lr > 0:
+        raise InputError(f"{where}.lr={spec.lr}: must be above 0")
+    truth = kind.present if truth_known else None
+    if truth is not None and (truth.min() < low or truth.max() > high):
+        raise InputError(
+            f"{where}: the scene's own value, the truth, is outside its range "
+            f"[{low:g}, {high:g}]; give a range that holds it"
+        )
+    reason = truth is not None and kind.refusal(truth)
+    if reason:
+        raise InputError(f"{where}: the scene's own value, the truth: {reason}")
+    return Unknown(kind, start, truth, low, high, spec.lr, spec.blur)

@@ -10,92 +10,110 @@ import numpy as np
 
 from ..config.schema import BlurConfig
 from ..runtime.errors import InputError
-from .parameters import is_environment, like, loaded, wrapped
-from .poses import Pose, Poses
+from .kind import Kind
 
 
 @dataclass
 class Unknown:
-    """One unknown. ``start`` and ``truth`` are float32 arrays of the parameter's shape
-    (``truth`` is None for photographs); ``low``, ``high``: legal range, parameter's unit;
-    ``lr``: its own learning rate, or None for the optimiser's; ``seen``: which entries some view
-    sees (bool, same shape), filled in by ``coverage``; ``blur``: of ``sampler=plateau``, or None;
-    ``period``: after which a value means the same again (an angle's 360), or None; ``scale``: the
-    size, in the unknown's unit, of what it is added to in the scene."""
+    """One unknown. ``start`` and ``truth`` are float32 arrays of the shape of ``kind.present``
+    (``truth`` is None for photographs); ``low``, ``high``: legal range, in its unit;
+    ``lr``: its own learning rate, or None for the optimiser's; ``blur``: of ``sampler=plateau``, or
+    None; ``seen``: which entries some view sees (bool, same shape), filled in by ``coverage``."""
 
-    key: str
+    kind: Kind
     start: np.ndarray
     truth: np.ndarray | None
     low: float
     high: float
     lr: float | None
-    seen: np.ndarray | None = None
     blur: BlurConfig | None = None
-    period: float | None = None
-    scale: float = 1.0
+    seen: np.ndarray | None = None
 
+    @property
+    def key(self) -> str:
+        return self.kind.key
 
-def present(params: mi.SceneParameters, poses: Poses | None, key: str) -> np.ndarray:
-    """The value that the scene was loaded with."""
-    return poses.items[key].at if poses and key in poses else loaded(params, key)
+    @property
+    def period(self) -> float | None:
+        """After which a value means the same again (an angle's 360), or None."""
+        return self.kind.period
+
+    @property
+    def scale(self) -> float:
+        """The size, in the unknown's unit, of what it is added to in the scene."""
+        return self.kind.scale
+
+    def error(self, array: np.ndarray) -> float:
+        """How far ``array`` is from the known truth over what is seen, in the unknown's unit."""
+        return self.kind.error(array, self.truth, self.seen)
 
 
 class Unknowns:
     """The unknowns of one scene, and the only writer of the scene's parameters.
 
     ``leaves``: key → Dr.Jit value that the scene currently uses; after ``attach`` these carry
-    gradients, and estimators add to them. (Of an environment map: the value that the scene's own
-    is made from. Mitsuba makes it once more at each update, and only gradients at its origin stay.
-    Likewise of a pose.)
+    gradients, and estimators add to them. (Where a kind makes the scene's parameters from its own,
+    the value that they are made from: of an environment map, Mitsuba makes its own once more at
+    each update, and only gradients at the origin stay.)
     """
 
-    def __init__(
-        self, params: mi.SceneParameters, items: list[Unknown], poses: Poses | None = None
-    ):
-        self.params, self.items, self._poses = params, items, poses
-        at_first = {u.key: present(params, poses, u.key) for u in items}
-        self.poses = [u.key for u in items if poses and u.key in poses]
-        own = [u.key for u in items if u.key not in self.poses]
-        params.keep([*own, *(poses.keys(self.poses) if self.poses else ())])
-        self._templates = {key: type(params[key])(params[key]) for key in own}
-        self._templates |= {key: mi.Float(0) for key in self.poses}
-        self._shapes = {key: params[key].shape for key in own if is_environment(params, key)}
-        self._around = {key: wrapped(shape) for key, shape in self._shapes.items()}
-        self.leaves = self.values_of(at_first)
-
-    @property
-    def moved(self) -> set[str]:
-        """Ids of the objects that poses among the unknowns move."""
-        return {id for key in self.poses for id in self._poses.items[key].ids}
-
-    def written(self, key: str) -> list[str]:
-        """The scene's parameters that the pose ``key`` writes."""
-        return self._poses.keys([key])
-
-    def place(self, key: str, where: str) -> tuple[Pose, np.ndarray]:
-        """The translation ``key`` and where its parts were loaded (``Poses.middles``); raises
-        InputError, naming ``where``, if it is none."""
-        if key not in self.poses:
-            raise InputError(f"{where}: only for what a pose moves")
-        return self._poses.items[key], self._poses.middles(key, where)
+    def __init__(self, params: mi.SceneParameters, items: list[Unknown]):
+        """``params``: traversed anew, not those that the unknowns were read from: reading a
+        parameter marks it as a candidate for an update."""
+        self.params, self.items = params, items
+        self._by_key = {u.key: u for u in items}
+        self._in_order = sorted((u.kind for u in items), key=lambda kind: kind.order)
+        params.keep(list(dict.fromkeys(key for kind in self._in_order for key in kind.writes)))
+        self.leaves = self.values_of({u.key: u.kind.present for u in items})
 
     def __iter__(self):
         return iter(self.items)
+
+    def __getitem__(self, key: str) -> Unknown:
+        return self._by_key[key]
 
     @property
     def keys(self) -> list[str]:
         return [u.key for u in self.items]
 
-    def axes(self, key: str) -> tuple[tuple[int, bool], ...]:
-        """Along which axes of an unknown's array entries are neighbours, and whether it closes on
-        itself there."""
-        if key in self._around:
-            return ((0, False), (1, True))
-        return ((0, False), (1, False)) if dr.is_tensor_v(self._templates[key]) else ()
+    @property
+    def moving(self) -> list[str]:
+        """Keys of those that change what is visible, which path replay does not differentiate."""
+        return [u.key for u in self.items if u.kind.moves_geometry]
+
+    @property
+    def moved(self) -> set[str]:
+        """Ids of the objects that ``moving`` unknowns move."""
+        return {written.rpartition(".")[0] for key in self.moving for written in self.written(key)}
+
+    @property
+    def textures(self) -> dict[str, mi.Texture]:
+        """Of those laid out on surfaces, the texture that holds them, by key."""
+        return {u.key: u.kind.texture for u in self.items if u.kind.texture is not None}
+
+    @property
+    def unit(self) -> str | None:
+        """The unit of all unknowns' errors, a word or nothing; None where units differ and no mean
+        of errors means anything."""
+        units = {u.kind.unit for u in self.items}
+        return units.pop() if len(units) == 1 else None
+
+    def written(self, key: str) -> list[str]:
+        """The scene's parameters that the unknown ``key`` writes."""
+        return self[key].kind.writes
+
+    def place(self, key: str, where: str) -> tuple[Kind, np.ndarray]:
+        """The translation ``key`` and the middles of its parts as they were loaded, ``(parts, 3)``;
+        raises InputError, naming ``where``, if it is none, or if others move the same object."""
+        found = self[key].kind.place(where)
+        others = {name for kind in self._in_order if kind.key != key for name in kind.writes}
+        if others & set(self.written(key)):
+            raise InputError(f"{where}: only for a pose of one object that nothing else moves")
+        return found
 
     def values_of(self, arrays: dict[str, np.ndarray]) -> dict:
         """NumPy arrays by key → Dr.Jit values of the scene's types."""
-        return {k: like(self._templates[k], a) for k, a in arrays.items()}
+        return {key: self[key].kind.value(array) for key, array in arrays.items()}
 
     def starts(self) -> dict:
         return self.values_of({u.key: u.start for u in self.items})
@@ -106,12 +124,14 @@ class Unknowns:
         return self.values_of({u.key: u.truth for u in self.items})
 
     def write(self, values: dict) -> None:
-        """Put values into the scene, without derivatives (for evaluation)."""
+        """Put values into the scene, without derivatives (for evaluation). What is not among them
+        stays."""
         self._update({key: dr.detach(value) for key, value in values.items()})
 
     def attach(self, values: dict) -> None:
         """Put values into the scene with fresh derivatives: the next backward pass adds to the
-        gradients of ``leaves``. Must stay outside frozen kernels: inside, textures crash.
+        gradients of ``leaves``. What is not among them stays as it is. Must stay outside frozen
+        kernels: inside, textures crash.
 
         While a scene is attached, forward passes through *another* scene of the process fail:
         Dr.Jit's virtual calls reach all materials there are. ``write`` ends it.
@@ -122,20 +142,16 @@ class Unknowns:
 
     def _update(self, leaves: dict) -> None:
         origins = self.leaves | leaves
-        for key, leaf in leaves.items():
-            if key in self._around:
-                entries = dr.gather(mi.Float, leaf.array, self._around[key])
-                self.params[key] = type(leaf)(entries, self._shapes[key])
-            elif key not in self.poses:
-                self.params[key] = leaf
-        if self.poses:
-            placed = self._poses.placed({key: origins[key] for key in self.poses})
-            dr.eval(placed)
-            for key, value in placed.items():
-                self.params[key] = value
+        written: dict = {}
+        for kind in self._in_order:
+            kind.write(origins[kind.key], written)
+        made = {k: v for k, v in written.items() if v is not origins.get(k)}
+        own = written.keys() - made.keys()
+        dr.eval(made)
+        for key in (*made, *(own & leaves.keys())):
+            self.params[key] = written[key]
         self.params.update()
-        derived = [*self._around, *self.poses]
-        self.leaves = {k: origins[k] if k in derived else self.params[k] for k in self.keys}
+        self.leaves = {k: self.params[k] if k in own else origins[k] for k in self.keys}
 
     def gradients(self) -> dict:
         """Gradients of the leaves, by key. Read after the frozen call, never returned from it."""

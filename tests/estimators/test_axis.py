@@ -136,7 +136,7 @@ def test_whole_images_are_rendered_by_the_scene_s_own_integrator():
 
 def test_the_record_says_how_derivatives_are_taken():
     moving = types.SimpleNamespace(
-        unknowns=types.SimpleNamespace(poses=["turn"]),
+        unknowns=types.SimpleNamespace(moving=["turn"]),
         integrator=types.SimpleNamespace(name="PRBIntegrator", derivatives="path replay"),
     )
     words = {name: configured("estimator", name).derivatives(moving) for name in MADE}

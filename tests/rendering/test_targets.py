@@ -12,6 +12,7 @@ from isas_cli.losses import L2
 from isas_cli.rendering import coverage, targets
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime.errors import InputError
+from isas_cli.unknowns.kind import well_seen
 
 
 @pytest.fixture(autouse=True)
@@ -112,7 +113,7 @@ def test_coverage_finds_the_texels_that_no_view_sees():
 def test_what_is_hardly_seen_does_not_count_however_much_there_is_of_it():
     """Most texels grazed: their median would count them all."""
     well, grazed = np.full(20, 1.0), np.linspace(1e-3, 2e-2, 75)
-    found = coverage._threshold(np.concatenate([well, grazed, np.zeros(5), [np.nan]]))
+    found = well_seen(np.concatenate([well, grazed, np.zeros(5), [np.nan]]))
     assert found[:20].all() and not found[20:].any()
 
 

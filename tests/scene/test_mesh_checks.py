@@ -12,7 +12,7 @@ from isas_cli.cli.app import main
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene import mesh_checks, scene_file
 from isas_cli.scene.mesh_checks import check_scene, overlap
-from isas_cli.unknowns.parameters import textures
+from isas_cli.unknowns.parameters import owner
 
 MIRRORED = [[1, 0], [0, 0], [0, 1], [1, 1]]
 
@@ -144,7 +144,7 @@ def warnings_of(folder, shapes: str, *keys: str) -> list[str]:
     params = mi.traverse(scene)
     for key in keys:
         assert key in params, list(params.keys())
-    return check_scene(scene, textures(params, list(keys)))
+    return check_scene(scene, {key: owner(params, key) for key in keys})
 
 
 KEY = "quad.bsdf.reflectance.data"

@@ -108,9 +108,9 @@ def test_an_object_is_moved_to_where_the_file_has_it(folder, capsys):
     "settings, words",
     [
         (["sampler=uniform"], "'ball.x' moves objects"),
-        (["sampler=differences"], "sampler=differences draws pixels for plateau-reduced"),
+        (["sampler=differences"], "sampler=differences looks at blurred renderings"),
         (["sampler=mitsuba"], "sensor 0: Mitsuba's own renderings go through the film"),
-        (["estimator.batch=1048576", "sampler.residual_spp=4098"], "sampler.residual_spp=4098"),
+        (["estimator.batch=1048576", "sampler.residual_spp=4098"], "estimator.residual_spp=4098"),
     ],
 )
 def test_what_sampler_and_scene_cannot_do_is_said_before_targets(

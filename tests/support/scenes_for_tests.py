@@ -12,7 +12,6 @@ from isas_cli.rendering import integrators
 from isas_cli.samplers.sampler import Stage1Settings
 from isas_cli.scene.problem import Problem
 from isas_cli.scene.views import Views
-from isas_cli.unknowns.poses import Poses
 from isas_cli.unknowns.specs import parse
 from isas_cli.unknowns.unknowns import Unknowns
 
@@ -96,8 +95,7 @@ def without_targets(
         key: given if isinstance(given, UnknownConfig) else UnknownConfig(start=given)
         for key, given in unknowns.items()
     }
-    moving = Poses(poses or {}, mi.traverse(scene))
-    found = parse(mi.traverse(scene), specs, True, moving)
+    found = parse(mi.traverse(scene), specs, True, poses)
     result = Problem(
         "test",
         scene,
@@ -105,7 +103,7 @@ def without_targets(
         scene.sensors_dr(),
         film,
         Views.of(film),
-        Unknowns(mi.traverse(scene), found, moving),
+        Unknowns(mi.traverse(scene), found),
         "test",
     )
     for unknown in result.unknowns:

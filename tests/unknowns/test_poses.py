@@ -12,8 +12,9 @@ from scenes_for_tests import without_targets
 from isas_cli.config.schema import PoseConfig, UnknownConfig
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime.errors import InputError
+from isas_cli.unknowns.kind import Loaded
 from isas_cli.unknowns.parameters import as_numpy
-from isas_cli.unknowns.poses import Poses
+from isas_cli.unknowns.poses import Pose
 
 RADIUS, BALL = 0.3, [0.4, 0.5, 0.2]
 
@@ -202,7 +203,7 @@ def test_what_cannot_be_moved_is_refused_in_one_line(settings, words):
     params = mi.traverse(mi.load_dict(description(), optimize=False))
     with pytest.raises(InputError, match=words) as error:
         spec = PoseConfig(**{"kind": "translation", "objects": ["box"], **settings})
-        Poses({"x.place": spec}, params)
+        Pose("x.place", Loaded(params, {"x.place": spec}))
     assert "\n" not in str(error.value)
 
 
@@ -213,10 +214,10 @@ def test_a_pose_that_is_no_unknown_is_refused():
 
 def test_patterns_name_several_objects():
     params = mi.traverse(mi.load_dict(description(), optimize=False))
-    poses = Poses({"x.place": PoseConfig(kind="translation", objects=["b*", "box"])}, params)
-    assert poses.items["x.place"].ids == ["ball", "box"]
+    spec = PoseConfig(kind="translation", objects=["b*", "box"])
+    assert Pose("x.place", Loaded(params, {"x.place": spec})).ids == ["ball", "box"]
     with pytest.raises(InputError, match="has a parameter of this name"):
-        Poses({"ball.to_world": SHIFT}, params)
+        Pose("ball.to_world", Loaded(params, {"ball.to_world": SHIFT}))
 
 
 def test_a_square_box_is_compared_modulo_a_quarter_turn():

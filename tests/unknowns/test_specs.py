@@ -10,7 +10,8 @@ from scenes_for_tests import dictionary
 from isas_cli.config.compose import compose, translate
 from isas_cli.config.schema import BlurConfig, UnknownConfig
 from isas_cli.runtime.errors import InputError
-from isas_cli.unknowns.parameters import differentiable_keys
+from isas_cli.unknowns import registry
+from isas_cli.unknowns.kind import Loaded
 from isas_cli.unknowns.specs import narrow_blurs, parse
 
 
@@ -53,7 +54,7 @@ def test_ranges_unless_given():
 def test_what_moves_geometry_stays_refused():
     for sky in ("map", "constant"):
         params = mi.traverse(mi.load_dict(lit(sky), optimize=False))
-        valid = differentiable_keys(params)
+        valid = list(registry.offered(Loaded(params)))
         assert set(STARTS) | set(UNDER[sky]) <= set(valid)
         for key in valid:
             assert not key.endswith(("to_world", "position", "direction", "center"))

@@ -16,7 +16,7 @@ from .gather import Comparison, Method
 
 # The parameters' error first: it is what the optimisation is for.
 MEASURES = {
-    "parameter_rmse": "parameter RMSE (parameter's unit)",
+    "parameter_rmse": "parameter RMSE",
     "image_rmse": "image RMSE (linear radiance)",
 }
 SHORT = {"parameter_rmse": "parameter error", "image_rmse": "image error"}
@@ -48,6 +48,14 @@ def measures(comparison: Comparison, scene: str) -> list[str]:
     return [
         name for name in MEASURES if known.loc[known["measure"] == name, "median"].notna().any()
     ]
+
+
+def label(measure: str, methods: list[Method]) -> str:
+    """A measure and what it is in; where runs of ``methods`` differ in that, all of it."""
+    if measure != "parameter_rmse":
+        return MEASURES[measure]
+    words = dict.fromkeys(run.parameter_rmse_is for method in methods for run in method.runs)
+    return f"{MEASURES[measure]} ({' or '.join(words)})"
 
 
 def curve(

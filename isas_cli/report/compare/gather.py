@@ -228,6 +228,12 @@ def _methods(scene: str, runs: list[Run], warnings: list[str]) -> list[Method]:
             f"{scene}: made on different machines ({'; '.join(machines)}): compare paths rather "
             "than seconds"
         )
+    headlines = sorted({run.parameter_rmse_is for run in runs})
+    if len(headlines) > 1:
+        warnings.append(
+            f"{scene}: parameter_rmse is not the same in all runs ({'; '.join(headlines)}): "
+            "compare its ratio to the start's"
+        )
     return [
         Method(scene, label, _by_seed(scene, label, members, warnings))
         for label, members in zip(named, groups.values())

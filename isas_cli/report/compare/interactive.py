@@ -49,7 +49,7 @@ def errors(
     shown = content.measures(comparison, scene)
     if not shown:
         return None
-    figure = panels([content.MEASURES[name] for name in shown], 330)
+    figure = panels([content.label(name, methods) for name in shown], 330)
     data: dict[str, list[_Line]] = {cost: [] for cost in COST_LABELS}
     for row, measure in enumerate(shown, start=1):
         for method in methods:

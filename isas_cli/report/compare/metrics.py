@@ -34,7 +34,7 @@ def material_error(run: Run) -> float:
 
     M counts the unknowns (keys), and ‖·‖² is the *mean* over the entries of a key that some view
     sees, so that a texture does not outweigh a scalar by its resolution, which the paper leaves
-    open: MPEA = parameter_rmse². In the parameters' units, squared; NaN without a known truth.
+    open: MPEA = parameter_rmse². In the unit of parameter_rmse, squared; NaN without a known truth.
     """
     return last(run, "parameter_rmse") ** 2
 

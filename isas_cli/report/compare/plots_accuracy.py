@@ -34,7 +34,7 @@ def errors(
         for cost, axes in zip(_AXES, row):
             _curves(axes, comparison, scene, methods, look, measure, cost)
             axes.label_outer()
-        row[0].set_ylabel(content.MEASURES[measure])
+        row[0].set_ylabel(content.label(measure, methods))
     legend(canvas, methods, look, [Line2D([], [], color=GREY, ls=":", label="slope −1/2")])
     several = max(len(method.runs) for method in methods) > 1
     band = "median over runs, band: its 95 % interval" if several else "one run each, no band"

@@ -1,0 +1,140 @@
+"""What a kind of unknown says of itself: all that the rest of the program asks, in one class.
+
+A class derived from ``Kind`` is a kind, an instance of it is one unknown. As it stands, ``Kind``
+describes an unknown that is one of Mitsuba's own parameters, unchanged: such a kind says in
+``matches`` which parameters are its, and little else. One that has an array of its own (a pose, an
+offset, a logarithm) also says which keys it offers, and overrides ``__init__``, ``write`` and what
+the defaults get wrong. ``registry.register`` makes a kind known; nothing else names it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import mitsuba as mi
+import numpy as np
+
+from ..config.schema import PoseConfig
+from ..runtime.errors import InputError
+from .parameters import as_numpy, like, owner, usual
+
+# An entry counts as seen from this share of a well seen one's sensitivity on. Texels that only
+# light the seen ones by interreflection, or that a view grazes, lie far below it: no view pins
+# them down, and an error there says nothing about a method. Well seen is a high quantile, not the
+# median: where most texels are grazed, the median is one of those.
+THRESHOLD, WELL_SEEN = 0.05, 0.9
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """The scene as it was loaded, and ``scene.poses`` of the configuration by name."""
+
+    params: mi.SceneParameters
+    poses: dict[str, PoseConfig] = field(default_factory=dict)
+
+
+class Kind:
+    """One unknown, seen from its kind.
+
+    ``name``: of the kind, in words. ``key``: of the unknown. ``present``: the value that the scene
+    was loaded with, float32, in the shape of the unknown; never changed. ``writes``: the scene's
+    parameters that it writes. ``range``: legal where the configuration gives no other, (low, high).
+    ``unit``: of its error, a word for reports; errors of one unit may be averaged. ``period``:
+    after which a value means the same again, or None. ``scale``: the size, in its unit, of what it
+    is added to in the scene, whose rounding limits how finely it can be moved.
+
+    ``moves_geometry``: whether it changes what is visible: path replay cannot differentiate it, and
+    no entry of it is ever judged unseen. ``axes``: (axis of the array, whether its last entry is
+    the first one's neighbour), for each axis along which neighbours are alike.
+
+    ``order``: of those that write the same parameter, the lower comes first. ``settings``: what the
+    configuration says of it beside ``scene.unknowns``, in a text that changes as that does.
+    ``texture``: whose texels, laid out on meshes, are the unknown; the meshes are checked for it.
+    """
+
+    name: ClassVar[str] = "parameter"
+    moves_geometry: bool = False
+    period: float | None = None
+    scale: float = 1.0
+    axes: tuple[tuple[int, bool], ...] = ()
+    order: tuple[int, int] = (0, 0)
+    settings: str = ""
+    texture: mi.Texture | None = None
+
+    @classmethod
+    def matches(cls, params: mi.SceneParameters, key: str) -> bool:
+        """Whether the scene's parameter ``key`` is an unknown of this kind."""
+        return False
+
+    @classmethod
+    def keys(cls, loaded: Loaded) -> list[str]:
+        """The unknowns of this kind that the scene offers; names of their own are allowed."""
+        return [key for key in loaded.params.keys() if cls.matches(loaded.params, key)]
+
+    @classmethod
+    def check(cls, loaded: Loaded, chosen: list[str]) -> None:
+        """Raise InputError where the configuration speaks of unknowns of this kind that are not
+        among the ``chosen`` ones."""
+
+    def __init__(self, key: str, loaded: Loaded):
+        """Reads the scene's value. Raises InputError where the configuration does not fit it."""
+        self.key, self.writes = key, [key]
+        value = loaded.params[key]
+        self._type = type(value)
+        self.present = as_numpy(value)
+        *self.range, self.unit = usual(key, owner(loaded.params, key))
+
+    def value(self, array: np.ndarray):
+        """``array`` as the Dr.Jit value that estimators differentiate by, the *leaf*."""
+        return like(self._type, array)
+
+    def write(self, leaf, written: dict) -> None:
+        """Put what ``leaf`` stands for into ``written``, values by parameter of the scene.
+
+        What an unknown of a lower ``order`` has put there is to be built upon. Traced and
+        differentiable: derivatives by the scene's parameters flow back to the leaf on this way. A
+        leaf that is put there itself is read back from the scene, as Mitsuba keeps it.
+        """
+        written[self.key] = leaf
+
+    def refusal(self, array: np.ndarray) -> str | None:
+        """Why the unknown cannot start at, or be, ``array``, which lies in the legal range."""
+        return None
+
+    def seen(self, sensitivity: np.ndarray) -> np.ndarray:
+        """Which entries count as seen, bool, from the images' ``sensitivity`` to each (in the
+        unknown's shape, at least 0 or not a number). Not asked where geometry moves."""
+        return well_seen(sensitivity)
+
+    def error(self, array: np.ndarray, truth: np.ndarray, seen: np.ndarray) -> float:
+        """Root mean square difference over the ``seen`` entries, the shorter way round where the
+        unknown has a period. In its unit."""
+        difference = (array - truth)[seen]
+        if self.period:
+            difference -= self.period * np.round(difference / self.period)
+        return float(np.sqrt(np.mean(difference**2)))
+
+    def pictures(self, array: np.ndarray) -> dict[str, np.ndarray]:
+        """Pictures of ``array``, ``(H, W, 1 or 3) float32``, linear, by a name; the name of the
+        only one, or of the main one, may be empty."""
+        return {}
+
+    def place(self, where: str) -> tuple["Kind", np.ndarray]:
+        """This, and the middles of the parts that it moves, ``(parts, 3)``; raises InputError,
+        naming ``where``, where there are none."""
+        raise InputError(f"{where}: only for what a pose moves")
+
+
+def well_seen(sensitivity: np.ndarray) -> np.ndarray:
+    """Which entries reach ``THRESHOLD`` of a well seen one's sensitivity."""
+    finite = np.where(np.isfinite(sensitivity), sensitivity, 0)
+    positive = finite[finite > 0]
+    if positive.size == 0:
+        return np.zeros(finite.shape, bool)
+    return finite > THRESHOLD * np.quantile(positive, WELL_SEEN)
+
+
+def picture(array: np.ndarray) -> dict[str, np.ndarray]:
+    """``array`` as its own picture, where it is one."""
+    return {"": array} if array.ndim == 3 and array.shape[2] in (1, 3) else {}

@@ -1,0 +1,39 @@
+"""Which kinds of unknown there are. The only place that knows them all."""
+
+from __future__ import annotations
+
+from .environment import Environment
+from .kind import Kind, Loaded
+from .poses import Pose
+from .texture import Texture
+from .value import Value
+
+_KINDS: list[type[Kind]] = [Pose, Environment, Texture, Value]
+
+
+def register(kind: type[Kind]) -> type[Kind]:
+    """Make a kind known, before all others: what it offers is its own. Usable as a decorator, for
+    instance in the module of a scene's builder, which is imported before unknowns are read."""
+    _KINDS.insert(0, kind)
+    return kind
+
+
+def unregister(kind: type[Kind]) -> None:
+    """Forget a kind again."""
+    _KINDS.remove(kind)
+
+
+def kinds() -> tuple[type[Kind], ...]:
+    """All kinds, in the order in which they are asked."""
+    return tuple(_KINDS)
+
+
+def offered(loaded: Loaded) -> dict[str, type[Kind]]:
+    """What can be unknown in a scene and of which kind, names of their own before the scene's
+    parameters, which come in its order."""
+    found: dict[str, type[Kind]] = {}
+    for kind in _KINDS:
+        for key in kind.keys(loaded):
+            found.setdefault(key, kind)
+    place = {key: number for number, key in enumerate(loaded.params.keys())}
+    return dict(sorted(found.items(), key=lambda entry: place.get(entry[0], -1)))

@@ -1,0 +1,58 @@
+"""Bitmap textures: numbers or colours laid out on surfaces."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .kind import Kind, Loaded, picture
+from .parameters import is_differentiable, owner
+
+
+class Texture(Kind):
+    """The texels of a bitmap, ``(H, W, channels)``, linear."""
+
+    name = "texture"
+
+    @classmethod
+    def matches(cls, params: mi.SceneParameters, key: str) -> bool:
+        if not (isinstance(owner(params, key), mi.Texture) and dr.is_tensor_v(params[key])):
+            return False
+        return is_differentiable(params, key) and len(params[key].shape) == 3
+
+    def __init__(self, key: str, loaded: Loaded):
+        super().__init__(key, loaded)
+        self.texture = owner(loaded.params, key)
+        place = f"{key.rpartition('.')[0]}.to_uv"
+        turned = np.eye(3)
+        if place in loaded.params:
+            turned = np.array(loaded.params[place].matrix, np.float64)
+        wraps = _repeats(self.texture, self.present, turned)
+        self.axes = ((0, wraps), (1, wraps))
+
+    def pictures(self, array: np.ndarray) -> dict[str, np.ndarray]:
+        return picture(array)
+
+
+def _repeats(texture: mi.Texture, texels: np.ndarray, to_uv: np.ndarray) -> bool:
+    """Whether the bitmap goes on with its first texels behind the last, Mitsuba's default.
+
+    Its wrap mode cannot be asked, so it is looked up a little beyond two edges: a repeated bitmap
+    shows the opposite edge's texels there (most of them, where texels are blended), any other the
+    edge's own. True where the edges are alike and it makes no difference. Waits.
+    """
+    height, width, channels = texels.shape
+    if channels not in (1, 3):
+        return True
+    rows, columns = (np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width
+    u = np.concatenate([np.full(height, -0.25 / width), columns])
+    v = np.concatenate([rows, np.full(width, -0.25 / height)])
+    at = np.linalg.solve(to_uv, np.stack([u, v, np.ones_like(u)]))
+    si = dr.zeros(mi.SurfaceInteraction3f, len(u))
+    si.uv = mi.Point2f(at[:2].astype(np.float32))
+    shown = texture.eval(si) if channels == 3 else mi.Vector1f(texture.eval_1(si))
+    shown = np.array(shown).T.reshape(len(u), channels)
+    own = np.concatenate([texels[:, 0], texels[0]])
+    opposite = np.concatenate([texels[:, -1], texels[-1]])
+    return bool(np.abs(shown - opposite).sum() <= np.abs(shown - own).sum())

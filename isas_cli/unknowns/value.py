@@ -1,0 +1,23 @@
+"""Single values, colours and lists of numbers: whatever Mitsuba itself differentiates."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+
+from .kind import Kind
+from .parameters import is_differentiable, is_grid, moves_geometry
+
+
+class Value(Kind):
+    """A parameter that is not more than its numbers: nothing to picture, no neighbours."""
+
+    name = "value"
+
+    @classmethod
+    def matches(cls, params: mi.SceneParameters, key: str) -> bool:
+        return (
+            is_differentiable(params, key)
+            and not moves_geometry(params, key)
+            # Its numbers have places in space, of which nothing here knows.
+            and not is_grid(params, key)
+        )
