@@ -26,7 +26,7 @@ _EXIT_SECONDS = 30.0  # after its report; what takes longer hangs
 _PROGRAM = """\
 import pickle, sys
 sys.path[:] = pickle.load(sys.stdin.buffer)
-from isas_cli.commands import worker
+from isas_cli.cli.sweeps import worker
 worker.main(int(sys.argv[1]))
 """
 
