@@ -1,8 +1,4 @@
-"""Where the jobs of a sweep are done: on this machine, on a cluster, or through Ray.
-
-A launcher has ``threads``, of each job where threads=0 leaves them open (None: all cores), ``quiet``,
-whether jobs run side by side and so cannot show in one terminal how they go on, and ``launch``.
-"""
+"""Where the jobs of a sweep are done: on this machine, on a cluster, or through Ray."""
 
 from __future__ import annotations
 
@@ -28,6 +24,9 @@ _EXTRAS = {
     ("sweeper", "optuna"): ("optuna", "optuna"),
 }
 _OURS = [*_EXTRAS, ("launcher", "joblib")]
+# What submitit asks of every kind of cluster; all else it asks of SLURM alone.
+_OF_ALL = ("name", "timeout_min", "mem_gb", "nodes", "cpus_per_task", "gpus_per_node")
+_OF_ALL += ("tasks_per_node", "stderr_to_stdout")
 _POLL_SECONDS = 0.5
 
 Stop = Callable[[], bool]
@@ -35,10 +34,10 @@ Do = Callable[[Job, Stop | None], Outcome]
 
 
 class Launcher(Protocol):
-    quiet: bool
+    quiet: bool  # jobs run side by side: one terminal cannot show how each goes on
 
     def threads(self, jobs: int) -> int | None:
-        """For each of so many jobs."""
+        """Of each of so many jobs, where threads=0 leaves them open; None: all cores."""
 
     def launch(self, do: Do, jobs: list[Job], stop: Stop) -> Iterator[Outcome | Exception]:
         """Does all jobs and yields what became of each, in their order; an exception where its
@@ -75,7 +74,7 @@ def launcher(hydra: DictConfig) -> Launcher:
 
 
 class Here:
-    """This machine: jobs in turn, or ``n_jobs`` side by side. Each has a process of its own, so that
+    """This machine: jobs in turn, or ``n_jobs`` side by side. Each has a process of its own:
     threads are enough to wait for them."""
 
     def __init__(self, n_jobs: int):
@@ -111,14 +110,8 @@ class Submitit:
         self, cluster: str, submitit_folder: str, max_num_timeout: int = 0, **parameters: Any
     ):
         self.cluster, self.folder, self.most = cluster, submitit_folder, max_num_timeout
-        renamed = ("array_parallelism", "setup", "additional_parameters", "signal_delay_s")
-        renamed += ("account", "constraint", "qos", "exclude", "gres", "comment", "partition")
-        renamed += ("cpus_per_gpu", "gpus_per_task", "mem_per_gpu", "mem_per_cpu")
-        self.parameters = {
-            f"slurm_{name}" if name in renamed else name: value
-            for name, value in parameters.items()
-            if value is not None
-        }
+        known = {name: value for name, value in parameters.items() if value is not None}
+        self.parameters = {n if n in _OF_ALL else f"slurm_{n}": v for n, v in known.items()}
 
     def threads(self, jobs: int) -> int | None:
         return self.parameters.get("cpus_per_task")

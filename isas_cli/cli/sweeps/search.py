@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import yaml
-from hydra.core.override_parser.types import IntervalSweep, Override, RangeSweep
+from hydra.core.override_parser.types import IntervalSweep, Override
 from omegaconf import DictConfig
 
 from ...records import files
@@ -41,15 +41,11 @@ def search(
         trials = [study.ask() for _ in range(min(settings.n_jobs, settings.n_trials - begun))]
         ended = launch([[_suggested(trial, space) for space in spaces] for trial in trials])
         for trial, job in zip(trials, ended):
-            failed = optuna.trial.TrialState.FAIL if job.value is None else None
-            study.tell(trial, job.value, failed)
+            states = optuna.trial.TrialState
+            study.tell(trial, job.value, states.FAIL if job.value is None else states.COMPLETE)
             folders.append(job.folder.parent)
     if any(trial.value is not None for trial in study.trials):
-        found = {
-            "name": "optuna",
-            "best_params": study.best_params,
-            "best_value": study.best_value,
-        }
+        found = {"best_params": study.best_params, "best_value": study.best_value}
         files.write_text(Path(os.path.commonpath(folders)) / _RESULT, yaml.safe_dump(found))
 
 
@@ -61,8 +57,4 @@ def _suggested(trial, space: Override) -> str:
         whole = isinstance(values.start, int) and isinstance(values.end, int)
         suggest = trial.suggest_int if whole else trial.suggest_float
         return f"{name}={suggest(name, values.start, values.end, log=log)}"
-    if isinstance(values, RangeSweep) and not values.shuffle:
-        choices = list(values.range())
-    else:
-        choices = list(space.sweep_string_iterator())
-    return f"{name}={trial.suggest_categorical(name, choices)}"
+    return f"{name}={trial.suggest_categorical(name, list(space.sweep_string_iterator()))}"
