@@ -42,9 +42,9 @@ class _Snapshot:
 def write_animation(
     methods: list[Method], styles: dict[str, Style], folder: Path
 ) -> Picture | None:
-    """Writes <scene>_optimisation.webp into `folder`; None where no run saved its progress.
+    """Writes <scene>_optimisation.webp into `folder`; None where no run saved snapshots.
 
-    methods: those of one scene; one whose run saved no progress is left out. Raises IsasError when
+    methods: those of one scene; one whose run saved none is left out. Raises IsasError when
     the disk refuses.
     """
     runs = {method.label: typical_run(method) for method in methods}

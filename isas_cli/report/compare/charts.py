@@ -97,7 +97,7 @@ def _curves(rows: pandas.DataFrame, method: Method) -> list[Points]:
     """A method's curve as far as all its runs went, and the thin pieces to which some went.
 
     In pieces, one for each number of runs that went so far: where a run ends the median jumps, and
-    a line across the jump would look like progress or harm.
+    a line across the jump would pass for a gain or a loss.
     """
     rows = content.rows(rows, method=method.label).sort_values("x")
     pieces = rows.groupby((rows["runs"] != rows["runs"].shift()).cumsum())
