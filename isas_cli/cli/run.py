@@ -1,4 +1,4 @@
-"""`isas run`: one configuration here; sweeps, and the flags that only print, through Hydra."""
+"""`isas run`: one configuration here; sweeps, and the flags that only print, elsewhere."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from ..runtime import interrupt
 from ..runtime.errors import InputError
 from . import watch_view
 
-_LOOK_SECONDS = 0.5  # between looks: soon enough for a person, next to nothing for the machine
+_UPDATE_SECONDS = 0.5  # between updates: soon enough for a person, next to nothing for the machine
 _REDRAW_SECONDS = 1.0
 _FIND_SECONDS = 2.0  # between searches for new runs
 
@@ -39,7 +39,7 @@ def main(folder: Path, once: bool = False) -> int:
     try:
         with interrupt.prompt():
             if once:
-                watched.look()
+                watched.update()
                 console.print(watched.drawn(console))
                 _say(console, watched.endings())
             elif console.is_terminal and sys.stdout.isatty() and not console.is_dumb_terminal:
@@ -57,26 +57,26 @@ def _live(watched: _Watched, console: Console) -> None:
     with Live(console=console, auto_refresh=False) as live:
         over = False
         while not over:
-            changed, over = watched.look(), watched.over()
+            changed, over = watched.update(), watched.over()
             if changed or over or time.monotonic() - drawn > _REDRAW_SECONDS:
                 live.update(watched.drawn(console), refresh=True)
                 drawn = time.monotonic()
             if not over:
-                time.sleep(_LOOK_SECONDS)
+                time.sleep(_UPDATE_SECONDS)
     _say(console, watched.endings())
 
 
 def _plain(watched: _Watched, console: Console) -> None:
     """A line for each new row until all is over."""
-    watched.look()
+    watched.update()
     if not watched.followers:
         _say(console, [f"{watched.folder}: no run has begun here yet; waiting"])
     while True:
         _say(console, watched.news())
         if watched.over():
             break
-        time.sleep(_LOOK_SECONDS)
-        watched.look()
+        time.sleep(_UPDATE_SECONDS)
+        watched.update()
 
 
 def _say(console: Console, lines: list[str]) -> None:
@@ -96,7 +96,7 @@ class _Watched:
         self._states: dict[Path, str] = {}  # at the last call of `news`
         self._ends: dict[Path, str] = {}  # that were said
 
-    def look(self) -> bool:
+    def update(self) -> bool:
         """Reads what has changed; whether anything has. Raises InputError when the folder has gone
         or its single run cannot be read."""
         if not self.folder.is_dir():
@@ -104,7 +104,7 @@ class _Watched:
         if not self.followers or time.monotonic() - self._searched > _FIND_SECONDS:
             known, self._searched = self.followers, time.monotonic()
             self.followers = {p: known.get(p) or Follower(p) for p in find(self.folder)}
-        changed = [follower.look() for follower in self.followers.values()]
+        changed = [follower.update() for follower in self.followers.values()]
         if self._single and self.followers[self.folder].problem:
             raise InputError(self.followers[self.folder].problem)
         return any(changed)
@@ -116,7 +116,7 @@ class _Watched:
         over = bool(states) and RUNNING not in states
         if over and not self._single:
             over = not any(f.run is not None and alive(f.run.manifest) for f in followers)
-        # Between two writes of a resumption a run looks killed: only one that stays so is.
+        # Between two writes of a resumption a run seems killed: only one that stays so is.
         settled = over and (self._over or KILLED not in states)
         self._over = over
         return settled

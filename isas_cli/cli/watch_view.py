@@ -1,4 +1,4 @@
-"""A run's progress in the terminal: one line, one row of a table, or a page with a chart."""
+"""How a run goes on, in the terminal: one line, one row of a table, or a page with a chart."""
 
 from __future__ import annotations
 

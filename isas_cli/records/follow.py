@@ -60,7 +60,7 @@ class Follower:
     """One run's folder, read again whenever its files have changed.
 
     run: what was read last; None as long as there is no run. problem: why it could not be read at
-    the last look, in one line; None where it could.
+    the last update, in one line; None where it could.
     """
 
     def __init__(self, folder: Path):
@@ -69,8 +69,8 @@ class Follower:
         self.problem: str | None = None
         self._seen: list[tuple | None] | None = None
 
-    def look(self) -> bool:
-        """Reads what has changed since the last look. Returns whether anything has."""
+    def update(self) -> bool:
+        """Reads what has changed since the last update. Returns whether anything has."""
         now = [_stamp(self.folder / name) for name in _READ]
         if now == self._seen:
             return False
@@ -84,7 +84,7 @@ class Follower:
     def status(self) -> str:
         """`RUNNING`, `KILLED`, `UNREADABLE`, or how the run ended by its own summary."""
         if self._gone():
-            self.look()  # it may have ended since
+            self.update()  # it may have ended since
         if self.problem:
             return UNREADABLE
         if self.run is None:
@@ -176,7 +176,7 @@ class Standing:
 
     @property
     def warnings(self) -> list[str]:
-        """What should worry whoever looks on, each in a few words."""
+        """What should worry whoever watches, each in a few words."""
         found = []
         if self.last.get("nonfinite"):
             found.append(f"{self.last['nonfinite']:,.0f} gradient entries were not finite so far")

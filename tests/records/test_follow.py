@@ -50,26 +50,26 @@ def test_runs_are_found_below_a_folder_but_not_within_a_run(tmp_path):
 
 def test_a_follower_reads_only_what_has_changed(tmp_path, monkeypatch):
     follower = follow.Follower(tmp_path)
-    assert follower.look() and follower.run is None and follower.status() == follow.RUNNING
-    assert not follower.look()
+    assert follower.update() and follower.run is None and follower.status() == follow.RUNNING
+    assert not follower.update()
     writer = begin(tmp_path)
     writer.evaluation(row(0))
-    assert follower.look() and len(follower.run.history) == 1
+    assert follower.update() and len(follower.run.history) == 1
     monkeypatch.setattr(follow.records, "load", lambda folder: pytest.fail("read again"))
-    assert not follower.look()
+    assert not follower.update()
     monkeypatch.undo()
     writer.evaluation(row(1))
-    assert follower.look() and len(follower.run.history) == 2
+    assert follower.update() and len(follower.run.history) == 2
     assert follower.status() == follow.RUNNING
     writer.summary({"status": "done"})
-    assert follower.look() and follower.status() == "done"
+    assert follower.update() and follower.status() == "done"
 
 
 def test_a_run_is_killed_only_where_its_process_went_without_a_summary(tmp_path):
     writer = run(tmp_path, manifest=process(gone()))
     follower = followed(tmp_path)
     assert follower.status() == follow.KILLED
-    writer.summary({"status": "numerical failure"})  # between the look and the question
+    writer.summary({"status": "numerical failure"})  # between the update and the question
     assert follower.status() == "numerical failure"
     elsewhere = followed(run(tmp_path / "b", manifest=process(host="elsewhere")).folder)
     assert elsewhere.status() == follow.RUNNING

@@ -37,7 +37,7 @@ def report(tmp_path_factory) -> Path:
     comparison = build([pictured.two_scenes(folder / "runs")])
     comparison = replace(comparison, warnings=[*comparison.warnings, NASTY])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page.plots, "write_plots", lambda *_: {})
+        patch.setattr(page.plots, "write_plots", lambda *_: [])
         return page.write(comparison, folder / "out")
 
 
@@ -153,7 +153,7 @@ def test_a_slider_follows_the_mouse_and_the_keys(opened):
 
 def test_a_method_is_hidden_in_all_panels_by_a_click_on_its_legend_entry(opened):
     plot = "scene1plot0"
-    assert set(traces(opened, plot)) == {"uniform", "ours", "gradient", "guide"}
+    assert set(traces(opened, plot)) == {"uniform", "ours", "gradient", "slope −1/2"}
     entry = legend_entry(opened, plot, "ours")
     show(opened, opened.find_element(By.CSS_SELECTOR, f"#{plot} .legend"))
     ActionChains(opened).move_to_element(entry).click().perform()

@@ -17,21 +17,22 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from PIL import Image
 
+from isas_cli.report import inside, interactive, static
+from isas_cli.report.chart import Chart
 from isas_cli.report.compare import (
     Comparison,
     animation,
     build,
+    charts,
     content,
     facts,
-    looks,
     plots,
-    plots_accuracy,
-    plots_runs,
     sheet,
     slides,
+    styles,
     typical,
 )
-from isas_cli.report.compare.gather import Method, by_scene
+from isas_cli.report.compare.gather import by_scene
 from isas_cli.report.figures import COLOURS
 from isas_cli.runtime import images
 
@@ -46,11 +47,15 @@ def comparison(folder) -> Comparison:
     return build([folder])
 
 
-def drawn(draw, comparison: Comparison, scene: str = "pottery") -> Figure:
-    methods = by_scene(comparison.methods)[scene]
-    canvas, caption = draw(comparison, scene, methods, looks.looks(comparison))
-    assert caption
-    return canvas
+def every_chart(comparison: Comparison, scene: str = "pottery") -> dict[str, Chart]:
+    methods, own = by_scene(comparison.methods)[scene], styles.styles(comparison)
+    made = charts.of_costs(comparison, scene, methods, own) + charts.of_insides(methods, own)
+    assert all(chart.title and chart.note for chart in made)
+    return {chart.name: chart for chart in made}
+
+
+def drawn(name: str, comparison: Comparison, scene: str = "pottery") -> Figure:
+    return static.draw(every_chart(comparison, scene)[name])
 
 
 def lines(axes, colour: str) -> list:
@@ -58,29 +63,64 @@ def lines(axes, colour: str) -> list:
 
 
 def test_every_plot_is_a_png_and_an_svg_and_the_same_when_made_again(comparison, tmp_path):
-    made = plots.write_plots(comparison, tmp_path / "first")
-    methods = by_scene(comparison.methods)["dodoco"]
-    plots.write_plots(replace(comparison, methods=methods), tmp_path / "second")
-    assert list(made) == ["dodoco", "pottery"]
-    names = [picture.path.stem.split("_")[1] for picture in made["pottery"]]
-    assert names == ["errors", "speedup", "price", "time", "training"]
-    for picture in [one for scene in made.values() for one in scene]:
-        assert Image.open(picture.path).size[0] > 900
-        text = picture.path.with_suffix(".svg").read_text()
+    made = []
+    for scene in ("dodoco", "pottery"):
+        made += plots.write_plots(
+            scene, list(every_chart(comparison, scene).values()), tmp_path / "first"
+        )
+    names = [path.stem for path in made if path.stem.startswith("pottery")]
+    kinds = ["errors", "speedup", "price", "time", "training"]
+    assert names == [f"pottery_{kind}" for kind in kinds]
+    for path in made:
+        assert Image.open(path).size[0] > 900
+        text = path.with_suffix(".svg").read_text()
         assert xml.etree.ElementTree.fromstring(text).tag.endswith("svg")
+    chart = every_chart(comparison, "dodoco")["errors"]
+    plots.write_plots("dodoco", [chart], tmp_path / "second")
     again = list((tmp_path / "second").iterdir())
-    assert len(again) == 2 * len(made["dodoco"])
+    assert len(again) == 2
     for path in again:
         assert path.read_bytes() == (tmp_path / "first" / path.name).read_bytes(), path.name
 
 
-def test_a_method_has_one_colour_in_all_scenes_and_no_two_share_a_look(comparison):
-    look = looks.looks(comparison)
-    assert list(look) == ["uniform", "ours", "gradient"]
-    assert [own.colour for own in look.values()] == list(COLOURS[:3])
-    many = [looks._look(index) for index in range(4 * 13)]
-    assert len({(own.colour, own.line) for own in many}) == len(many)
-    assert len({(own.colour, own.pattern) for own in many}) == len(many)
+def test_a_method_has_one_style_in_all_scenes_and_no_two_share_one(comparison):
+    own = styles.styles(comparison)
+    assert list(own) == ["uniform", "ours", "gradient"]
+    assert [style.colour for style in own.values()] == list(COLOURS[:3])
+    many = [styles._style(index) for index in range(4 * 13)]
+    assert len({(style.colour, style.kind) for style in many}) == len(many)
+    for drawer in (static._LINES, static._HATCHES, interactive._DASHES, interactive._PATTERNS):
+        assert len(set(drawer)) == styles._KINDS
+
+
+@pytest.mark.parametrize("name", ["errors", "speedup", "price", "time", "training"])
+def test_the_page_and_the_picture_of_a_chart_show_the_same(comparison, name):
+    chart = every_chart(comparison)[name]
+    figure, canvas = interactive.draw(chart), static.draw(chart)
+    wide = len(chart.grid[0])
+    columns = range(1 if chart.alternatives else wide)
+    order = [axes for column in columns for axes in canvas.axes[column::wide]]
+    for row, axes in enumerate(order, start=1):
+        end = "" if row == 1 else str(row)
+        for which in "xy":
+            own = figure.layout[f"{which}axis{end}"]
+            limits = np.array(getattr(axes, f"get_{which}lim")())
+            assert own.type == getattr(axes, f"get_{which}scale")()
+            if own.range is not None:
+                assert own.range == pytest.approx(np.log10(limits) if own.type == "log" else limits)
+        traces = [
+            t
+            for t in figure.data
+            if t.yaxis == f"y{end}" and t["fill" if t.type == "scatter" else "type"] != "toself"
+        ]
+        on_page = [v for t in traces if t.type == "scatter" for v in t.y if v is not None]
+        curves = [line for line in axes.lines if line.get_transform() == axes.transData]
+        in_picture = np.concatenate([[], *(line.get_ydata() for line in curves)])
+        assert sorted(on_page) == pytest.approx(sorted(in_picture[np.isfinite(in_picture)]), 1e-4)
+        bars = [t for t in traces if t.type == "bar"]
+        on_page = [v for t in bars for v in (t.x if t.orientation == "h" else t.y) if v != 1e-6]
+        in_picture = [b.get_width() if name == "time" else b.get_height() for b in axes.patches]
+        assert on_page == pytest.approx(in_picture, rel=1e-4)
 
 
 def rows_of(table, **values):
@@ -91,18 +131,18 @@ def rows_of(table, **values):
 
 
 def test_curves_carry_the_medians_and_break_where_a_run_ends(comparison):
-    figure = drawn(plots_accuracy.errors, comparison)
+    figure = drawn("errors", comparison)
     assert [axes.get_xscale() + axes.get_yscale() for axes in figure.axes] == ["loglog"] * 4
     panels = [(m, c) for m in ("parameter_rmse", "image_rmse") for c in ("seconds", "paths")]
     for axes, (measure, cost) in zip(figure.axes, panels):
-        for label, own in looks.looks(comparison).items():
+        for label, own in styles.styles(comparison).items():
             rows = rows_of(
                 comparison.curves, scene="pottery", method=label, measure=measure, axis=cost
             ).sort_values("x")
-            curves = lines(axes, own.colour)
+            curves = [line for line in lines(axes, own.colour) if len(line.get_xdata())]
             assert len(curves) == (2 if label == "gradient" else 1)
-            assert np.array_equal(np.concatenate([c.get_xdata() for c in curves]), rows["x"])
-            assert np.array_equal(np.concatenate([c.get_ydata() for c in curves]), rows["median"])
+            x, y = np.concatenate([c.get_xydata() for c in curves]).T
+            assert np.array_equal(x, rows["x"]) and np.array_equal(y, rows["median"])
             low = min(path.vertices[:, 1].min() for b in axes.collections for path in b.get_paths())
             assert low <= rows["low"].min()
     x, y = np.log(lines(figure.axes[0], "#666666")[0].get_data())
@@ -110,10 +150,10 @@ def test_curves_carry_the_medians_and_break_where_a_run_ends(comparison):
 
 
 def test_bars_are_the_ratios_and_words_stand_where_there_is_none(comparison):
-    upper = drawn(plots_accuracy.speedups, comparison).axes[0]
+    upper = drawn("speedup", comparison).axes[0]
     words = []
     for label in ("ours", "gradient"):
-        colour = to_rgba(looks.looks(comparison)[label].colour)
+        colour = to_rgba(styles.styles(comparison)[label].colour)
         levels = content.levels(comparison, "pottery", "parameter_rmse")
         rows = rows_of(
             comparison.accuracy, scene="pottery", measure="parameter_rmse", method=label
@@ -128,16 +168,16 @@ def test_bars_are_the_ratios_and_words_stand_where_there_is_none(comparison):
 
 
 def test_the_price_is_drawn_with_its_slopes(comparison):
-    figure = drawn(plots_accuracy.prices, comparison)
+    figure = drawn("price", comparison)
     left, right = figure.axes[:2]
-    own = looks.looks(comparison)["uniform"].colour
+    own = styles.styles(comparison)["uniform"].colour
     rows = content.price(comparison, "pottery", "parameter_rmse", "uniform")
-    curve = next(line for line in lines(left, own) if len(line.get_xdata()) == len(rows))
+    (curve,) = [line for line in lines(left, own) if line.get_marker() == "o"]
     reached = rows["seconds"][np.isfinite(rows["seconds"])]
-    drawn_values = np.asarray(curve.get_ydata(), dtype=float)
-    assert drawn_values[np.isfinite(drawn_values)] == pytest.approx(list(reached))
-    crosses = [line for line in lines(left, own) if line.get_marker() == "x"]
-    assert len(crosses) == np.isinf(rows["seconds"]).sum() > 0
+    seconds = curve.get_ydata()
+    assert seconds[np.isfinite(seconds)] == pytest.approx(list(reached))
+    (crosses,) = [line for line in lines(left, own) if line.get_marker() == "x"]
+    assert len(crosses.get_xdata()) == np.isinf(rows["seconds"]).sum() > 0
     dots = [line.get_xdata()[0] for line in right.lines if line.get_marker() == "o"]
     labels = [method.label for method in by_scene(comparison.methods)["pottery"]]
     slopes = [
@@ -149,12 +189,15 @@ def test_the_price_is_drawn_with_its_slopes(comparison):
 
 
 def test_time_and_what_the_optimiser_saw(comparison):
-    billed, unbilled = drawn(plots_runs.times, comparison).axes
+    billed, unbilled = drawn("time", comparison).axes
     assert sum(bar.get_width() for bar in billed.patches) == pytest.approx(3 * 10.0)
     assert sum(bar.get_width() for bar in unbilled.patches) == pytest.approx(3 * 3.5)
-    names = {text.get_text() for text in unbilled.get_legend().get_texts()}
-    assert names == set(pictured.UNBILLED)
-    norm, noise, nonfinite = drawn(plots_runs.training, comparison).axes
+    names = {text.get_text() for text in billed.figure.legends[0].get_texts()}
+    assert names >= {f"{phase} (not billed)" for phase in pictured.UNBILLED}
+    assert [text.get_text() for text in billed.get_yticklabels()] == [
+        f"{label}, 10 s" for label in ("uniform", "gradient", "ours")
+    ]
+    norm, noise, nonfinite = drawn("training", comparison).axes
     assert [len(axes.lines) for axes in (norm, noise, nonfinite)] == [9, 9, 9]
     longest = max(norm.lines, key=lambda line: len(line.get_xdata()))
     assert list(longest.get_ydata()) == pytest.approx([0.1 / row for row in range(1, 6)])
@@ -164,9 +207,9 @@ def test_time_and_what_the_optimiser_saw(comparison):
 def test_gradient_noise_is_shown_from_the_second_iteration_on(comparison):
     run = comparison.methods[0].runs[0]
     rows = run.history.assign(iteration=range(len(run.history)))
-    method = Method("pottery", "ours", [replace(run, history=rows)])
-    ((seconds, norm),) = content.histories(method, "gradient_norm")
-    ((late, noise),) = content.histories(method, "gradient_noise")
+    runs = [replace(run, history=rows)]
+    ((seconds, norm),) = inside.histories(runs, "gradient_norm")
+    ((late, noise),) = inside.histories(runs, "gradient_noise")
     assert len(norm) == len(rows) - 1 and len(noise) == len(rows) - 2
     assert np.array_equal(late, seconds[1:])
 
@@ -174,14 +217,12 @@ def test_gradient_noise_is_shown_from_the_second_iteration_on(comparison):
 def test_one_run_has_no_speed_up_and_photographs_no_parameter_error(tmp_path):
     pictured.write(tmp_path / "a", [1.0, 0.4, 0.2], truth=False, pictures=False)
     alone = build([tmp_path])
-    made = plots.write_plots(alone, tmp_path / "plots")
-    names = [picture.path.stem for picture in made["pottery"]]
-    assert names == ["pottery_errors", "pottery_price", "pottery_time", "pottery_training"]
+    assert list(every_chart(alone)) == ["errors", "price", "time", "training"]
     assert content.measures(alone, "pottery") == ["image_rmse"]
     methods = by_scene(alone.methods)["pottery"]
-    assert sheet.write_sheets(methods, looks.looks(alone), tmp_path) == []
+    assert sheet.write_sheets(methods, styles.styles(alone), tmp_path) == []
     assert slides.groups(methods)[0] == []
-    assert animation.write_animation(methods, looks.looks(alone), tmp_path) is None
+    assert animation.write_animation(methods, styles.styles(alone), tmp_path) is None
     assert facts.effects(methods) == []
 
 
@@ -199,7 +240,7 @@ def test_the_sheet_has_one_colour_scale_for_all_methods(comparison, scene, tmp_p
     kept: dict[str, Figure] = {}
     monkeypatch.setattr(sheet, "save", lambda made, path: kept.update({path.name: made}))
     methods = by_scene(comparison.methods)[scene]
-    made = sheet.write_sheets(methods, looks.looks(comparison), tmp_path)
+    made = sheet.write_sheets(methods, styles.styles(comparison), tmp_path)
     names = [f"{scene}_sheet.png", f"{scene}_textures.png"]
     assert [picture.path.name for picture in made] == names
     seed = 2 if scene == "pottery" else 1
@@ -227,7 +268,7 @@ def test_the_sheet_has_one_colour_scale_for_all_methods(comparison, scene, tmp_p
 def test_a_picture_that_was_not_saved_leaves_a_gap(comparison, folder, tmp_path):
     methods = by_scene(comparison.methods)["dodoco"]
     assert "dodoco_sheet.png" in [
-        p.path.name for p in sheet.write_sheets(methods, looks.looks(comparison), tmp_path)
+        p.path.name for p in sheet.write_sheets(methods, styles.styles(comparison), tmp_path)
     ]
     groups, reason = slides.groups(methods)
     titles = [group.title for group in groups]
@@ -256,7 +297,7 @@ def test_the_animation_shows_each_methods_latest_snapshot_at_equal_time(tmp_path
     twice = [0, 2, 4, 8, 16]
     pictured.write(tmp_path / "s", error, seconds=twice, snapshots=slow, sampler="uniform")
     comparison = build([tmp_path])
-    made = animation.write_animation(comparison.methods, looks.looks(comparison), tmp_path)
+    made = animation.write_animation(comparison.methods, styles.styles(comparison), tmp_path)
     assert made.path.name == "pottery_optimisation.webp"
     assert made.path.stat().st_size < 3e6
     shown = frames_of(made.path)
@@ -282,7 +323,7 @@ def test_a_long_animation_is_thinned_and_stays_small(tmp_path, rng):
         name = f"a/frames/progress_v00_i{10 * row:06d}.exr"
         images.write_exr(tmp_path / name, noise, ["R", "G", "B"], stamp)
     comparison = build([tmp_path])
-    made = animation.write_animation(comparison.methods, looks.looks(comparison), tmp_path)
+    made = animation.write_animation(comparison.methods, styles.styles(comparison), tmp_path)
     assert len(frames_of(made.path)) == 60
     assert made.path.stat().st_size < 3e6
 
@@ -292,7 +333,7 @@ def test_snapshots_without_a_time_and_damaged_ones_are_left_out(tmp_path):
     pictured.grey(tmp_path / "a/frames/progress_v00_i000015.exr", 0.3)
     (tmp_path / "a/frames/progress_v00_i000017.exr").write_bytes(b"damaged")
     comparison = build([tmp_path])
-    made = animation.write_animation(comparison.methods, looks.looks(comparison), tmp_path)
+    made = animation.write_animation(comparison.methods, styles.styles(comparison), tmp_path)
     assert len(frames_of(made.path)) == 2
 
 

@@ -239,8 +239,8 @@ def test_curves_carry_the_history_and_their_units(tmp_path, monkeypatch):
     assert np.array_equal(curve.get_ydata(), run.history["image_rmse"])
     assert upper.get_yscale() == "log"
     assert lower.get_xlabel() == "billed seconds" and paths.get_xlabel() == "light paths"
-    assert "unit" in lower.get_ylabel() and "radiance" in upper.get_ylabel()
-    widths = sum(bar.get_width() for bar in drawn["time.png"].axes[0].patches)
+    assert "unit" in lower.get_title("left") and "radiance" in upper.get_title("left")
+    widths = sum(bar.get_width() for axes in drawn["time.png"].axes for bar in axes.patches)
     assert widths == pytest.approx(1.11 + 14.3 + 1.1 + 0.52 + 3.21 + 2.6 + 0.31)
 
 

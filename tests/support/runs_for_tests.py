@@ -57,5 +57,5 @@ def run(folder: Path, rows: int = 4, manifest: dict | None = None, **summary):
 
 def followed(folder: Path) -> follow.Follower:
     follower = follow.Follower(folder)
-    follower.look()
+    follower.update()
     return follower

@@ -1,1 +1,1 @@
-"""Sweeps: many runs of one command line, through Hydra's sweepers and launchers."""
+"""Sweeps: many runs of one command line, composed by Hydra."""

@@ -6,6 +6,7 @@ import contextlib
 import json
 import sys
 import traceback
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,15 +58,13 @@ class Job:
 @dataclass(frozen=True)
 class Report:
     """How an attempt ended: exit status, error in one line, traceback of an unexpected one;
-    ``killed``: its process died, which is all that is known; ``stopped``: Ctrl-C came meanwhile,
-    so that no other job may begin, however this one ended."""
+    ``killed``: its process died, which is all that is known."""
 
     status: int
     error: str = ""
     trace: str = ""
     resumed: bool = False
     killed: bool = False
-    stopped: bool = False
 
 
 def attempt(job: Job, command: list[str], threads: int | None) -> Report:
@@ -123,29 +122,27 @@ def _refuse_if_alive(folder: Path) -> None:
 
 
 def supervise(
-    job: Job, command: list[str], threads: int | None, quiet: bool
-) -> tuple[Outcome, bool]:
+    job: Job, command: list[str], threads: int | None, quiet: bool, stop: Callable[[], bool]
+) -> Outcome:
     """Do the job in a process of its own and record how it ended, also when that process dies.
-
-    Returns the outcome, and whether Ctrl-C was pressed.
-    """
+    Command, threads, quiet and stop: see `worker.run`."""
     from . import worker
 
-    skipped = job.skipped()
+    skipped = job.skipped()  # a twin may have done it, or an earlier attempt on a cluster
     if skipped:
-        return skipped, False
+        return skipped
     found, before = job.found(), stamp(job.folder)
-    report = worker.run(job, command, threads, quiet)
+    report = worker.run(job, command, threads, quiet, stop)
     if report.status == 0:
         status = "resumed" if report.resumed else "done"
     elif report.status == interrupt.STATUS:
         status = "interrupted"
-        one.remove_empty(job.folder)  # Hydra made it
+        one.remove_empty(job.folder)
     else:
         status = "failed"
         if found not in (DONE, OTHER) or stamp(job.folder) != before:
             record_failure(job, report, begun=stamp(job.folder) != before)
-    return outcome(job.label, job.folder, status, report.status, report.error), report.stopped
+    return outcome(job.label, job.folder, status, report.status, report.error)
 
 
 def stamp(folder: Path) -> int | None:

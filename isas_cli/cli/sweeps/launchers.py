@@ -1,147 +1,199 @@
-"""What isas knows of the single launchers and sweepers of Hydra's."""
+"""Where the jobs of a sweep are done: on this machine, on a cluster, or through Ray."""
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
 import os
 import time
-import types
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any, Protocol
 
 from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
-from hydra.plugins.launcher import Launcher
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from ...runtime.errors import InputError
+from .job import Job
+from .outcome import Outcome
 
-# Configured in configs/hydra, but brought by an extra: package of the plugin, name of the extra.
+# Configured in configs/hydra; the packages that they need, and the extras that bring these.
 _EXTRAS = {
-    ("launcher", "ray"): ("hydra_ray_launcher", "ray"),
-    ("launcher", "submitit_local"): ("hydra_submitit_launcher", "slurm"),
-    ("launcher", "submitit_slurm"): ("hydra_submitit_launcher", "slurm"),
-    ("sweeper", "optuna"): ("hydra_optuna_sweeper", "optuna"),
+    ("launcher", "ray"): ("ray", "ray"),
+    ("launcher", "submitit_local"): ("submitit", "slurm"),
+    ("launcher", "submitit_slurm"): ("submitit", "slurm"),
+    ("sweeper", "optuna"): ("optuna", "optuna"),
 }
+_OURS = [*_EXTRAS, ("launcher", "joblib")]
+# What submitit asks of every kind of cluster; all else it asks of SLURM alone.
+_OF_ALL = ("name", "timeout_min", "mem_gb", "nodes", "cpus_per_task", "gpus_per_node")
+_OF_ALL += ("tasks_per_node", "stderr_to_stdout")
+_POLL_SECONDS = 0.5
 
-_NOTICE_SECONDS = 2.0  # in which local jobs, which get the terminal's Ctrl-C as well, end by it
+Stop = Callable[[], bool]
+Do = Callable[[Job, Stop | None], Outcome]
+
+
+class Launcher(Protocol):
+    quiet: bool  # jobs run side by side: one terminal cannot show how each goes on
+
+    def threads(self, jobs: int) -> int | None:
+        """Of each of so many jobs, where threads=0 leaves them open; None: all cores."""
+
+    def launch(self, do: Do, jobs: list[Job], stop: Stop) -> Iterator[Outcome | Exception]:
+        """Does all jobs and yields what became of each, in their order; an exception where its
+        process was lost. ``stop``: whether Ctrl-C came, after which none may begin."""
 
 
 def prepare(overrides: list[str]) -> None:
-    """Let our configurations of launchers and sweepers stand for those that the plugins bring
-    under the same names. Raises InputError for one whose extra is not installed."""
+    """Raises InputError for an extra that is not installed, and lets our configurations stand for
+    those that Hydra's plugins of the same names would bring, where somebody has these."""
     Plugins.instance()  # finds the plugins, which register their configurations then
     registered = ConfigStore.instance().repo.get("hydra", {})
-    for (group, name), (package, extra) in _EXTRAS.items():
-        # Hydra would otherwise take it for the schema of ours, and warn that it no longer should.
+    for group, name in _OURS:
+        # Hydra would take it for the schema of ours, and warn that it no longer should.
         registered.get(group, {}).pop(f"{name}.yaml", None)
-        if f"hydra/{group}={name}" in overrides:
-            if not _installed(package):
-                install = f"pip install '.[{extra}]' in isas's source folder"
-                raise InputError(f"hydra/{group}={name} is an extra: {install}")
-            _quieten(extra)
-
-
-def _quieten(extra: str) -> None:
-    """Keep the libraries' own chatter from between the jobs' lines."""
-    if extra == "ray":
-        # It would take the lines of different jobs for repetitions of one.
-        os.environ.setdefault("RAY_DEDUP_LOGS", "0")
-    elif extra == "optuna":
-        import optuna
-
-        optuna.logging.set_verbosity(optuna.logging.WARNING)
+    for (group, name), (package, extra) in _EXTRAS.items():
+        if f"hydra/{group}={name}" in overrides and not _installed(package):
+            install = f"pip install '.[{extra}]' in isas's source folder"
+            raise InputError(f"hydra/{group}={name} is an extra: {install}")
 
 
 def _installed(package: str) -> bool:
-    try:
-        return importlib.util.find_spec(f"hydra_plugins.{package}") is not None
-    except ModuleNotFoundError:
-        return False
+    return importlib.util.find_spec(package) is not None
 
 
-def parallel(launcher: DictConfig) -> bool:
-    """Whether jobs run side by side, so that their progress cannot be shown in one terminal."""
-    return not launcher._target_.endswith(".BasicLauncher")
+def launcher(hydra: DictConfig) -> Launcher:
+    """The launcher that was chosen, with its settings."""
+    name = hydra.runtime.choices["hydra/launcher"]
+    settings = OmegaConf.to_container(hydra.launcher, resolve=True)
+    if name == "ray":
+        return Ray(**settings["ray"])
+    if name.startswith("submitit_"):
+        return Submitit(name.removeprefix("submitit_"), **settings)
+    return Here(settings.get("n_jobs", 1))
 
 
-def threads(launcher: DictConfig, jobs: int) -> int | None:
-    """Threads for each job where threads=0 leaves them open: its share of the machine's cores, or
-    what was asked of the cluster; None for all cores."""
-    if "n_jobs" in launcher:  # joblib
+class Here:
+    """This machine: jobs in turn, or ``n_jobs`` side by side. Each has a process of its own:
+    threads are enough to wait for them."""
+
+    def __init__(self, n_jobs: int):
+        if not isinstance(n_jobs, int) or n_jobs == 0:
+            raise InputError(f"hydra.launcher.n_jobs={n_jobs}: give a number of jobs, or -1")
+        self.n_jobs, self.quiet = n_jobs, n_jobs != 1
+
+    def threads(self, jobs: int) -> int | None:
         import joblib
 
-        workers = min(joblib.effective_n_jobs(launcher.n_jobs), max(jobs, 1))
+        if not self.quiet:
+            return None
+        workers = min(joblib.effective_n_jobs(self.n_jobs), max(jobs, 1))
         return max(1, joblib.cpu_count() // workers)
-    if "cpus_per_task" in launcher:  # submitit
-        return launcher.cpus_per_task
-    if "ray" in launcher:
-        return max(1, int(launcher.ray.remote.get("num_cpus") or 1))
-    return None
+
+    def launch(self, do: Do, jobs: list[Job], stop: Stop) -> Iterator[Outcome | Exception]:
+        import joblib
+
+        do_one = joblib.delayed(lambda job: _result(lambda: do(job, stop)))
+        side_by_side = joblib.Parallel(self.n_jobs, backend="threading", return_as="generator")
+        yield from side_by_side(do_one(job) for job in jobs)
 
 
-@contextlib.contextmanager
-def patient(launcher: Launcher) -> Iterator[None]:
-    """Within the context a launcher waits for all jobs, and gives back an exception in place of
-    the result of one whose worker was lost; submitit's and Ray's raise the first and drop the
-    rest. joblib's cannot: a lost worker takes the others with it, and BrokenExecutor says so."""
-    name = type(launcher).__module__
-    if "hydra_submitit_launcher" in name:
-        with _patient_submitit():
-            yield
-    elif "hydra_ray_launcher" in name:
-        with _patient_ray():
-            yield
-    else:
-        yield
+class Submitit:
+    """SLURM, or (``local``) as if there were one, by submitit: all jobs begin as soon as they can.
 
+    A job that meets its time limit or is preempted is queued again and goes on from its checkpoint.
+    """
 
-@contextlib.contextmanager
-def _patient_submitit() -> Iterator[None]:
-    import submitit
+    quiet = True
 
-    submitted = []
+    def __init__(
+        self, cluster: str, submitit_folder: str, max_num_timeout: int = 0, **parameters: Any
+    ):
+        self.cluster, self.folder, self.most = cluster, submitit_folder, max_num_timeout
+        known = {name: value for name, value in parameters.items() if value is not None}
+        self.parameters = {n if n in _OF_ALL else f"slurm_{n}": v for n, v in known.items()}
 
-    class Patient(submitit.AutoExecutor):
-        def map_array(self, *arguments):
-            submitted.extend(super().map_array(*arguments))
-            return [
-                types.SimpleNamespace(results=lambda job=job: _results(job)) for job in submitted
-            ]
+    def threads(self, jobs: int) -> int | None:
+        return self.parameters.get("cpus_per_task")
 
-    original, submitit.AutoExecutor = submitit.AutoExecutor, Patient
-    try:
-        yield
-    except BaseException:  # Ctrl-C: what waits in a queue would begin after all
-        time.sleep(_NOTICE_SECONDS)
-        for job in submitted:
-            if not job.done(force_check=True):
-                job.cancel(check=False)
-        raise
-    finally:
-        submitit.AutoExecutor = original
+    def launch(self, do: Do, jobs: list[Job], stop: Stop) -> Iterator[Outcome | Exception]:
+        import submitit
 
-
-def _results(job) -> list:
-    try:
-        return job.results()
-    except Exception as error:
-        return [error]
-
-
-@contextlib.contextmanager
-def _patient_ray() -> Iterator[None]:
-    import ray
-    from hydra_plugins.hydra_ray_launcher import _core
-
-    def get(reference):
+        most = {"slurm_max_num_timeout": self.most} if self.cluster == "slurm" else {}
         try:
-            return ray.get(reference)
+            executor = submitit.AutoExecutor(self.folder, cluster=self.cluster, **most)
+            executor.update_parameters(**self.parameters)
+            submitted = executor.map_array(_Resumed(do), jobs)
         except Exception as error:
-            return error
+            raise _refused("submitit", error) from error
+        for job in submitted:
+            while not job.done():
+                if stop():  # what waits in a queue would begin after all
+                    for other in submitted:
+                        other.cancel(check=False)
+                    return
+                time.sleep(_POLL_SECONDS)
+            yield _result(job.result)
 
-    _core.ray = types.SimpleNamespace(get=get)
+
+class _Resumed:
+    """What submitit calls for each job, and asks for what is to be queued again."""
+
+    def __init__(self, do: Do):
+        self.do = do
+
+    def __call__(self, job: Job) -> Outcome:
+        return self.do(job, None)
+
+    def checkpoint(self, job: Job):
+        from submitit.helpers import DelayedSubmission
+
+        return DelayedSubmission(self, job)
+
+
+class Ray:
+    """A Ray cluster, or this machine as one. init, remote: arguments of ray.init, ray.remote."""
+
+    quiet = True
+
+    def __init__(self, init: dict[str, Any], remote: dict[str, Any]):
+        self.init, self.remote = init, remote
+
+    def threads(self, jobs: int) -> int | None:
+        return max(1, int(self.remote.get("num_cpus") or 1))
+
+    def launch(self, do: Do, jobs: list[Job], stop: Stop) -> Iterator[Outcome | Exception]:
+        # It would take the lines of different jobs for repetitions of one.
+        os.environ.setdefault("RAY_DEDUP_LOGS", "0")
+        import ray
+
+        try:
+            if not ray.is_initialized():
+                ray.init(**self.init)
+            done = ray.remote(**self.remote)(_remotely)
+            submitted = [done.remote(do, job) for job in jobs]
+        except Exception as error:
+            raise _refused("Ray", error) from error
+        for reference in submitted:
+            while not ray.wait([reference], timeout=_POLL_SECONDS)[0]:
+                if stop():
+                    for other in submitted:
+                        ray.cancel(other)
+                    return
+            yield _result(lambda: ray.get(reference))
+
+
+def _remotely(do: Do, job: Job) -> Outcome:
+    return do(job, None)
+
+
+def _result(get: Callable[[], Outcome]) -> Outcome | Exception:
     try:
-        yield
-    finally:
-        _core.ray = ray
+        return get()
+    except Exception as error:  # the process that did the job was lost
+        return error
+
+
+def _refused(name: str, error: Exception) -> InputError:
+    text = " ".join(str(error).split()) or type(error).__name__
+    return InputError(f"{name} cannot launch the jobs: {text}")

@@ -45,12 +45,6 @@ class Outcome:
         value = self.image if self.parameter is None else self.parameter
         return value if self.finished else None
 
-    def __float__(self) -> float:
-        """``value``. Raises ValueError where there is none, which a search takes for a failure."""
-        if self.value is None:
-            raise ValueError(f"{self.label}: {self.error or self.status}")
-        return self.value
-
 
 def outcome(label: str, folder: Path, status: str, code: int = 0, error: str = "") -> Outcome:
     """The outcome with the figures from the folder's summary."""

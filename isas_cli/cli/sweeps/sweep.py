@@ -1,31 +1,42 @@
-"""Sweeps, and the flags that only print something: left to Hydra."""
+"""Sweeps, and the flags that only print something, which are left to Hydra.
+
+Hydra reads what was typed and composes each job's configuration; a launcher does the jobs.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import re
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import hydra
-from hydra._internal.utils import get_args_parser
+from hydra import initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from ...config import schema
-from ...config.compose import explain
+from ...config.compose import compose, explain
+from ...runtime import interrupt
 from ...runtime.errors import InputError, nearest
 from .. import one
 from . import fingerprint, launchers, outcome
-from .launch import Sweep, Task
+from .launch import Sweep, planned, say
+from .outcome import Outcome, shown
+from .search import search
+
+_MULTIRUN = {"-m", "--multirun"}
 
 
 def by_hydra(flags: list[str], overrides: list[str]) -> int:
-    """Leave a sweep, or a flag that prints something, to Hydra. Returns the exit status.
+    """A sweep, or a flag that prints something. Returns the exit status.
 
     A sweep's job that fails is recorded in its folder, and the others go on; the status is then
     the first failure's. What is done already is skipped, what was interrupted goes on from its
@@ -34,30 +45,88 @@ def by_hydra(flags: list[str], overrides: list[str]) -> int:
     schema.register()
     fingerprint.register()
     launchers.prepare(overrides)
-    if get_args_parser().parse_args(flags).multirun:
-        return _sweep(flags, overrides)
-    return _other(flags, overrides)
+    return _sweep(overrides) if set(flags) <= _MULTIRUN else _other(flags, overrides)
 
 
-def _sweep(flags: list[str], overrides: list[str]) -> int:
-    for override in overrides:
+def _sweep(typed: list[str]) -> int:
+    for override in typed:
         if override.startswith("hydra.run.dir="):
             raise InputError("hydra.run.dir is for single runs: give hydra.sweep.dir=DIR")
-    task = Task(sys.argv)
-    sweep = Sweep(task, overrides)
-    try:
-        with sweep.attached():
-            _enter(task, flags, overrides)
-    except InputError as error:
-        # A search all of whose trials failed has no best one: the table says why they did.
-        if not isinstance(error.__cause__, ValueError) or not sweep.failed:
-            raise
-    finally:
-        sweep.tidy()
-        if sweep.begun:
-            outcome.show(sweep.outcomes)
-            sweep.show_best()
+    with _explained(typed):
+        settings = compose([_first(o) for o in _parsed(typed)], hydra=True).hydra
+        params = [f"{name}={value}" for name, value in (settings.sweeper.params or {}).items()]
+        # The last word on a setting counts.
+        overrides = list({o.get_key_element(): o for o in _parsed([*params, *typed])}.values())
+    searching = settings.runtime.choices["hydra/sweeper"] == "optuna"
+    with interrupt.graceful() as stop:
+        sweep = Sweep(launchers.launcher(settings), stop)
+
+        def launch(combinations: list[list[str]]) -> list[Outcome]:
+            with _explained(typed):
+                first = len(sweep.jobs)
+                jobs = [
+                    planned(own, _label(own, typed), number)
+                    for number, own in enumerate(combinations, first)
+                ]
+            return sweep.launch(jobs)
+
+        try:
+            if searching:
+                spaces = [o for o in overrides if o.is_sweep_override()]
+                fixed = [o.input_line for o in overrides if not o.is_sweep_override()]
+                search(settings.sweeper, spaces, lambda own: launch([[*fixed, *o] for o in own]))
+            else:
+                launch(_combinations(overrides))
+            if stop():
+                raise KeyboardInterrupt
+        finally:
+            if sweep.jobs:
+                outcome.show(sweep.outcomes)
+                if searching:
+                    _show_best(sweep.outcomes, settings.sweeper.direction)
     return outcome.exit_status(sweep.outcomes)
+
+
+def _parsed(overrides: list[str]) -> list[Override]:
+    with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
+        parser = OverridesParser.create(GlobalHydra.instance().config_loader())
+        return parser.parse_overrides(overrides)
+
+
+def _first(override: Override) -> str:
+    """One value of a setting that has several."""
+    if not override.is_sweep_override():
+        return override.input_line
+    discrete = override.is_discrete_sweep()
+    value = next(override.sweep_string_iterator()) if discrete else override.value().start
+    return f"{override.get_key_element()}={value}"
+
+
+def _combinations(overrides: list[Override]) -> list[list[str]]:
+    """The settings of each job: every value with every other."""
+    choices = []
+    for override in overrides:
+        if not override.is_sweep_override():
+            choices.append([override.input_line])
+        elif override.is_discrete_sweep():
+            name = override.get_key_element()
+            choices.append([f"{name}={value}" for value in override.sweep_string_iterator()])
+        else:
+            raise InputError(f"{override.input_line}: for a search: add hydra/sweeper=optuna")
+    return [list(chosen) for chosen in itertools.product(*choices)]
+
+
+def _label(overrides: list[str], typed: list[str]) -> str:
+    """What tells a job from the others."""
+    own = [o for o in overrides if o not in typed and not o.startswith("hydra")]
+    return " ".join(own or overrides)
+
+
+def _show_best(outcomes: list[Outcome], direction: str) -> None:
+    found = [o for o in outcomes if o.value is not None]
+    if found:
+        best = {"minimize": min, "maximize": max}[direction](found, key=lambda o: o.value)
+        say(f"best: {best.label}: {best.value:.4g}: {shown(best.folder)}")
 
 
 def _other(flags: list[str], overrides: list[str]) -> int:
@@ -72,40 +141,47 @@ def _other(flags: list[str], overrides: list[str]) -> int:
             ends.append(error)
             one.remove_empty(Path(folder))
 
-    status = _enter(run, flags, overrides)
-    for end in ends:
-        if isinstance(end, Exception):
-            raise end
-        status = end
-    return status
-
-
-def _enter(task: Callable, flags: list[str], overrides: list[str]) -> int:
-    """Hydra's own entry, with its errors as ours."""
     main = hydra.main(version_base="1.3", config_path=schema.folder(), config_name="config")
-    with one.argv(["isas run", *overrides, *flags]), _errors_raised():
+    with one.argv(["isas run", *overrides, *flags]), _errors_raised(), _explained(overrides):
         try:
-            main(task)()
-        except (HydraException, OmegaConfBaseException) as error:
-            raise InputError(_explained(error, overrides)) from error
+            main(run)()
         except OSError as error:
-            raise InputError(f"cannot write to the sweep's folder: {error}") from error
+            raise InputError(f"cannot write to the run's folder: {error}") from error
         except ValueError as error:  # flags that exclude each other
             raise InputError(str(error)) from error
         except SystemExit as ended:  # after --hydra-help and its like
             return int(ended.code or 0)
+    for end in ends:
+        if isinstance(end, Exception):
+            raise end
+        return end
     return 0
 
 
-def _explained(error: Exception, overrides: list[str]) -> str:
-    """``compose.explain``, which does not know Hydra's own groups."""
+@contextlib.contextmanager
+def _explained(overrides: list[str]) -> Iterator[None]:
+    """What Hydra refuses within the context becomes one line; ``compose.explain`` does not know
+    Hydra's own groups."""
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException) as error:
+        raise InputError(_of_hydra(error) or explain(error, overrides)) from error
+    except InputError as error:
+        text = _of_hydra(error.__cause__)
+        if text:
+            raise InputError(text) from error
+        raise
+
+
+def _of_hydra(error: BaseException | None) -> str | None:
+    """One line for an error about Hydra's own settings; None for others."""
     text = str(error)
     unknown = re.search(r"Could not override '(hydra\.[^']+)'", text)
     if unknown:
         return f"{unknown.group(1)}: no such setting; isas run … --cfg hydra prints them"
     missing = re.search(r"Could not find '(hydra/\S+)/([^'/]+)'", text)
     if not missing:
-        return explain(error, overrides)
+        return None
     group, name = missing.groups()
     valid = re.findall(r"^\t(\S+)$", text, re.MULTILINE)
     return f"{group}={name}: no such {group}; {nearest(name, valid)}"

@@ -7,7 +7,6 @@ runs as a single run would. What that costs, a second or two to begin, is not bi
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import faulthandler
 import os
 import pickle
@@ -15,10 +14,9 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from multiprocessing.connection import wait
 
-from ...runtime import interrupt
 from .job import Job, Report, attempt
 
 _POLL_SECONDS = 0.2
@@ -31,10 +29,13 @@ worker.main(int(sys.argv[1]))
 """
 
 
-def run(job: Job, command: list[str], threads: int | None, quiet: bool) -> Report:
+def run(
+    job: Job, command: list[str], threads: int | None, quiet: bool, stop: Callable[[], bool]
+) -> Report:
     """``attempt`` in a new process. ``quiet``: what it prints goes to log.txt in the job's folder.
 
-    Ctrl-C is passed on, so that the record is finished; a second one kills the process.
+    ``stop``: whether Ctrl-C came: it is passed on, so that the record is finished; when it raises,
+    the process is killed.
     """
     source, sink = os.pipe()
     # Not multiprocessing: its processes take over the start method of whose worker this may be.
@@ -43,17 +44,18 @@ def run(job: Job, command: list[str], threads: int | None, quiet: bool) -> Repor
             [sys.executable, "-c", _PROGRAM, str(sink)], stdin=subprocess.PIPE, pass_fds=[sink]
         )
     os.close(sink)
+    told = False
     try:
-        with interrupt.graceful(lambda: process.send_signal(signal.SIGINT)) as stop:
-            with contextlib.suppress(BrokenPipeError):  # it died: there will be no report
-                for content in (sys.path, (job, command, threads, quiet)):
-                    process.stdin.write(pickle.dumps(content))
-                process.stdin.flush()
-            with os.fdopen(source, "rb") as reports:
-                while not wait([reports], _POLL_SECONDS):
-                    stop()
-                report = _received(reports, process)
-            return dataclasses.replace(report, stopped=stop())
+        with contextlib.suppress(BrokenPipeError):  # it died: there will be no report
+            for content in (sys.path, (job, command, threads, quiet)):
+                process.stdin.write(pickle.dumps(content))
+            process.stdin.flush()
+        with os.fdopen(source, "rb") as reports:
+            while not wait([reports], _POLL_SECONDS):
+                if stop() and not told:
+                    told = True
+                    process.send_signal(signal.SIGINT)
+            return _received(reports, process)
     finally:
         process.kill()
         process.wait()
@@ -85,6 +87,7 @@ def main(sink: int) -> None:
     job, command, threads, quiet = pickle.load(sys.stdin.buffer)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if quiet:
+        job.folder.mkdir(parents=True, exist_ok=True)
         log = os.open(job.folder / "log.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
         os.dup2(log, sys.stderr.fileno())
     faulthandler.enable()

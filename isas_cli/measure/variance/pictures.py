@@ -15,7 +15,8 @@ from matplotlib.lines import Line2D
 
 from ...rendering.pixels import PixelDistribution
 from ...report import cells
-from ...report.figures import COLOURS, GREY, STYLE, figure, log_values, save
+from ...report.chart import GREY
+from ...report.figures import COLOURS, STYLE, figure, log_values, save
 from ...runtime import images
 from ...scene.problem import Problem
 from .table import BEST

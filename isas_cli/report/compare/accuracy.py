@@ -8,7 +8,7 @@ import pandas
 from . import bootstrap
 from .bootstrap import Estimate
 from .gather import Method, by_scene
-from .series import AXES, MEASURES, Series, read, same_seeds, times
+from .series import AXES, MEASURES, Series, known, same_seeds, times
 
 COLUMNS = [
     *("scene", "measure", "level", "method", "runs", "reached"),
@@ -34,7 +34,7 @@ def table(methods: list[Method], baseline: dict[str, str]) -> pandas.DataFrame:
     rows = []
     for scene, group in by_scene(methods).items():
         for measure in MEASURES:
-            series = {m.label: [s for r in m.runs if (s := read(r, measure))] for m in group}
+            series = {m.label: known(m.runs, measure) for m in group}
             levels = levels_of([s for each in series.values() for s in each])
             base = series[baseline[scene]]
             parts = [

@@ -17,9 +17,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ...records import Run, safe_name, write_atomically
 from .. import cells
+from ..chart import Style
 from ..figures import Picture
 from .gather import Method
-from .looks import Look
 from .typical import typical_run, words
 
 _SIDE = 256  # pixels of the longer side of each picture
@@ -39,10 +39,12 @@ class _Snapshot:
     seconds: float
 
 
-def write_animation(methods: list[Method], look: dict[str, Look], folder: Path) -> Picture | None:
-    """Writes <scene>_optimisation.webp into `folder`; None where no run saved its progress.
+def write_animation(
+    methods: list[Method], styles: dict[str, Style], folder: Path
+) -> Picture | None:
+    """Writes <scene>_optimisation.webp into `folder`; None where no run saved snapshots.
 
-    methods: those of one scene; one whose run saved no progress is left out. Raises IsasError when
+    methods: those of one scene; one whose run saved none is left out. Raises IsasError when
     the disk refuses.
     """
     runs = {method.label: typical_run(method) for method in methods}
@@ -59,7 +61,7 @@ def write_animation(methods: list[Method], look: dict[str, Look], folder: Path) 
     columns = {} if target is None else {"target": [_Snapshot(target, 0, 0.0)]}
     columns |= films
     size = _size([shot.image for film in films.values() for shot in film])
-    pictures = [_picture(columns, look, exposure, size, moment) for moment in _moments(films)]
+    pictures = [_picture(columns, styles, exposure, size, moment) for moment in _moments(films)]
     path = folder / f"{safe_name(methods[0].scene)}_optimisation.webp"
     encoded = _encoded(pictures)
     write_atomically(path, lambda temporary: temporary.write_bytes(encoded))
@@ -115,7 +117,7 @@ def _size(frames: list[np.ndarray]) -> tuple[int, int]:
 
 def _picture(
     columns: dict[str, list[_Snapshot]],
-    look: dict[str, Look],
+    styles: dict[str, Style],
     exposure: float,
     size: tuple[int, int],
     moment: float,
@@ -131,7 +133,7 @@ def _picture(
         left = _MARGIN + place * (width + _MARGIN)
         shown = Image.fromarray(cells.colours(shot.image, exposure))
         canvas.paste(shown.resize(size, Image.Resampling.NEAREST), (left, _TITLE))
-        colour = look[title].colour if title in look else "black"
+        colour = styles[title].colour if title in styles else "black"
         pen.text((left, 3), _fitting(pen, title, width), colour, _font(13))
         if len(film) > 1:
             last = ", its last" if shot is film[-1] else ""

@@ -7,7 +7,7 @@ import pandas
 
 from . import bootstrap
 from .gather import Method, by_scene
-from .series import AXES, MEASURES, Series, read
+from .series import AXES, MEASURES, Series, known
 
 _POINTS = 120
 COLUMNS = ["scene", "method", "measure", "axis", "x", "median", "low", "high", "runs"]
@@ -25,7 +25,7 @@ def table(methods: list[Method]) -> pandas.DataFrame:
     parts = [pandas.DataFrame(columns=COLUMNS)]
     for group in by_scene(methods).values():
         for measure in MEASURES:
-            series = {m.label: [s for r in m.runs if (s := read(r, measure))] for m in group}
+            series = {m.label: known(m.runs, measure) for m in group}
             for axis in AXES:
                 x = _grid([s for each in series.values() for s in each], axis)
                 for method in group:

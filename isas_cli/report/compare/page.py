@@ -11,33 +11,22 @@ import os
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import plotly.offline
 import yaml
 from markupsafe import Markup
 
 from ...records import Run, write_atomically
+from .. import interactive
+from ..chart import Chart
 from ..figures import Picture
 from ..page import template
-from . import animation, facts, interactive, interactive_bars, plots, sheet, slides
+from . import animation, charts, facts, plots, sheet, slides
 from .gather import Comparison, Method, by_scene
-from .looks import Look, looks
+from .styles import styles
 
 _SLIDER, _SORTER = "img-comparison-slider-8.0.7", "sortable-tablesort-4.1.7"
-_HOW_CURVES = (
-    "Median over runs with its 95 % bootstrap band (up to five runs: their range); thin where only "
-    "some runs went so far. A click on a method hides it, drawing a frame zooms, a double click "
-    "zooms back, the buttons change the cost."
-)
-_HOW_BARS = (
-    "Billed seconds of the baseline divided by the method's own: above 1 is sooner. Lines: 95 % "
-    "bootstrap interval."
-)
-_HOW_PRICE = (
-    "What it took from twice the level to the level (cross: not reached), and the slope of log "
-    "error against log seconds over the last decade of time. Monte Carlo has −1/2: each halving "
-    "costs four times the one before."
-)
 
 
 @dataclass(frozen=True)
@@ -71,8 +60,8 @@ class _Scene:
     accuracy: list[facts.Table]
     price: list[facts.Table]
     methods: facts.Table
-    curves: list[_Plot]
-    others: list[_Plot]
+    costs: list[_Plot]
+    insides: list[_Plot]
     exposure: str
     groups: list[slides.Group]
     pictures: list[Picture]
@@ -86,20 +75,25 @@ def write(comparison: Comparison, output: Path) -> Path:
     Pictures and measures that the runs did not record are left out, with a warning on the page
     where somebody might miss them. Raises IsasError when the disk refuses.
     """
-    output, look = Path(output), looks(comparison)
-    plots.write_plots(comparison, output / "plots")
+    output, own = Path(output), styles(comparison)
     warnings, scenes = list(comparison.warnings), []
     for number, (name, methods) in enumerate(by_scene(comparison.methods).items()):
-        pictures = sheet.write_sheets(methods, look, output / "plots")
-        film = animation.write_animation(methods, look, output / "plots")
+        costs = charts.of_costs(comparison, name, methods, own)
+        insides = charts.of_insides(methods, own)
+        plots.write_plots(name, [*costs, *insides], output / "plots")
+        pictures = sheet.write_sheets(methods, own, output / "plots")
+        film = animation.write_animation(methods, own, output / "plots")
         if film is None:
             warnings.append(f"{name}: no animation, as its runs saved no pictures on the way")
         pictures += [film] if film else []
-        scenes.append(_scene(comparison, name, f"scene{number}", methods, look, pictures, output))
+        anchor = f"scene{number}"
+        scene = _scene(comparison, name, anchor, methods, output)
+        drawn = {"costs": _plots(anchor, costs), "insides": _plots(f"{anchor}in", insides)}
+        scenes.append(_Scene(**scene, **drawn, pictures=pictures))
     shown = {"embedded": slides.file_address, "least_width": slides.least_width}
     text = template("isas_cli.report.compare", **shown).render(
         scenes=scenes,
-        look=look,
+        colours={label: style.colour for label, style in own.items()},
         warnings=warnings,
         runs=sum(len(method.runs) for method in comparison.methods),
         scripts=[Markup(text) for text in (plotly.offline.get_plotlyjs(), *_scripts())],
@@ -121,13 +115,11 @@ def _scene(
     name: str,
     anchor: str,
     methods: list[Method],
-    look: dict[str, Look],
-    pictures: list[Picture],
     output: Path,
-) -> _Scene:
+) -> dict[str, Any]:
+    """The tables, sliders and records of a scene."""
     groups, exposure = slides.groups(methods)
-    curves, others = _plots(comparison, name, anchor, methods, look)
-    return _Scene(
+    return dict(
         name=name,
         anchor=anchor,
         baseline=comparison.baseline[name],
@@ -135,35 +127,18 @@ def _scene(
         accuracy=facts.accuracy(comparison, name, methods),
         price=facts.price(comparison, name, methods),
         methods=facts.methods(comparison, name),
-        curves=curves,
-        others=others,
         exposure=exposure,
         groups=groups,
-        pictures=pictures,
         effects=facts.effects(methods),
         records=[_record(m, run, output) for m in methods for run in m.runs],
     )
 
 
-def _plots(
-    comparison: Comparison, scene: str, anchor: str, methods: list[Method], look: dict[str, Look]
-) -> tuple[list[_Plot], list[_Plot]]:
-    """What accuracy costs, and what happened inside the runs; without what was not recorded."""
-    bars = interactive_bars
-    every = [
-        ("Error against cost", interactive.errors(comparison, scene, methods, look), _HOW_CURVES),
-        ("Speed-up over the baseline", bars.speedups(comparison, scene, methods, look), _HOW_BARS),
-        ("Price of accuracy", bars.prices(comparison, scene, methods, look), _HOW_PRICE),
-        ("Time by phase", bars.times(methods), "Only billed phases count against the budget."),
-        ("Gradients", bars.training(methods, look), "At each evaluation; a line for each run."),
+def _plots(anchor: str, drawn: list[Chart]) -> list[_Plot]:
+    return [
+        _Plot(chart.title, Markup(interactive.embedded(chart, f"{anchor}plot{index}")), chart.note)
+        for index, chart in enumerate(drawn)
     ]
-    made = [
-        _Plot(title, Markup(interactive.embedded(figure, f"{anchor}plot{index}")), note)
-        for index, (title, figure, note) in enumerate(every)
-        if figure is not None
-    ]
-    inside = ("Time by phase", "Gradients")
-    return [p for p in made if p.title not in inside], [p for p in made if p.title in inside]
 
 
 def _record(method: Method, run: Run, output: Path) -> _Record:

@@ -9,7 +9,7 @@ from scipy import stats
 from . import bootstrap
 from .accuracy import levels_of, named
 from .gather import Method, by_scene
-from .series import AXES, MEASURES, Series, read, times
+from .series import AXES, MEASURES, Series, known, times
 
 # The error of a mean falls with the square root of the number of independent samples.
 MONTE_CARLO = -0.5
@@ -40,7 +40,7 @@ def table(methods: list[Method]) -> pandas.DataFrame:
     rows = []
     for scene, group in by_scene(methods).items():
         for measure in MEASURES:
-            series = {m.label: [s for r in m.runs if (s := read(r, measure))] for m in group}
+            series = {m.label: known(m.runs, measure) for m in group}
             levels = levels_of([s for each in series.values() for s in each])
             for method in group:
                 if series[method.label]:

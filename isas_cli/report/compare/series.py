@@ -79,6 +79,11 @@ def read(run: Run, measure: str) -> Series | None:
     return Series(seed(run), np.where(error > 0, error, error[error > 0].min() / 2), cost)
 
 
+def known(runs: list[Run], measure: str) -> list[Series]:
+    """The series of those runs that have one."""
+    return [series for run in runs if (series := read(run, measure))]
+
+
 def seed(run: Run) -> int | None:
     """The seed of the run's own random streams."""
     known = run.config.get("seed")

@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 
 from ...records import key_of, safe_name
 from .. import cells, frames
+from ..chart import Style
 from ..figures import STYLE, Picture, figure, save
 from .gather import Method
-from .looks import Look
 from .typical import typical_run, words
 
 _VIEW = "00"
@@ -33,7 +33,7 @@ class _Row:
     scale: cells.Scale | None
 
 
-def write_sheets(methods: list[Method], look: dict[str, Look], folder: Path) -> list[Picture]:
+def write_sheets(methods: list[Method], styles: dict[str, Style], folder: Path) -> list[Picture]:
     """Writes <scene>_sheet.png and, with unknown textures, <scene>_textures.png into `folder`.
 
     methods: those of one scene, baseline first. Returns the pictures for which there were frames.
@@ -45,17 +45,17 @@ def write_sheets(methods: list[Method], look: dict[str, Look], folder: Path) -> 
     stem, made = safe_name(methods[0].scene), []
     with matplotlib.rc_context({**STYLE, "axes.grid": False}):
         if views:
-            canvas, caption = _views_sheet(views, look)
+            canvas, caption = _views_sheet(views, styles)
             made.append((folder / f"{stem}_sheet.png", canvas, caption))
         if textures:
-            canvas, caption = _textures_sheet(textures, look)
+            canvas, caption = _textures_sheet(textures, styles)
             made.append((folder / f"{stem}_textures.png", canvas, caption))
         for path, canvas, _ in made:
             save(canvas, path)
     return [Picture(path, f"{caption} {words(methods)}") for path, _, caption in made]
 
 
-def _views_sheet(methods: dict[str, frames.Frames], look: dict[str, Look]) -> tuple[Figure, str]:
+def _views_sheet(methods: dict[str, frames.Frames], styles: dict[str, Style]) -> tuple[Figure, str]:
     """Pictures, error maps and densities of view 0, a column for each method."""
     exposure, reason = cells.exposure(methods, ("target", "result", "start"))
     given = _given(methods, "target")
@@ -76,10 +76,12 @@ def _views_sheet(methods: dict[str, frames.Frames], look: dict[str, Look]) -> tu
         "sampling density, each on one scale (which the start's error may exceed). "
         f"{reason}. Non-finite pixels are magenta."
     )
-    return _sheet(rows, columns, look, exposure, reason), caption
+    return _sheet(rows, columns, styles, exposure, reason), caption
 
 
-def _textures_sheet(methods: dict[str, frames.Frames], look: dict[str, Look]) -> tuple[Figure, str]:
+def _textures_sheet(
+    methods: dict[str, frames.Frames], styles: dict[str, Style]
+) -> tuple[Figure, str]:
     """Each unknown texture: truth, start and what each method found, and the error where known."""
     names = sorted({name for rows in methods.values() for name in rows})
     every = {
@@ -109,7 +111,7 @@ def _textures_sheet(methods: dict[str, frames.Frames], look: dict[str, Look]) ->
         f"method{'; errors on one scale' if errors else ''}. {reason}. "
         "Texels that no view sees stay at the start. Non-finite texels are magenta."
     )
-    return _sheet(rows, columns, look, exposure, reason), caption
+    return _sheet(rows, columns, styles, exposure, reason), caption
 
 
 def _given(methods: dict[str, dict[str, np.ndarray]], wanted: str) -> dict[str, np.ndarray | None]:
@@ -132,7 +134,7 @@ def _difference(image: np.ndarray | None, other: np.ndarray | None) -> np.ndarra
 
 
 def _sheet(
-    rows: list[_Row], columns: list[str], look: dict[str, Look], exposure: float, reason: str
+    rows: list[_Row], columns: list[str], styles: dict[str, Style], exposure: float, reason: str
 ) -> Figure:
     """Lays the cells out in inches; a row's colour bar stands in its empty first column."""
     heights = [
@@ -153,7 +155,7 @@ def _sheet(
                 axes.spines[:].set_visible(False)
                 cells.draw(axes, row.pictures[column], exposure, row.scale)
                 if index == 0:
-                    colour = look[column].colour if column in look else "black"
+                    colour = styles[column].colour if column in styles else "black"
                     axes.set_title(cells.shortened(column, _CELL), fontsize=11, pad=4, color=colour)
             elif place == 0 and row.scale is not None and _saved(row.pictures):
                 middle = bottom + cell_height / 2

@@ -12,7 +12,7 @@ from ...records import Run
 from . import bootstrap, metrics
 from .accuracy import named, speed_up
 from .gather import Method, by_scene
-from .series import MEASURES, Series, read, same_seeds, seed
+from .series import MEASURES, Series, known, same_seeds, seed
 
 # As near to the baseline's final error as counts as having got there. Curves are flat at their
 # ends: without a margin, a method that ends a thousandth above the baseline would never get there.
@@ -66,7 +66,7 @@ def _row(method: Method, base: Method) -> dict:
 
 def _errors(method: Method, base: Method, measure: str) -> dict:
     """A measure's final error, its share of the start's, and how it compares with the baseline."""
-    own, reference = ([s for r in m.runs if (s := read(r, measure))] for m in (method, base))
+    own, reference = (known(m.runs, measure) for m in (method, base))
     cost, gain = _to_baseline(own, reference, method is base)
     columns = named(measure, _estimate([metrics.last(r, measure) for r in method.runs]))
     columns |= {f"{measure}_share": _median(method.runs, lambda r: metrics.share(r, measure))}
@@ -82,8 +82,8 @@ def _to_baseline(
     finals = np.array([s.error[-1] * _NEAR for s in base])
     paired = same_seeds(own, base)
     goals = finals if paired else np.repeat(np.median(finals) if base else np.nan, len(own))
-    known = own if base else []
-    seconds = np.array([s.reached(goal, "seconds") for s, goal in zip(known, goals)])
+    judged = own if base else []
+    seconds = np.array([s.reached(goal, "seconds") for s, goal in zip(judged, goals)])
     needed = np.array([s.reached(s.error[-1] * _NEAR, "seconds") for s in base])
     return bootstrap.median(seconds), speed_up(needed, seconds, paired, itself)
 
@@ -116,5 +116,5 @@ def _median(runs: list[Run], of: Callable[[Run], float]) -> float:
 
 def _estimate(values: list[float]) -> bootstrap.Estimate:
     """Over the runs whose value is known."""
-    known = np.array(values, dtype=float)
-    return bootstrap.median(known[~np.isnan(known)])
+    every = np.array(values, dtype=float)
+    return bootstrap.median(every[~np.isnan(every)])

@@ -6,6 +6,7 @@ import math
 
 from ...records import Run
 from .gather import Method
+from .metrics import last
 from .series import seed
 
 _MEDIAN = "Runs shown, of each method the one with the median final error"
@@ -15,9 +16,9 @@ def final_error(run: Run) -> tuple[str, float]:
     """The measure by which a run is judged and its last known value: the parameters' error where
     the truth is known, else the image's. NaN where neither was ever known."""
     for measure in ("parameter_rmse", "image_rmse"):
-        known = run.history[measure].dropna()
-        if len(known):
-            return measure, float(known.iloc[-1])
+        error = last(run, measure)
+        if not math.isnan(error):
+            return measure, error
     return "image_rmse", math.nan
 
 
