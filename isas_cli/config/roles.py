@@ -37,8 +37,9 @@ class Meaning:
     looped: bool = False
 
 
-# Of what no field of the schema knows, such as Hydra's own settings.
-_STRANGE = Meaning(Role.PLACE, shared=True)
+# Hydra's own settings; and what no field of the schema knows, such as a setting of another version:
+# whoever compares must see it.
+_HYDRA, _STRANGE = Meaning(Role.PLACE, shared=True), Meaning(Role.METHOD)
 
 
 def setting(default: Any, role: Role, **more: bool) -> Any:
@@ -56,7 +57,9 @@ def meaning(key: str) -> Meaning:
 
     table = _table(Config)
     found = [pattern for pattern in table if _matches(pattern, key)]
-    return table[max(found, key=len)] if found else _STRANGE
+    if not found:
+        return _HYDRA if key.partition(".")[0] == "hydra" else _STRANGE
+    return table[max(found, key=len)]
 
 
 def resuming() -> list[str]:

@@ -85,7 +85,7 @@ def test_jobs_that_fail_are_recorded_and_done_again_and_finished_ones_skipped(is
         content = summary(places[size])
         assert content["status"] == "failed" and line.endswith(content["error"])
         assert content["overrides"][-1] == jobs[size]
-        assert (content["scene"], content["sampler"], content["loss"]) == ("dodoco", "ours", "l2")
+        assert (content["scene"], content["sampler"], content["loss"]) == ("dodoco", "progress", "l2")
         assert content["seed"] == 1
     assert "RuntimeError: this scene is" in (places[raises] / "error.txt").read_text()
     assert not (places[refused] / "error.txt").exists()
@@ -178,10 +178,10 @@ def test_a_changed_setting_makes_another_folder(tmp_path):
     assert name() == name("threads=2", "variant=llvm_ad_rgb", "overwrite=true", "loss=l2")
     assert name("optimizer.lr=0.03") == name("optimizer.lr=3e-2")
     group, _, last = name("seed=7").rpartition("/")
-    assert (group, last) == ("dodoco/ours", name().rpartition("/")[2].replace("seed1", "seed7"))
+    assert (group, last) == ("dodoco/progress", name().rpartition("/")[2].replace("seed1", "seed7"))
     different = ["optimizer.lr=0.03", "budget.seconds=9", "frames.views=1", "size=tiny", "loss=l1"]
     assert len({name(), *(name(change) for change in different)}) == 1 + len(different)
-    assert name("name=mine") == "dodoco/ours/mine-" + name().rpartition("/")[2]
+    assert name("name=mine") == "dodoco/progress/mine-" + name().rpartition("/")[2]
 
     cfg = compose(["scene=dodoco"])
     (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(cfg, resolve=True))
