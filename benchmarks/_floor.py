@@ -141,7 +141,7 @@ def stock_passes(integrator):
             _, state = integrator.primal(scene, streams[1], second)
             dr.eval(state)
             adjoint = mi.Color3f(1.0 / dr.width(second.o))
-            integrator.base.sample(
+            integrator.mitsuba.sample(
                 mode=dr.ADMode.Backward,
                 scene=scene,
                 sampler=replayed,

@@ -73,7 +73,7 @@ def _measured(problem, cfg: DictConfig, run, names: list[str], spp: int, phases)
 
     blur = Blur(problem, "isas landscape")
     at = blur.vector(problem.unknowns.truths() or _last(problem, run.folder))
-    start, end = (blur.widths(at, progress) for progress in (0.0, 1.0))
+    start, end = (blur.widths(at, spent) for spent in (0.0, 1.0))
     places = _places(problem)
     entries = [places[name] for name in names]
     bounds, axes = [], []

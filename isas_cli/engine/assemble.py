@@ -27,7 +27,7 @@ from ..unknowns.unknowns import Unknowns
 def problem(
     scene: SceneConfig,
     target: TargetConfig,
-    progress: Callable[[int, int], None],
+    rendered: Callable[[int, int], None],
     phase: Callable[[str], None] = lambda name: None,
     check: Callable[[Problem], None] = lambda made: None,
 ) -> Problem:
@@ -84,8 +84,8 @@ def problem(
     # Last, because this may take minutes and nothing can be refused after it.
     if not photographs:
         phase("targets")
-        rendered, digest = targets.render(result, target.spp, target.seed, progress)
-        result.set_targets(rendered, None, digest)
+        pixels, digest = targets.render(result, target.spp, target.seed, rendered)
+        result.set_targets(pixels, None, digest)
     return result
 
 

@@ -88,7 +88,7 @@ class Display:
         if not self.live:
             self.say("  ".join(self._fields(row)))
 
-    def stepped(self, loop, progress: float) -> None:
+    def stepped(self, loop, spent: float) -> None:
         """After each iteration; redraws at most a few times a second."""
         now = time.monotonic()
         if not self._bar or now - self._last < _REDRAW_SECONDS:
@@ -96,7 +96,7 @@ class Display:
         self._last = now
         room = self.console.width - self._bar_width - _BESIDE
         text = _fitting(self._fields(self._present(loop)), room)
-        self._bar.update(self._task, completed=progress, text=text, refresh=True)
+        self._bar.update(self._task, completed=spent, text=text, refresh=True)
 
     @staticmethod
     def _present(loop) -> dict:
@@ -126,7 +126,7 @@ class Lane:
     """One contestant's share of a race's display."""
 
     def __init__(self, race: "RaceDisplay", name: str):
-        self.race, self.name, self.progress = race, name, 0.0
+        self.race, self.name, self.spent = race, name, 0.0
 
     def phase(self, name: str) -> None:
         self.race.phase(f"{name} {self.name}")
@@ -135,8 +135,8 @@ class Lane:
         if not self.race.live:
             self.race.say(f"{self.name}:  " + "  ".join(self.race._fields(row)))
 
-    def stepped(self, loop, progress: float) -> None:
-        self.progress = progress
+    def stepped(self, loop, spent: float) -> None:
+        self.spent = spent
         self.race.redraw(self, loop)
 
 
@@ -158,7 +158,7 @@ class RaceDisplay(Display):
         if not self._bar or now - self._last < _REDRAW_SECONDS:
             return
         self._last = now
-        together = sum(each.progress for each in self.lanes) / self.count
+        together = sum(each.spent for each in self.lanes) / self.count
         row = self._present(loop)
         room = self.console.width - self._bar_width - _BESIDE - len(lane.name)
         self._bar.update(

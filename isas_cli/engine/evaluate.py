@@ -40,15 +40,15 @@ class Evaluator:
         loss,
         pixels: int,
         spp: int,
-        base: int,
+        seed: int,
         renderer: Renderer | None = None,
     ):
-        self.problem, self.loss, self.spp, self.base = problem, loss, spp, base
+        self.problem, self.loss, self.spp, self.seed = problem, loss, spp, seed
         counting = np.arange(problem.views.total, dtype=np.uint32)
         if problem.mask is not None:
             counting = counting[np.array(problem.mask) > 0]
         count = min(pixels, counting.size)
-        rng = np.random.default_rng(streams.seed(base, 0, "evaluation_place"))
+        rng = np.random.default_rng(streams.seed(seed, 0, "evaluation_place"))
         strata = (np.arange(count) + rng.random(count)) * (counting.size / count)
         if count < counting.size:
             counting = counting[np.minimum(strata.astype(np.int64), counting.size - 1)]
@@ -67,7 +67,7 @@ class Evaluator:
             self.renderer.pixels(
                 self.pixels,
                 half,
-                lambda s, h=h: streams.seed(self.base, h * half + s, "evaluation"),
+                lambda s, h=h: streams.seed(self.seed, h * half + s, "evaluation"),
             )
             for h in (0, 1)
         )

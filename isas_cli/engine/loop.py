@@ -49,7 +49,7 @@ class Hooks:
     """Whom the loop tells. None of these is billed."""
 
     evaluated: Callable[[dict], None] = lambda row: None
-    stepped: Callable[["Loop", float], None] = lambda loop, progress: None
+    stepped: Callable[["Loop", float], None] = lambda loop, spent: None
     stop: Callable[[], bool] = lambda: False
 
 
@@ -81,17 +81,17 @@ class Loop:
         self._counted = 0, 0
 
     @property
-    def progress(self) -> float:
+    def spent(self) -> float:
         p = self.position
-        return self.budget.progress(self.clock.seconds, p.iteration, p.paths)
+        return self.budget.spent(self.clock.seconds, p.iteration, p.paths)
 
     @property
     def scheduled(self) -> float:
         """Progress of the learning rate's schedule, which runs from the first step to the end of
         the budget: a sampler whose first look takes long must not begin at a rate half decayed."""
         seconds, paths = self.position.before
-        before = self.budget.progress(seconds, 0, paths)
-        return (self.progress - before) / (1 - before) if before < 1 else 1.0
+        before = self.budget.spent(seconds, 0, paths)
+        return (self.spent - before) / (1 - before) if before < 1 else 1.0
 
     def rehearse(self) -> None:
         """Compile everything the run will launch, measure the gradient's scale, start afresh."""
@@ -125,7 +125,7 @@ class Loop:
         if self.last is None:
             self._evaluate(hooks)
         self._count_evaluations()
-        if self.progress >= 1 and self.last["iteration"] != self.position.iteration:
+        if self.spent >= 1 and self.last["iteration"] != self.position.iteration:
             self._evaluate(hooks)
 
     def advance(self, hooks: Hooks, seconds: float = math.inf) -> bool:
@@ -134,17 +134,17 @@ class Loop:
         Raises NumericalError like ``run``.
         """
         until = self.clock.seconds + seconds
-        while self.progress < 1:
+        while self.spent < 1:
             if hooks.stop():
                 return False
             self._iterate()
-            progress = self.progress
-            if progress >= 1 or progress >= self._next_evaluation():
+            spent = self.spent
+            if spent >= 1 or spent >= self._next_evaluation():
                 self._evaluate(hooks)
-            hooks.stepped(self, progress)
+            hooks.stepped(self, spent)
             if self.clock.seconds >= until:
                 break
-        return self.progress >= 1
+        return self.spent >= 1
 
     def halt(self, hooks: Hooks) -> str:
         """Stop before the budget is spent, with a row that says where. Returns 'interrupted'."""
@@ -190,11 +190,11 @@ class Loop:
         return found if self.prior is None else self.prior.add(values, found)
 
     def _count_evaluations(self) -> None:
-        """How many evaluations are behind this progress, whether one stood for several that a
+        """How many evaluations are behind it, whether one stood for several that a
         long iteration jumped over, or the budget has grown since."""
         p = self.position
         p.evaluations = 1
-        while self._next_evaluation() <= self.progress < 1:
+        while self._next_evaluation() <= self.spent < 1:
             p.evaluations += 1
 
     def _next_evaluation(self) -> float:

@@ -29,7 +29,7 @@ class Stepper:
     def __init__(self, unknowns: Unknowns, settings: OptimizerConfig):
         self.unknowns, self.settings = unknowns, settings
         scheduled = factor(settings.schedule, settings.final)
-        self.factor = lambda progress: settings.factor * scheduled(progress)
+        self.factor = lambda spent: settings.factor * scheduled(spent)
         self.scale = {key: 1.0 for key in unknowns.keys}
         self.restart(unknowns.starts())
 
@@ -56,13 +56,13 @@ class Stepper:
         """Steps since the start."""
         return int(self.adam.state[self.unknowns.keys[0]][3][0][0])
 
-    def rate(self, progress: float) -> float:
-        """The learning rate of unknowns without their own, at this progress of the budget."""
-        return self.settings.lr * self.factor(progress)
+    def rate(self, spent: float) -> float:
+        """The learning rate of unknowns without their own, at this share of the budget."""
+        return self.settings.lr * self.factor(spent)
 
-    def step(self, gradients: dict, progress: float) -> None:
+    def step(self, gradients: dict, spent: float) -> None:
         """One Adam step along ``gradients`` (by key, any scale). Evaluates the new values."""
-        factor = self.factor(progress)
+        factor = self.factor(spent)
         rates, bad, touched = {}, mi.UInt64(0), mi.UInt64(0)
         for unknown in self.unknowns:
             key = unknown.key
@@ -119,7 +119,7 @@ class Stepper:
             count += int(touched.sum())
         return total / count if count else float("nan")
 
-    def moments(self, progress: float) -> Moments:
+    def moments(self, spent: float) -> Moments:
         """Adam's moments after at least one step, as samplers read them. Evaluates."""
         first, second, noise = {}, {}, {}
         β = self.settings.beta_1
@@ -139,7 +139,7 @@ class Stepper:
             touched = dr.select(seen > 0, v / seen, 0) * dr.square(unit)  # E[g²] where touched
             noise[key] = dr.select(part > 0, dr.square(took_part) * share * touched, 0)
         dr.eval(first, second, noise)
-        rates = {u.key: (u.lr or self.settings.lr) * self.factor(progress) for u in self.unknowns}
+        rates = {u.key: (u.lr or self.settings.lr) * self.factor(spent) for u in self.unknowns}
         return Moments(first, second, noise, rates)
 
     def export(self) -> tuple[dict[str, np.ndarray], dict]:

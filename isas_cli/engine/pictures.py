@@ -25,7 +25,7 @@ class Pictures:
         writer: RunWriter,
         views: int,
         spp: int,
-        base: int,
+        seed: int,
         tags: dict,
         renderer: Renderer | None = None,
     ):
@@ -33,7 +33,7 @@ class Pictures:
         chosen = np.linspace(0, count, min(views, count), endpoint=False)
         self.views = [int(v) for v in chosen]
         self.problem, self.writer, self.tags = problem, writer, tags
-        self.spp, self.base = spp, base
+        self.spp, self.seed = spp, seed
         self.renderer = Renderer(problem, renderer)
         # One exposure for all pictures of a run, so that they can be compared.
         self.exposure = images.exposure_for([problem.target_image(v) for v in self.views])
@@ -54,7 +54,7 @@ class Pictures:
         self.problem.unknowns.write(values)
         for view in self.views:
             image = self.renderer.view(
-                view, self.spp, lambda s, v=view: streams.seed(self.base, (v << 16) + s, "frame")
+                view, self.spp, lambda s, v=view: streams.seed(self.seed, (v << 16) + s, "frame")
             )
             tags = {"view": view, "iteration": iteration}
             self._write(f"{kind}_v{view:02d}", image, _RGB, kind, self.exposure, **tags)
@@ -75,7 +75,7 @@ class Pictures:
         rows, columns = np.arange(step // 2, height, step), np.arange(step // 2, width, step)
         pixel = mi.UInt32((rows[:, None] * width + columns).astype(np.uint32).ravel())
         mean = self.renderer.pixels(
-            pixel, _SNAPSHOT_SPP, lambda s: streams.seed(self.base, s, "snapshot")
+            pixel, _SNAPSHOT_SPP, lambda s: streams.seed(self.seed, s, "snapshot")
         )
         image = np.array(mean).T.reshape(rows.size, columns.size, 3)
         tags = {"view": 0, "iteration": iteration, "seconds": seconds}

@@ -30,7 +30,7 @@ _CHECKPOINT_SHARE = 0.01
 class Recorder:
     """Writes what a loop does: begin with ``open`` or ``reopen``, hand ``hooks`` to the loop, end
     with ``close`` and ``illustrate``, whatever ended the loop. ``display`` has ``evaluated(row)``,
-    ``stepped(loop, progress)`` and ``phase(name)``.
+    ``stepped(loop, spent)`` and ``phase(name)``.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class Recorder:
             self.writer.evaluation(row)
             self.tracker.evaluation(row)
         due = self._snapshots_due(loop.position.evaluations)
-        if due > self._snapshots or (due and loop.progress >= 1):
+        if due > self._snapshots or (due and loop.spent >= 1):
             self._snapshots = due
             with loop.clock.unbilled("pictures"):
                 image = self.pictures.snapshot(
@@ -146,8 +146,8 @@ class Recorder:
         wanted, total = self.typed.frames.snapshots, self.typed.evaluation.count
         return min(wanted, -(-evaluations * wanted // total))
 
-    def _stepped(self, loop: Loop, progress: float) -> None:
-        self.display.stepped(loop, progress)
+    def _stepped(self, loop: Loop, spent: float) -> None:
+        self.display.stepped(loop, spent)
         if self._own_seconds() - self._saved > self._pause:
             self._checkpoint()
 

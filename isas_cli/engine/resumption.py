@@ -79,7 +79,7 @@ def prepare(folder: Path, changes: dict) -> Continuation:
     arrays, state = records.load_checkpoint(folder)
     budget = _budget(cfg)
     spent = (sum(state["billed"].values()), state["iteration"], state["paths"])
-    if run.complete and budget.progress(*spent) >= 1:
+    if run.complete and budget.spent(*spent) >= 1:
         raise Spent(f"{folder}: its budget is spent: {_larger(budget, *spent)}")
     earlier = None if before == budget else str(before)
     return Continuation(folder, cfg, run.manifest, earlier, arrays, state)

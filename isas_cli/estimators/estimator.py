@@ -26,13 +26,13 @@ class Gradients(Protocol):
         self,
         values: dict,
         distribution: PixelDistribution,
-        base: int,
+        seed: int,
         iteration: int,
-        progress: float,
+        spent: float,
     ) -> dict:
         """The gradient at ``values``, by key, in the unknowns' own shapes, from pixels drawn by
-        ``distribution``; ``base``, ``iteration``: the random streams; ``progress``: share of the
-        budget that is spent, in [0, 1]."""
+        ``distribution``; ``seed``, ``iteration``: the random streams; ``spent``: share of the
+        budget, in [0, 1]."""
 
 
 @dataclass

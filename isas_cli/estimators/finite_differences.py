@@ -78,14 +78,14 @@ class FiniteDifferences:
         self,
         values: dict,
         distribution: PixelDistribution,
-        base: int,
+        seed: int,
         iteration: int,
-        progress: float,
+        spent: float,
     ) -> dict:
         """The difference quotients at ``values``, by key. Waits."""
         θ = self.blur.vector(values)
         steps = self.blur.resolved(self.step * self.blur.widths(θ, 1.0), θ)
-        rng = np.random.default_rng(streams.seed(base, iteration, "offset"))
+        rng = np.random.default_rng(streams.seed(seed, iteration, "offset"))
         total = np.zeros(θ.size)
         for pair in smoothing.central(steps):
             # At the end of a range a side is shorter.

@@ -108,18 +108,18 @@ class WholeImages:
         self,
         values: dict,
         distribution: PixelDistribution,
-        base: int,
+        seed: int,
         iteration: int,
-        progress: float,
+        spent: float,
     ) -> dict:
         """The gradient at ``values``, by key. ``distribution`` is not used: all pixels. Waits."""
-        rng = np.random.default_rng(streams.seed(base, iteration, "offset"))
+        rng = np.random.default_rng(streams.seed(seed, iteration, "offset"))
         if self.smooth is None:
             self.problem.unknowns.attach(values)
             self._accumulate(None, rng)
             return self.problem.unknowns.gradients()
         θ = self.blur.vector(values)
-        σ = self.blur.widths(θ, progress)
+        σ = self.blur.widths(θ, spent)
         total = np.zeros(θ.size)
         for _ in range(self.samples):
             at = θ + smoothing.blurred(σ, rng)
@@ -144,7 +144,7 @@ class WholeImages:
             seed = int(rng.integers(1 << 32))
             p = self.problem
             image = mi.render(
-                p.scene, sensor=view, integrator=p.integrator.base, spp=self.spp, seed=seed
+                p.scene, sensor=view, integrator=p.integrator.mitsuba, spp=self.spp, seed=seed
             )
             dr.eval(image)
         return image
@@ -224,7 +224,7 @@ def _check_shapes(problem: "Problem") -> None:
 def _integrator(problem: "Problem", silhouettes: str) -> mi.Integrator:
     own = problem.integrator
     if not problem.unknowns.moving:
-        return own.base
+        return own.mitsuba
     if "media" in own.simulates:
         raise InputError(
             "estimator=mitsuba: what moves is differentiated by prb_projective, which simulates no "

@@ -192,16 +192,16 @@ class Plateau:
         self,
         values: dict,
         distribution: PixelDistribution,
-        base: int,
+        seed: int,
         iteration: int,
-        progress: float,
+        spent: float,
     ) -> dict:
-        """The gradient at ``values``, by key, in the unknowns' own shapes; ``progress`` of the
-        budget decides the widths. Waits."""
+        """The gradient at ``values``, by key, in the unknowns' own shapes; the share ``spent``
+        of the budget decides the widths. Waits."""
         θ = self.blur.vector(values)
-        σ = self.blur.widths(θ, progress)
+        σ = self.blur.widths(θ, spent)
         # One stream for the offsets and for the seeds of the step's renderings.
-        rng = np.random.default_rng(streams.seed(base, iteration, "offset"))
+        rng = np.random.default_rng(streams.seed(seed, iteration, "offset"))
         total = np.zeros(θ.size)
         drawn = self._scheme(σ, self.pairs, rng)
         # One of every entry, or one of all entries.

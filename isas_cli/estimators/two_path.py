@@ -115,20 +115,20 @@ class TwoPath:
         self,
         values: dict,
         distribution: PixelDistribution,
-        base: int,
+        seed: int,
         iteration: int,
-        progress: float,
+        spent: float,
     ) -> dict:
-        """The gradient at ``values``, by key; the same at all ``progress`` of the budget."""
+        """The gradient at ``values``, by key; the same at all the share ``spent`` of the budget."""
         self.problem.unknowns.attach(values)
-        self.accumulate(distribution, base, iteration)
+        self.accumulate(distribution, seed, iteration)
         return self.problem.unknowns.gradients()
 
-    def accumulate(self, distribution: PixelDistribution, base: int, iteration: int) -> None:
+    def accumulate(self, distribution: PixelDistribution, seed: int, iteration: int) -> None:
         """Add one estimate to the gradients of the unknowns' leaves (``Unknowns.attach`` first)."""
         p = self.problem
         seeds = [
-            dr.opaque(mi.UInt32, streams.seed(base, iteration, purpose))
+            dr.opaque(mi.UInt32, streams.seed(seed, iteration, purpose))
             for purpose in ("draw", "primal", "adjoint")
         ]
         self._kernel(

@@ -64,14 +64,14 @@ def measure(
     widths: list[tuple[float, ...]],
     smooth: str,
     spp: int,
-    base: int,
+    seed: int,
     done: Callable[[int, int], None] = lambda finished, total: None,
 ) -> Landscape:
     """Render all pixels at every point of the grid and blur what comes out.
 
     ``at (D,)``: where the other unknowns stay; ``entries``: which of the D the axes are; ``spp``
     paths a pixel in each of two independent halves, the same random numbers at every point, from
-    the seed ``base``.
+    the seed ``seed``.
     ``smooth``: "image", ℒ(κ ⋆ P), or "loss", κ ⋆ ℒ(P), as ``estimators.plateau`` has it, but over
     the given axes alone. κ is cut off at the ends of the axes and scaled to 1 again there: what is
     shown should end three σ before them (``Landscape.within``).
@@ -87,7 +87,7 @@ def measure(
         if same == number:
             blur.write(θ)
             for half in (0, 1):
-                seeds = functools.partial(_seed, base, half)
+                seeds = functools.partial(_seed, seed, half)
                 halves[half, number] = renderer.range(0, problem.views.total, spp, seeds)
         else:
             halves[:, number] = halves[:, same]
@@ -106,8 +106,8 @@ def measure(
     return Landscape(names, axes, hard, widths, blurred)
 
 
-def _seed(base: int, half: int, part: int) -> int:
-    return streams.seed(base, 2 * part + half, "evaluation")
+def _seed(seed: int, half: int, part: int) -> int:
+    return streams.seed(seed, 2 * part + half, "evaluation")
 
 
 def _losses(problem: Problem, loss, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -167,7 +167,7 @@ class Standing:
         if self.budget is None or not self.last:
             return None
         last = self.last
-        return self.budget.progress(last["seconds"], int(last["iteration"]), int(last["paths"]))
+        return self.budget.spent(last["seconds"], int(last["iteration"]), int(last["paths"]))
 
     def share(self, name: str) -> float | None:
         """An error over what it was at the start; None where either is not known."""

@@ -21,7 +21,7 @@ _LANES = 1 << 20
 _MOST = 1 << 24  # pixels visited; above this a stratified subset of them
 
 
-def fill_in(problem: Problem, base: int) -> None:
+def fill_in(problem: Problem, seed: int) -> None:
     """Set ``seen`` of every unknown, from the cache where possible.
 
     Of what moves geometry all entries count. The others are judged by what path replay
@@ -33,7 +33,7 @@ def fill_in(problem: Problem, base: int) -> None:
     something moves that cannot be told, and all entries of such an unknown count.
     """
     judged = [u for u in problem.unknowns if not u.kind.moves_geometry]
-    arrays = cached(_key(problem, base), lambda: _judge(problem, judged, base)) if judged else {}
+    arrays = cached(_key(problem, seed), lambda: _judge(problem, judged, seed)) if judged else {}
     for unknown in problem.unknowns:
         unknown.seen = np.ones(unknown.start.shape, bool)
     for index, unknown in enumerate(judged):
@@ -47,7 +47,7 @@ def fill_in(problem: Problem, base: int) -> None:
             )
 
 
-def _key(problem: Problem, base: int) -> str:
+def _key(problem: Problem, seed: int) -> str:
     # What is seen depends on the start: a light that starts at zero shows nothing.
     unknowns = [
         (
@@ -60,11 +60,11 @@ def _key(problem: Problem, base: int) -> str:
         for u in problem.unknowns
     ]
     masked = "" if problem.mask is None else problem.target_hash
-    what = problem.content_hash, unknowns, masked, base
+    what = problem.content_hash, unknowns, masked, seed
     return "coverage-" + digest("coverage", 5, *what, mi.__version__, THRESHOLD, WELL_SEEN)
 
 
-def _judge(problem: Problem, judged: list[Unknown], base: int) -> dict[str, np.ndarray]:
+def _judge(problem: Problem, judged: list[Unknown], seed: int) -> dict[str, np.ndarray]:
     """Which entries count as seen, by ``seen<index>`` among ``judged``."""
     unknowns = problem.unknowns
     starts = {u.key: u.start for u in unknowns}
@@ -74,7 +74,7 @@ def _judge(problem: Problem, judged: list[Unknown], base: int) -> dict[str, np.n
     arrays: dict[str, np.ndarray] = {}
     for values in places:
         unknowns.write(unknowns.values_of(values))
-        found = _measure(problem, {u.key: values[u.key] for u in judged}, base)
+        found = _measure(problem, {u.key: values[u.key] for u in judged}, seed)
         for index, unknown in enumerate(judged):
             seen = unknown.kind.seen(found[unknown.key])
             name = f"seen{index}"
@@ -83,7 +83,7 @@ def _judge(problem: Problem, judged: list[Unknown], base: int) -> dict[str, np.n
     return arrays
 
 
-def _measure(problem: Problem, values: dict[str, np.ndarray], base: int) -> dict[str, np.ndarray]:
+def _measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[str, np.ndarray]:
     """Largest of |Σ_j ∂I_j/∂θ_k| and |Σ_j ±∂I_j/∂θ_k| per entry, by key of ``values``, at which
     they are taken; all other unknowns stay where they are in the scene.
 
@@ -127,7 +127,7 @@ def _measure(problem: Problem, values: dict[str, np.ndarray], base: int) -> dict
                 problem.mask,
                 dr.opaque(mi.UInt32, int(chunk * lanes * stride)),
                 dr.opaque(mi.Float64, stride),
-                dr.opaque(mi.UInt32, streams.seed(base, 2 * i + signed, "coverage")),
+                dr.opaque(mi.UInt32, streams.seed(seed, 2 * i + signed, "coverage")),
                 dr.opaque(mi.Bool, signed),
             )
             dr.sync_thread()

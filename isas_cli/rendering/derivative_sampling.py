@@ -82,7 +82,7 @@ class DerivativeSampling(InOneGo):
                 "estimator.derivative_sampling=true: works for the integrator 'prb' with visible "
                 f"emitters, not for {base.name}; leave it out"
             )
-        super().__init__(base.base)
+        super().__init__(base.mitsuba)
         # Materials that outlive their scene break recordings of kernels for other scenes.
         self._scene = scene
         self._bsdfs = {word: [] for word in _ALPHA}

@@ -29,7 +29,7 @@ _REPLAYED = {
 
 
 class Integrator:
-    """Path replay backpropagation by a Mitsuba integrator, ``base``.
+    """Path replay backpropagation by an integrator of Mitsuba's, ``mitsuba``.
 
     ``max_depth``: edges of the longest path (2^32 - 1: no limit); ``paths_per_derivative``: light
     paths behind one estimate of a pixel's derivative.
@@ -39,7 +39,7 @@ class Integrator:
     derivatives = "path replay backpropagation"
 
     def __init__(self, base: mi.Integrator):
-        self.base = base
+        self.mitsuba = base
         self.simulates, self.has_forward = _REPLAYED[type(base).__name__]
         self.max_depth, self.rr_depth = base.max_depth, base.rr_depth
         self.hide_emitters = base.hide_emitters
@@ -47,7 +47,7 @@ class Integrator:
     @property
     def name(self) -> str:
         """Mitsuba's name of the class that renders."""
-        return type(self.base).__name__
+        return type(self.mitsuba).__name__
 
     def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, mi.Color3f]:
         """Radiance of one path per ray, and the state that a replay of the same paths needs."""
@@ -78,7 +78,7 @@ class Integrator:
         return derivative
 
     def _sample(self, mode, scene, sampler, ray, adjoint=None, state=None):
-        radiance, _, _, state = self.base.sample(
+        radiance, _, _, state = self.mitsuba.sample(
             mode=mode,
             scene=scene,
             sampler=sampler,

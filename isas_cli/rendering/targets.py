@@ -20,13 +20,13 @@ _FORMAT = 1
 
 
 def render(
-    problem: Problem, spp: int, base: int, progress: Callable[[int, int], None]
+    problem: Problem, spp: int, seed: int, told: Callable[[int, int], None]
 ) -> tuple[mi.Float, str]:
     """Targets rendered at the truth with ``spp`` paths a pixel, from the cache where possible.
 
-    ``progress(done, total)`` counts light paths. Returns the images and their content hash.
+    ``told(done, total)`` counts light paths. Returns the images and their content hash.
     """
-    key = digest("target", _FORMAT, problem.content_hash, spp, base, mi.__version__)
+    key = digest("target", _FORMAT, problem.content_hash, spp, seed, mi.__version__)
     total = problem.views.total
 
     def compute() -> dict[str, np.ndarray]:
@@ -36,10 +36,10 @@ def render(
         def advance(paths: int) -> None:
             nonlocal done
             done += paths
-            progress(done, total * spp)
+            told(done, total * spp)
 
         renderer = Renderer(problem)
-        rendered = renderer.range(0, total, spp, lambda i: streams.seed(base, i, "target"), advance)
+        rendered = renderer.range(0, total, spp, lambda i: streams.seed(seed, i, "target"), advance)
         return {"images": rendered, "nonfinite": np.array(renderer.nonfinite)}
 
     arrays = cached(f"target-{key}", compute)

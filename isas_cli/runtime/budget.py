@@ -33,7 +33,7 @@ class Budget:
         limits = vars(self).items()
         return ", ".join(f"{name}={value:g}" for name, value in limits if value is not None)
 
-    def progress(self, seconds: float, iterations: int, paths: int) -> float:
+    def spent(self, seconds: float, iterations: int, paths: int) -> float:
         """Share of the budget spent, from 0 to 1 (1: stop)."""
         spent = ((seconds, self.seconds), (iterations, self.iterations), (paths, self.paths))
         return min(1.0, max(used / limit for used, limit in spent if limit is not None))

@@ -15,10 +15,10 @@ _SHAPES: dict[str, Callable[[float, float], float]] = {
 
 
 def factor(schedule: str, final: float) -> Callable[[float], float]:
-    """What the base learning rate is multiplied with at progress t in [0, 1] of the budget.
+    """What the base learning rate is multiplied with at the share t in [0, 1] of the budget.
 
     ``schedule``: constant; cosine or exponential, both from 1 at t = 0 to ``final`` at t = 1.
-    In progress, not iterations: the schedule begins with the first step and ends with the budget,
+    By share, not iterations: the schedule begins with the first step and ends with the budget,
     whatever the budget counts.
     """
     if schedule not in _SHAPES:

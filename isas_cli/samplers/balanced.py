@@ -62,8 +62,8 @@ class Balanced(Sampler):
         denoise = self.stage1.denoise
         self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
 
-    def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
-        sensitivity = self._stage1.sensitivity(values, self.passes, base, iteration)
+    def look(self, values: dict, seed: int, iteration: int, moments=None) -> mi.Float:
+        sensitivity = self._stage1.sensitivity(values, self.passes, seed, iteration)
         tangents = {}
         for key, c in sensitivity.items():
             seen = (c > 0) & dr.isfinite(c)  # one entry that is not must not spoil the mean
@@ -75,7 +75,7 @@ class Balanced(Sampler):
         first = dr.zeros(mi.Color3f, self.cells.count)
         for probe in range(self.stage1.probes):
             number = iteration * self.stage1.probes + probe
-            first += self._stage1.derivative(values, tangents, base, number)[0]
+            first += self._stage1.derivative(values, tangents, seed, number)[0]
         weights = dr.power(dr.sum(self._denoise(first)), self.power)
         dr.eval(weights)
         return weights

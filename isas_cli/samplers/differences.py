@@ -52,12 +52,12 @@ class Differences(Gradient):
         self._moments = wrap(_difference_kernel(samples))
         self._losses = wrap(_loss_kernel(loss, samples))
 
-    def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
+    def look(self, values: dict, seed: int, iteration: int, moments=None) -> mi.Float:
         θ = self.blur.vector(values)
         σ = self.blur.widths(θ, self.scheduled)
-        rng = np.random.default_rng(streams.seed(base, iteration, "offset_look"))
+        rng = np.random.default_rng(streams.seed(seed, iteration, "offset_look"))
         found = [
-            self._pair(θ, σ, pair, base, iteration * self.stage1.probes + probe, rng)
+            self._pair(θ, σ, pair, seed, iteration * self.stage1.probes + probe, rng)
             for probe, pair in enumerate(smoothing.joint(σ, self.stage1.probes, rng))
         ]
         images = [sum(kind) / len(found) for kind in zip(*found)]
@@ -65,14 +65,14 @@ class Differences(Gradient):
         dr.eval(weights)
         return weights
 
-    def measured(self, values: dict, base: int, iteration: int) -> None:
+    def measured(self, values: dict, seed: int, iteration: int) -> None:
         """None: looks differ by their offsets, whatever their paths are."""
 
-    def _pair(self, θ, σ, pair: smoothing.Pair, base: int, number: int, rng) -> list[mi.Color3f]:
+    def _pair(self, θ, σ, pair: smoothing.Pair, seed: int, number: int, rng) -> list[mi.Color3f]:
         """Second moments per cell: of r and of D, or of Δℓ."""
         p = self.problem
         place, path = (
-            dr.opaque(mi.UInt32, streams.seed(base, number, f"stage1_{kind}"))
+            dr.opaque(mi.UInt32, streams.seed(seed, number, f"stage1_{kind}"))
             for kind in ("place", "adjoint")
         )
         sides = []
@@ -84,7 +84,7 @@ class Differences(Gradient):
             targets = p.views, self.cells, p.targets, p.mask
             return [self._losses(*targets, sides, (place, path))]
         at = self.blur.clamped(θ + smoothing.blurred(σ, rng))
-        return [self._stage1.residual(at, base, number)[1], self._moments(sides)]
+        return [self._stage1.residual(at, seed, number)[1], self._moments(sides)]
 
     @property
     def paths_per_look(self) -> int:

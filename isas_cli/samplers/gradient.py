@@ -28,11 +28,11 @@ class Gradient(Sampler):
         denoise = self.stage1.denoise
         self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
 
-    def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
-        return self.weighed(self.measured(values, base, iteration))
+    def look(self, values: dict, seed: int, iteration: int, moments=None) -> mi.Float:
+        return self.weighed(self.measured(values, seed, iteration))
 
-    def measured(self, values: dict, base: int, iteration: int) -> list[mi.Color3f]:
-        return [self._stage1.residual(values, base, iteration)[0]]
+    def measured(self, values: dict, seed: int, iteration: int) -> list[mi.Color3f]:
+        return [self._stage1.residual(values, seed, iteration)[0]]
 
     def weighed(self, images: list[mi.Color3f]) -> mi.Float:
         weights = dr.sum(self._denoise(images[0]))

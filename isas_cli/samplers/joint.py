@@ -48,13 +48,13 @@ class Joint(Sampler):
         denoise = self.stage1.denoise
         self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
 
-    def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
-        return self.weighed(self.measured(values, base, iteration))
+    def look(self, values: dict, seed: int, iteration: int, moments=None) -> mi.Float:
+        return self.weighed(self.measured(values, seed, iteration))
 
-    def measured(self, values: dict, base: int, iteration: int) -> list[mi.Color3f]:
+    def measured(self, values: dict, seed: int, iteration: int) -> list[mi.Color3f]:
         # The denoiser's images have three channels.
         probes = self.stage1.probes
-        return [mi.Color3f(self._product.second_moment(values, probes, base, iteration))]
+        return [mi.Color3f(self._product.second_moment(values, probes, seed, iteration))]
 
     def weighed(self, images: list[mi.Color3f]) -> mi.Float:
         weights = dr.sqrt(self._denoise(images[0]).x)

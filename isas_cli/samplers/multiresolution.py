@@ -92,11 +92,11 @@ class Multiresolution(Sampler):
     def due(self, iteration: int) -> bool:
         return self.base.due(iteration)
 
-    def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
-        return self._combined(self.base.look(values, base, iteration, moments))
+    def look(self, values: dict, seed: int, iteration: int, moments=None) -> mi.Float:
+        return self._combined(self.base.look(values, seed, iteration, moments))
 
-    def measured(self, values: dict, base: int, iteration: int) -> list[mi.Color3f] | None:
-        return self.base.measured(values, base, iteration)
+    def measured(self, values: dict, seed: int, iteration: int) -> list[mi.Color3f] | None:
+        return self.base.measured(values, seed, iteration)
 
     def weighed(self, images: list[mi.Color3f]) -> mi.Float:
         return self._combined(self.base.weighed(images))

@@ -25,9 +25,9 @@ class Ours(Gradient):
     uses = Sampler.uses
     needs = frozenset(("forward",))
 
-    def measured(self, values: dict, base: int, iteration: int) -> list[mi.Color3f]:
-        _, first = self._stage1.residual(values, base, iteration)
-        return [first, self._stage1.second_moment(values, self.stage1.probes, base, iteration)]
+    def measured(self, values: dict, seed: int, iteration: int) -> list[mi.Color3f]:
+        _, first = self._stage1.residual(values, seed, iteration)
+        return [first, self._stage1.second_moment(values, self.stage1.probes, seed, iteration)]
 
     def weighed(self, images: list[mi.Color3f]) -> mi.Float:
         first, second = images

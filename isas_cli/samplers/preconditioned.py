@@ -77,11 +77,11 @@ class Preconditioned(Ours):
         return early or super().due(iteration)
 
     def look(
-        self, values: dict, base: int, iteration: int, moments: Moments | None = None
+        self, values: dict, seed: int, iteration: int, moments: Moments | None = None
     ) -> mi.Float:
         scale = None if moments is None else root_weights(moments.second, self.least)
-        _, first = self._stage1.residual(values, base, iteration)
-        second = self._stage1.second_moment(values, self.stage1.probes, base, iteration, scale)
+        _, first = self._stage1.residual(values, seed, iteration)
+        second = self._stage1.second_moment(values, self.stage1.probes, seed, iteration, scale)
         weights = dr.sqrt(dr.sum(self._denoise(first) * self._denoise(second)))
         dr.eval(weights)
         return weights

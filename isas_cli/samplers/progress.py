@@ -112,29 +112,29 @@ class Progress(Sampler):
         self._surveys: dict = {}  # by base seed
 
     def look(
-        self, values: dict, base: int, iteration: int, moments: Moments | None = None
+        self, values: dict, seed: int, iteration: int, moments: Moments | None = None
     ) -> mi.Float:
         # Anew at a run's first look, where it is billed. A continued run has none and finds the
         # same numbers again.
-        if iteration == 0 or base not in self._surveys:
-            self._surveys[base] = self._survey(base)
-        curvature, cost = self._surveys[base]
+        if iteration == 0 or seed not in self._surveys:
+            self._surveys[seed] = self._survey(seed)
+        curvature, cost = self._surveys[seed]
         # As many in a rehearsal, so that nothing is left to compile in a run's first look.
         passes = self.passes if moments is None else 1
         first = iteration * self.passes
         noise = sum(
-            (self._stage1.residual(values, base, first + i)[1] for i in range(passes)),
+            (self._stage1.residual(values, seed, first + i)[1] for i in range(passes)),
             mi.Color3f(0),
         )
         noise = dr.sqrt(self._denoise(noise))
         dr.eval(noise)
         weighted = noise * dr.sqrt(cost)
         dr.eval(weighted)
-        sensitivity = self._stage1.sensitivity(values, passes, base, first, weighted)
+        sensitivity = self._stage1.sensitivity(values, passes, seed, first, weighted)
         along = tangents(sensitivity, curvature, moments, self.least)
         weights = mi.Float(0)
         for key, tangent in along.items():
-            mean, second = self._along(values, key, tangent, passes, base, first)
+            mean, second = self._along(values, key, tangent, passes, seed, first)
             image = dr.sum(noise * self._denoise(mean))
             if dr.width(tangent) <= _FEW:
                 image = self._spread(image, second, noise, cost)
@@ -150,26 +150,26 @@ class Progress(Sampler):
         share = [dr.sum(dr.sqrt(cost) * weights) for weights in (image, exact)]
         return exact * dr.select(share[1] > 0, share[0] / share[1], 0)
 
-    def _survey(self, base: int) -> tuple[dict, mi.Float]:
+    def _survey(self, seed: int) -> tuple[dict, mi.Float]:
         """h by key, flat, and c per cell, at the start values."""
         unknowns = self.problem.unknowns
         starts = unknowns.starts()
         unknowns.write(starts)
-        cost = sum(self._cost(base, i) for i in range(self.passes)) / self.passes + self.overhead
-        weight = self._stage1.curvature(base, _SURVEY) * self.problem.share
+        cost = sum(self._cost(seed, i) for i in range(self.passes)) / self.passes + self.overhead
+        weight = self._stage1.curvature(seed, _SURVEY) * self.problem.share
         curvature = {}
         first = _SURVEY
         for key in unknowns.keys:
             ones = dr.opaque(mi.Float, 1, dr.width(flat(starts[key])))
             # A sum over its cells is next: noise in single ones is of no account.
-            image = self._along(starts, key, ones, self.passes, base, first)[0] * weight
+            image = self._along(starts, key, ones, self.passes, seed, first)[0] * weight
             dr.eval(image)
-            curvature[key] = self._stage1.sensitivity(starts, self.passes, base, first, image)[key]
+            curvature[key] = self._stage1.sensitivity(starts, self.passes, seed, first, image)[key]
         dr.eval(curvature, cost)
         return curvature, cost
 
     def _along(
-        self, values: dict, key: str, tangent: mi.Float, passes: int, base: int, first: int
+        self, values: dict, key: str, tangent: mi.Float, passes: int, seed: int, first: int
     ) -> tuple[mi.Color3f, mi.Color3f]:
         """Means of |∂I_j/∂θ · tangent| and of its square per cell, ``(3, C)``, the tangent on one
         key."""
@@ -180,14 +180,14 @@ class Progress(Sampler):
         dr.eval(tangents)
         mean, second = mi.Color3f(0), mi.Color3f(0)
         for i in range(passes):
-            found = self._stage1.derivative(values, tangents, base, first + i)
+            found = self._stage1.derivative(values, tangents, seed, first + i)
             mean, second = mean + found[0] / passes, second + found[1] / passes
         dr.eval(mean, second)
         return mean, second
 
-    def measured(self, values: dict, base: int, iteration: int) -> list[mi.Color3f]:
+    def measured(self, values: dict, seed: int, iteration: int) -> list[mi.Color3f]:
         """The residual's second moment alone, which the noise of a look comes from."""
-        return [self._stage1.residual(values, base, iteration)[1]]
+        return [self._stage1.residual(values, seed, iteration)[1]]
 
     def weighed(self, images: list[mi.Color3f]) -> mi.Float:
         weights = dr.sum(dr.sqrt(self._denoise(images[0])))

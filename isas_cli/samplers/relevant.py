@@ -35,8 +35,8 @@ class Relevant(Sampler):
         super().prepare(problem, loss, batch, freeze)
         self._stage1 = Stage1(problem, loss, self.cells, self.stage1.spp, freeze)
 
-    def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
-        moment = self._stage1.second_moment(values, self.stage1.probes, base, iteration)
+    def look(self, values: dict, seed: int, iteration: int, moments=None) -> mi.Float:
+        moment = self._stage1.second_moment(values, self.stage1.probes, seed, iteration)
         seen = dr.select(dr.sum(moment) > 0, mi.Float(1), 0)
         dr.eval(seen)
         weights = self.cells.dilate(seen)

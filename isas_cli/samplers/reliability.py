@@ -17,13 +17,13 @@ LOOKS = 32
 _SINGLE = 4  # of them, each by itself against all
 
 
-def warning(sampler: Sampler, values: dict, base: int, first: int) -> str | None:
+def warning(sampler: Sampler, values: dict, seed: int, first: int) -> str | None:
     """A line for the reader where stage 1 of ``sampler`` at ``values`` finds something else with
     every look; None where it does not, or where it has no statistics to tell.
 
-    ``base``, ``first``: the random streams, of iterations from ``first`` on.
+    ``seed``, ``first``: the random streams, of iterations from ``first`` on.
     """
-    share = disagreement(sampler, values, base, first)
+    share = disagreement(sampler, values, seed, first)
     own = getattr(sampler, "base", sampler)
     instead = " or sampler=gradient, whose density rests on means and not on squares"
     if share is None or not share > LARGEST:
@@ -36,13 +36,13 @@ def warning(sampler: Sampler, values: dict, base: int, first: int) -> str | None
     )
 
 
-def disagreement(sampler: Sampler, values: dict, base: int, first: int) -> float | None:
+def disagreement(sampler: Sampler, values: dict, seed: int, first: int) -> float | None:
     """Total variation distance between the pmf over cells of one look and that of LOOKS whose
     measurements are averaged, in [0, 1]; the median over some single looks. The uniform share
     (``floor``) is in both."""
     looks = []
     for i in range(LOOKS):
-        images = sampler.measured(values, base, first + i)
+        images = sampler.measured(values, seed, first + i)
         if images is None:
             return None
         looks.append(images)

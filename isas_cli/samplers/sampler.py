@@ -143,7 +143,7 @@ class Sampler:
         return iteration == 0 or (self.refresh > 0 and iteration % self.refresh == 0)
 
     def look(
-        self, values: dict, base: int, iteration: int, moments: Moments | None = None
+        self, values: dict, seed: int, iteration: int, moments: Moments | None = None
     ) -> mi.Float:
         """Stage 1: the weight of every cell, ``(C,) float32``, any scale. Evaluates.
 
@@ -151,7 +151,7 @@ class Sampler:
         """
         raise NotImplementedError
 
-    def measured(self, values: dict, base: int, iteration: int) -> list[mi.Color3f] | None:
+    def measured(self, values: dict, seed: int, iteration: int) -> list[mi.Color3f] | None:
         """What a look measures before it is denoised, images ``(3, C)`` over the cells whose means
         over several looks are better measurements; None where a look is no such thing."""
         return None

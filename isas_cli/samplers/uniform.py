@@ -22,7 +22,7 @@ class Uniform(Sampler):
     def resolution(self, problem, batch: int) -> int:
         return 1
 
-    def look(self, values: dict, base: int, iteration: int, moments=None) -> mi.Float:
+    def look(self, values: dict, seed: int, iteration: int, moments=None) -> mi.Float:
         return dr.opaque(mi.Float, 1, self.cells.count)
 
     def distribution(self, weights: mi.Float) -> PixelDistribution:

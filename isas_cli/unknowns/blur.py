@@ -64,10 +64,10 @@ class Blur:
             {u.key: piece.reshape(u.start.shape) for u, piece in zip(self.unknowns, pieces)}
         )
 
-    def widths(self, θ: np.ndarray, progress: float) -> np.ndarray:
-        """σ of every entry, ``(D,)``, at ``progress`` of the budget."""
+    def widths(self, θ: np.ndarray, spent: float) -> np.ndarray:
+        """σ of every entry, ``(D,)``, at the share ``spent`` of the budget."""
         blurs = [u.blur for u in self.unknowns]
-        now = [smoothing.width(b.start, b.end, b.hold, b.until, progress) for b in blurs]
+        now = [smoothing.width(b.start, b.end, b.hold, b.until, spent) for b in blurs]
         return self.resolved(np.repeat(now, self._sizes), θ)
 
     def resolved(self, σ: np.ndarray, θ: np.ndarray) -> np.ndarray:

@@ -113,13 +113,13 @@ def _radii(unknowns: int, count: int, rng: np.random.Generator) -> np.ndarray:
     return np.sqrt(2 * gammaincinv((unknowns + 1) / 2, ξ))
 
 
-def width(start: float, end: float, hold: float, until: float, progress: float) -> float:
-    """σ at ``progress`` in [0, 1] of the budget: ``start`` up to ``hold``, then linearly to ``end``
-    at ``until`` (PRDPT A.1, where this is 1; its formula lacks the division by the number of
+def width(start: float, end: float, hold: float, until: float, spent: float) -> float:
+    """σ at the share ``spent`` of the budget, in [0, 1]: ``start`` up to ``hold``, then linearly to
+    ``end`` at ``until`` (PRDPT A.1, where this is 1; its formula lacks the division by the number of
     steps)."""
-    if progress <= hold:
+    if spent <= hold:
         return start
-    return start + (end - start) * min(1.0, (progress - hold) / (until - hold))
+    return start + (end - start) * min(1.0, (spent - hold) / (until - hold))
 
 
 def stable(σ: np.ndarray, values: np.ndarray, scale: np.ndarray | float = 1.0) -> np.ndarray:

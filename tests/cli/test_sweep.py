@@ -85,7 +85,11 @@ def test_jobs_that_fail_are_recorded_and_done_again_and_finished_ones_skipped(is
         content = summary(places[size])
         assert content["status"] == "failed" and line.endswith(content["error"])
         assert content["overrides"][-1] == jobs[size]
-        assert (content["scene"], content["sampler"], content["loss"]) == ("dodoco", "progress", "l2")
+        assert (content["scene"], content["sampler"], content["loss"]) == (
+            "dodoco",
+            "progress",
+            "l2",
+        )
         assert content["seed"] == 1
     assert "RuntimeError: this scene is" in (places[raises] / "error.txt").read_text()
     assert not (places[refused] / "error.txt").exists()

@@ -134,9 +134,9 @@ def test_bad_settings_are_refused():
 
 def test_budget_ends_at_the_first_limit():
     budget = Budget(seconds=10, iterations=100, paths=None)
-    assert budget.progress(1, 50, 10**9) == 0.5
-    assert budget.progress(9, 50, 0) == 0.9
-    assert budget.progress(20, 0, 0) == 1.0
+    assert budget.spent(1, 50, 10**9) == 0.5
+    assert budget.spent(9, 50, 0) == 0.9
+    assert budget.spent(20, 0, 0) == 1.0
     assert Budget().seconds == 60
     assert Budget(iterations=3).seconds is None
     for bad in ({"seconds": 0}, {"iterations": -1}, {"paths": float("nan")}):

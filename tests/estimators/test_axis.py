@@ -123,11 +123,11 @@ def test_whole_images_are_rendered_by_the_scene_s_own_integrator():
     targets."""
     p = volumetric()
     made = WholeImages(p, losses.L2(), 64)
-    assert made.integrator is p.integrator.base
+    assert made.integrator is p.integrator.mitsuba
     moving = blurred_problem()
     assert (
         type(WholeImages(moving, losses.L2(), 64).integrator).__name__
-        != type(moving.integrator.base).__name__
+        != type(moving.integrator.mitsuba).__name__
     )
     moving.integrator = integrators.adapt(mi.load_dict({"type": "prbvolpath", "max_depth": 3}))
     with pytest.raises(InputError, match="prb_projective, which simulates no media"):

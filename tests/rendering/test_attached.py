@@ -27,7 +27,7 @@ def setting(p, seed: int):
 
 def gradients(p, both_ways: bool) -> tuple[np.ndarray, np.ndarray]:
     """Gradients of a weighted sum of radiances, and radiances."""
-    integrator = p.integrator if both_ways else Integrator(p.integrator.base)
+    integrator = p.integrator if both_ways else Integrator(p.integrator.mitsuba)
     starts = p.unknowns.starts()
     p.unknowns.attach(starts)
     with dr.suspend_grad():

@@ -128,7 +128,7 @@ def test_short_paths_differentiate_like_replayed_ones(bench):
     starts, found = p.unknowns.starts(), []
     weights = mi.Color3f(np.random.default_rng(1).normal(size=(3, 16 * p.views.total)))
     for both_ways in (True, False):
-        integrator = p.integrator if both_ways else Integrator(p.integrator.base)
+        integrator = p.integrator if both_ways else Integrator(p.integrator.mitsuba)
         p.unknowns.attach(starts)
         with dr.suspend_grad():
             pixel = dr.tile(dr.arange(mi.UInt32, p.views.total), 16)

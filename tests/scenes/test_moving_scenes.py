@@ -144,7 +144,7 @@ def test_the_blur_follows_the_budget(monkeypatch, budget):
 
     def watched(*arguments):
         told.append(arguments[-1])
-        spent.append(loop.progress)
+        spent.append(loop.spent)
         return estimate(*arguments)
 
     monkeypatch.setattr(loop.estimator, "estimate", watched)

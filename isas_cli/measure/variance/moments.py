@@ -79,7 +79,7 @@ def measure(
     loss,
     values: dict,
     paths: int,
-    base: int,
+    seed: int,
     freeze: bool = True,
     done: Callable[[int, int], None] = lambda paths, total: None,
 ) -> Moments:
@@ -98,9 +98,9 @@ def measure(
         sums = [dr.zeros(mi.Float, tiles.count) for _ in range(2 * len(_PAIRS))]
         dr.make_opaque(sums)
         for number in range(which * passes, (which + 1) * passes):
-            seeds = [streams.seed(base, 4 * number + i, "variance") for i in range(4)]
+            seeds = [streams.seed(seed, 4 * number + i, "variance") for i in range(4)]
             problem.unknowns.push_tangent(values, random_signs(values, seeds[3]))
-            opaque = [dr.opaque(mi.UInt32, seed) for seed in seeds[:3]]
+            opaque = [dr.opaque(mi.UInt32, drawn) for drawn in seeds[:3]]
             p = problem
             leaves = p.unknowns.leaves
             sums = kernel(

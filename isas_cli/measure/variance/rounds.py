@@ -76,21 +76,21 @@ class Bench:
         loss,
         values: dict,
         batch: int,
-        base: int,
+        seed: int,
         optimizer: OptimizerConfig,
         freeze: bool = True,
     ):
         self.problem, self.loss, self.values = problem, loss, values
-        self.batch, self.base, self.freeze = batch, base, freeze
+        self.batch, self.seed, self.freeze = batch, seed, freeze
         self.second_moment: Callable[[PixelDistribution], float] | None = None
         self.estimator = TwoPath(problem, loss, batch, freeze)
         self.moments, self.pilot = self._piloted(optimizer)
-        self._directions = Directions(self.pilot, base)
+        self._directions = Directions(self.pilot, seed)
 
     def _piloted(self, optimizer: OptimizerConfig) -> tuple[Moments, dict[str, np.ndarray]]:
         uniform = Uniform()
         uniform.prepare(self.problem, self.loss, self.batch, self.freeze)
-        pmf = uniform.distribution(uniform.look(self.values, self.base, 0))
+        pmf = uniform.distribution(uniform.look(self.values, self.seed, 0))
         stepper, means = Stepper(self.problem.unknowns, optimizer), {}
 
         def take(gradient: dict) -> None:
@@ -180,7 +180,7 @@ class Bench:
     def _look(self, contestant: Contestant, number: int) -> None:
         sampler = contestant.sampler
         moments = self.moments if sampler.needs_moments and number else None
-        found = sampler.look(self.values, self.base, number, moments)
+        found = sampler.look(self.values, self.seed, number, moments)
         contestant.weights = sampler.blended(contestant.weights, found)
         contestant.distribution = sampler.distribution(contestant.weights)
         dr.eval(contestant.distribution.cdf)
@@ -189,7 +189,7 @@ class Bench:
         """One estimate, as a step makes it. Evaluates."""
         unknowns = self.problem.unknowns
         unknowns.attach(self.values)
-        self.estimator.accumulate(distribution, self.base, iteration)
+        self.estimator.accumulate(distribution, self.seed, iteration)
         gradients = unknowns.gradients()
         dr.eval(gradients)
         return gradients

@@ -39,26 +39,26 @@ class Stage1:
         p = self.problem
         return p.scene, p.sensors, p.views, p.unknowns.leaves, self.cells
 
-    def _seeds(self, base: int, iteration: int, *purposes: str) -> list:
-        return [dr.opaque(mi.UInt32, streams.seed(base, iteration, p)) for p in purposes]
+    def _seeds(self, seed: int, iteration: int, *purposes: str) -> list:
+        return [dr.opaque(mi.UInt32, streams.seed(seed, iteration, p)) for p in purposes]
 
-    def residual(self, values: dict, base: int, iteration: int) -> tuple[mi.Color3f, mi.Color3f]:
+    def residual(self, values: dict, seed: int, iteration: int) -> tuple[mi.Color3f, mi.Color3f]:
         """Mean of |⟨∂ℒ/∂I⟩| and of its square (p_j1) per cell at ``values``."""
         p = self.problem
         p.unknowns.write(values)
-        seeds = self._seeds(base, iteration, "stage1_place", "stage1_primal")
+        seeds = self._seeds(seed, iteration, "stage1_place", "stage1_primal")
         return self._residual(*self._arguments(), p.targets, p.mask, seeds)
 
     def derivative(
-        self, values: dict, tangents: dict, base: int, iteration: int
+        self, values: dict, tangents: dict, seed: int, iteration: int
     ) -> tuple[mi.Color3f, mi.Color3f]:
         """Mean of |⟨dI/dθ⟩·tangent| and of its square per cell at ``values``."""
         self.problem.unknowns.push_tangent(values, tangents)
-        seeds = self._seeds(base, iteration, "stage1_place", "stage1_adjoint")
+        seeds = self._seeds(seed, iteration, "stage1_place", "stage1_adjoint")
         return self._derivative(*self._arguments(), seeds)
 
     def second_moment(
-        self, values: dict, probes: int, base: int, iteration: int, scale: dict | None = None
+        self, values: dict, probes: int, seed: int, iteration: int, scale: dict | None = None
     ) -> mi.Color3f:
         """p_j2 per cell: the mean over ``probes`` random-sign tangents (Eq. 15, 16).
 
@@ -66,20 +66,20 @@ class Stage1:
         """
         total = dr.zeros(mi.Color3f, self.cells.count)
         for probe in range(probes):
-            seed = streams.seed(base, iteration * probes + probe, "stage1_sign")
-            tangents = random_signs(values, seed, scale)
-            _, second = self.derivative(values, tangents, base, iteration * probes + probe)
+            drawn = streams.seed(seed, iteration * probes + probe, "stage1_sign")
+            tangents = random_signs(values, drawn, scale)
+            _, second = self.derivative(values, tangents, seed, iteration * probes + probe)
             total += second
         return total / probes
 
-    def curvature(self, base: int, iteration: int) -> mi.Color3f:
+    def curvature(self, seed: int, iteration: int) -> mi.Color3f:
         """Mean ∂²ℓ/∂I² of a cell's pixels, times their mask."""
         p = self.problem
-        seeds = self._seeds(base, iteration, "stage1_place")
+        seeds = self._seeds(seed, iteration, "stage1_place")
         return self._curvature(p.views, self.cells, p.targets, p.mask, seeds)
 
     def sensitivity(
-        self, values: dict, passes: int, base: int, iteration: int, image: mi.Color3f | None = None
+        self, values: dict, passes: int, seed: int, iteration: int, image: mi.Color3f | None = None
     ) -> dict:
         """|Σ_j a_j ⟨∂I_j/∂θ_k⟩| over all pixels, by key, flat: ``passes`` backward passes.
 
@@ -89,7 +89,7 @@ class Stage1:
         unknowns.attach(values)
         for i in range(passes):
             # Streams of their own: a derivative must not be divided by a sum of itself.
-            seeds = self._seeds(base, iteration + i, "balance_place", "balance_adjoint")
+            seeds = self._seeds(seed, iteration + i, "balance_place", "balance_adjoint")
             self._sensitivity(*self._arguments(), image, seeds)
         return {k: dr.abs(flat(g)) / passes for k, g in unknowns.gradients().items()}
 

@@ -52,11 +52,11 @@ class PathCost:
 
         self._kernel = dr.freeze(kernel) if freeze else kernel
 
-    def __call__(self, base: int, iteration: int) -> mi.Float:
+    def __call__(self, seed: int, iteration: int) -> mi.Float:
         """Vertices per path of every cell, ``(C,) float32``, at the scene's present values."""
         p = self.problem
         seeds = [
-            dr.opaque(mi.UInt32, streams.seed(base, iteration, purpose))
+            dr.opaque(mi.UInt32, streams.seed(seed, iteration, purpose))
             for purpose in ("stage1_place", "cost")
         ]
         return self._kernel(p.scene, p.sensors, p.views, self.cells, seeds)

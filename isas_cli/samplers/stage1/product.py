@@ -54,12 +54,12 @@ class Product:
 
         self._kernel = dr.freeze(kernel) if freeze else kernel
 
-    def along(self, values: dict, tangents: dict, base: int, iteration: int) -> mi.Float:
+    def along(self, values: dict, tangents: dict, seed: int, iteration: int) -> mi.Float:
         """Mean of (Σ_c ⟨∂ℒ/∂I⟩_c ⟨dI_c/dθ⟩·tangent)² per cell at ``values``."""
         p = self.problem
         p.unknowns.push_tangent(values, tangents)
         seeds = [
-            dr.opaque(mi.UInt32, streams.seed(base, iteration, purpose))
+            dr.opaque(mi.UInt32, streams.seed(seed, iteration, purpose))
             for purpose in ("stage1_place", "stage1_primal", "product_adjoint")
         ]
         leaves = p.unknowns.leaves
@@ -68,7 +68,7 @@ class Product:
         )
 
     def second_moment(
-        self, values: dict, probes: int, base: int, iteration: int, scale: dict | None = None
+        self, values: dict, probes: int, seed: int, iteration: int, scale: dict | None = None
     ) -> mi.Float:
         """A_j per cell, the mean over ``probes`` random-sign tangents, new paths for each.
 
@@ -76,6 +76,6 @@ class Product:
         """
         total = dr.zeros(mi.Float, self.cells.count)
         for number in range(iteration * probes, (iteration + 1) * probes):
-            tangents = random_signs(values, streams.seed(base, number, "stage1_sign"), scale)
-            total += self.along(values, tangents, base, number)
+            tangents = random_signs(values, streams.seed(seed, number, "stage1_sign"), scale)
+            total += self.along(values, tangents, seed, number)
         return total / probes
