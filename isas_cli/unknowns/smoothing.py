@@ -115,8 +115,8 @@ def _radii(unknowns: int, count: int, rng: np.random.Generator) -> np.ndarray:
 
 def width(start: float, end: float, hold: float, until: float, spent: float) -> float:
     """σ at the share ``spent`` of the budget, in [0, 1]: ``start`` up to ``hold``, then linearly to
-    ``end`` at ``until`` (PRDPT A.1, where this is 1; its formula lacks the division by the number of
-    steps)."""
+    ``end`` at ``until`` (PRDPT A.1, where this is 1; its formula lacks the division by the number
+    of steps)."""
     if spent <= hold:
         return start
     return start + (end - start) * min(1.0, (spent - hold) / (until - hold))
