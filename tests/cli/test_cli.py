@@ -145,7 +145,7 @@ def test_an_unusable_output_folder_is_refused(isas, tmp_path_factory):
 def test_errors_found_late_leave_an_earlier_run_alone(isas, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     (folder / "manifest.json").write_text("{}")
-    arguments = ["run", *TINY, f"hydra.run.dir={folder}"]
+    arguments = ["run", *TINY, "sampler=uniform", f"hydra.run.dir={folder}"]
     refused(isas, arguments, ["already holds a run", "overwrite=true"])
     unknown = 'scene.unknowns={"jar.bsdf.base_colour": {"start": 0.5}}'
     refused(isas, [*arguments, "overwrite=true", unknown], ["'jar.bsdf.base_colour'"])
@@ -214,7 +214,7 @@ def test_what_fails_at_the_end_costs_no_result(isas, monkeypatch, part):
     import isas_cli.engine.pictures  # noqa: F401  (so that it can be patched)
 
     monkeypatch.setattr(part, full)
-    status, out, err = isas("run", *TINY, "hydra.run.dir=r")
+    status, out, err = isas("run", *TINY, "sampler=gradient", "hydra.run.dir=r")
     assert (status, out) == (1, "")
     assert err.splitlines()[-1] == "isas: x.png: cannot be written: No space left on device"
     assert records.load(Path("r")).summary["status"] == "done"
@@ -261,7 +261,15 @@ def test_help_imports_nothing_heavy(tmp_path):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_loop_finishes_its_record(tmp_path, number):
-    process = start(tmp_path, "run", *TINY[:2], "target.spp=4", "frames.spp=2", "hydra.run.dir=r")
+    process = start(
+        tmp_path,
+        "run",
+        *TINY[:2],
+        "sampler=uniform",
+        "target.spp=4",
+        "frames.spp=2",
+        "hydra.run.dir=r",
+    )
     wait_for(tmp_path / "r" / "history.csv", process)
     process.send_signal(number)
     out, err = process.communicate(timeout=120)
@@ -275,7 +283,9 @@ def test_an_interrupted_loop_finishes_its_record(tmp_path, number):
 
 
 def test_an_interruption_before_the_loop_leaves_nothing(tmp_path):
-    process = start(tmp_path, "run", *TINY[:2], "target.spp=1000000", "hydra.run.dir=r")
+    process = start(
+        tmp_path, "run", *TINY[:2], "sampler=uniform", "target.spp=1000000", "hydra.run.dir=r"
+    )
     while "targets" not in process.stderr.readline():
         assert process.poll() is None
     process.send_signal(signal.SIGINT)
@@ -287,7 +297,15 @@ def test_an_interruption_before_the_loop_leaves_nothing(tmp_path):
 
 
 def test_a_killed_run_leaves_readable_files(tmp_path):
-    process = start(tmp_path, "run", *TINY[:2], "target.spp=4", "frames.spp=2", "hydra.run.dir=r")
+    process = start(
+        tmp_path,
+        "run",
+        *TINY[:2],
+        "sampler=uniform",
+        "target.spp=4",
+        "frames.spp=2",
+        "hydra.run.dir=r",
+    )
     history = tmp_path / "r" / "history.csv"
     wait_for(history, process)
     process.kill()

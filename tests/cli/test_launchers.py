@@ -140,7 +140,7 @@ def test_a_job_that_slurm_preempts_is_queued_again_and_resumed(tmp_path, cluster
     sweep = subprocess.Popen(
         command, cwd=tmp_path, env=environment, text=True, stderr=subprocess.PIPE
     )
-    while not list(tmp_path.glob("runs/dodoco/progress/*/history.csv")):
+    while not list(tmp_path.glob("runs/dodoco/uniform/*/history.csv")):
         assert sweep.poll() is None, sweep.stderr.read()
         time.sleep(0.05)
     job = psutil.Process(int((tmp_path / "pid_77").read_text()))
@@ -171,7 +171,7 @@ def test_optuna_finds_the_better_learning_rate(tmp_path, monkeypatch):
     assert len(rates) == 3 and all(1e-3 <= rate <= 1e-1 for rate in rates)
     best = min(rates, key=rates.get)
     assert err.splitlines()[-1].startswith(f"best: optimizer.lr={best}: {rates[best]:.4g}: runs/")
-    found = OmegaConf.load("runs/dodoco/progress/optimization_results.yaml")
+    found = OmegaConf.load("runs/dodoco/uniform/optimization_results.yaml")
     assert found.best_params["optimizer.lr"] == best and found.best_value == rates[best]
 
     # Another start proposes the same, takes what is done and goes on from there.
