@@ -13,6 +13,7 @@ from isas_cli.scenes.bake import bake, unfold
 from isas_cli.scenes.lathe import turn
 from isas_cli.scenes.subdivide import subdivide
 
+from isas_cli.runtime import backend
 from isas_cli.runtime.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -31,6 +32,13 @@ NAMES = [
 ]
 # Textures of globes are half as high as wide.
 GLOBES = {"earth.bsdf", "mars.bsdf", "globe.bsdf"}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _two_threads():
+    """Mitsuba reads EXR files here, for which a worker's one thread is not enough."""
+    with backend.loading():
+        yield
 
 
 def config(name: str) -> dict:
