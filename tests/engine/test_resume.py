@@ -27,9 +27,10 @@ SMALL = ["scene=pottery", *TINY]
 # The command with checkpoints every few iterations instead of every few seconds.
 PROGRAM = (
     "import sys\n"
-    "from isas_cli import app, backend\n"
+    "from isas_cli.cli import app\n"
+    "from isas_cli.runtime import backend\n"
     "backend.start()\n"
-    "from isas_cli import recorder\n"
+    "from isas_cli.engine import recorder\n"
     "recorder._CHECKPOINT_SECONDS, recorder._CHECKPOINT_SHARE = 0.05, 1.0\n"
     "sys.exit(app.main(sys.argv[1:]))\n"
 )
