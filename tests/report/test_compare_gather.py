@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 import synthetic_runs as synthetic
 
-from isas_cli.report.compare import labels
+from isas_cli.records.files import OWN_UNIT
+from isas_cli.report.compare import content, labels
 from isas_cli.report.compare.gather import Method, by_scene, gather
 from isas_cli.runtime.errors import InputError
 
@@ -277,3 +278,15 @@ def test_a_baseline_must_be_one_method(tmp_path):
 
 def test_a_method_knows_its_sampler():
     assert Method("pottery", "ours optimizer.lr=0.1", []).sampler == "ours"
+
+
+def test_what_parameter_rmse_is_stands_in_its_label(tmp_path):
+    """Records of earlier versions do not say; where runs differ, a line says so."""
+    for number, words in enumerate((None, "degrees", "relative to the start")):
+        said = {} if words is None else {"parameter_rmse_is": words}
+        run(tmp_path / str(number), seed=number, manifest=said)
+        methods, _, _ = gather([tmp_path / str(number)], None)
+        assert content.label("parameter_rmse", methods) == (f"parameter RMSE ({words or OWN_UNIT})")
+        assert content.label("image_rmse", methods) == "image RMSE (linear radiance)"
+    (line,) = warnings(tmp_path)
+    assert "parameter_rmse is not the same in all runs (degrees; parameter's unit; rel" in line
