@@ -13,7 +13,6 @@ import numpy as np
 import yaml
 
 from ..config.earlier import modern
-from ..runtime import images
 from ..runtime.errors import InputError, nearest
 from .files import (
     AFTER_KEYS,
@@ -62,6 +61,8 @@ class Run:
     def frame(self, name: str) -> np.ndarray:
         """frames/``name``.exr, such as ``result_v00``: ``(H, W, 3) float32``, linear. Raises
         InputError, naming what there is, where there is none of this name."""
+        from ..runtime import images  # loads OpenImageIO, which who reads numbers need not wait for
+
         path = self.folder / "frames" / f"{name}.exr"
         if not path.is_file():
             names = sorted(each.stem for each in path.parent.glob("*.exr"))
