@@ -4,6 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from crosses import some
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
 from isas_cli import losses
@@ -58,7 +59,7 @@ def run(loop_: Loop, stop=lambda: False) -> tuple[str, list[dict]]:
     return status, rows
 
 
-@pytest.mark.parametrize("name", SAMPLERS)
+@pytest.mark.parametrize("name", some([*SAMPLERS], ("uniform", "ours")))
 def test_every_sampler_recovers_texture_and_roughness(name):
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.6}, constant_target=None, resolution=(24, 16))
     status, rows = run(loop(p, SAMPLERS[name], Budget(iterations=150), batch=1024))

@@ -57,9 +57,19 @@ def profiled(loop: Loop, freeze: bool = True) -> dict[str, profiling.Phase]:
     return {phase.phase: phase for phase in found.phases}
 
 
+FEW = (("progress", True), ("uniform", False))  # for every run
+
+
 @pytest.mark.parametrize(
     "name, freeze",
-    [(name, True) for name in pixel_samplers()] + [("uniform", False), ("ours", False)],
+    [
+        pytest.param(name, freeze, marks=() if (name, freeze) in FEW else pytest.mark.slow)
+        for name, freeze in [
+            *((name, True) for name in pixel_samplers()),
+            ("uniform", False),
+            ("ours", False),
+        ]
+    ],
 )
 def test_every_sampler_can_be_profiled(name, freeze):
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.6})
@@ -218,7 +228,14 @@ def test_an_overwritten_run_takes_its_profile_with_it(tmp_path):
 def test_the_command_prints_it_and_the_record_stays_the_same(tmp_path, capfd):
     """profile=true adds a file and a table; the run's values are the same, to the rounding that
     the threads' order leaves."""
-    common = ["run", "scene=pottery", "size=tiny", "sampler=ours", "target.spp=4", "frames.views=0"]
+    common = [
+        "run",
+        "scene=pottery",
+        "size=tiny",
+        "sampler=gradient",
+        "target.spp=4",
+        "frames.views=0",
+    ]
     common += ["budget.iterations=10", "estimator.batch=256", "evaluation.count=3"]
     runs = []
     for wanted in ("false", "true"):

@@ -26,7 +26,8 @@ from isas_cli.runtime.errors import NumericalError
 from isas_cli.unknowns.parameters import as_numpy
 
 SMALL = ["scene=dodoco", "size=tiny", "estimator.batch=512", "evaluation.pixels=64"]
-SMALL += ["frames.views=1", "frames.spp=1", "frames.snapshots=1"]
+SMALL += ["frames.views=1", "frames.spp=1", "frames.snapshots=0", "target.spp=16"]
+SMALL += ["evaluation.count=4"]
 SETTINGS = ["scene=dodoco", "estimator.batch=256", "evaluation.pixels=64", "budget.iterations=24"]
 
 
@@ -110,16 +111,20 @@ def test_a_turn_is_about_a_slice_long_and_the_order_rotates(monkeypatch, tmp_pat
         return result
 
     monkeypatch.setattr(Loop, "advance", advance)
-    arguments = ["race", *SMALL, "samplers=[uniform,relevant,ours]", "budget.iterations=12"]
-    assert app.main([*arguments, "slice=1e-6", f"hydra.run.dir={tmp_path / 'r'}"]) == 0
+    arguments = ["race", *SMALL, "samplers=[uniform,relevant,gradient]", "budget.iterations=12"]
+    assert (
+        app.main([*arguments, "slice=1e-6", "report=false", f"hydra.run.dir={tmp_path / 'r'}"]) == 0
+    )
     names = [name for name, _ in turns]
-    assert names[:3] == ["Uniform", "Relevant", "Ours"]
-    assert names[3:6] == ["Relevant", "Ours", "Uniform"]
-    assert names[6:9] == ["Ours", "Uniform", "Relevant"]
+    assert names[:3] == ["Uniform", "Relevant", "Gradient"]
+    assert names[3:6] == ["Relevant", "Gradient", "Uniform"]
+    assert names[6:9] == ["Gradient", "Uniform", "Relevant"]
     assert all(names.count(name) == 12 for name in set(names)), "one iteration a turn"
     turns.clear()
     arguments = ["race", *SMALL, "samplers=[uniform,relevant]", "budget.iterations=400"]
-    assert app.main([*arguments, "slice=0.03", f"hydra.run.dir={tmp_path / 's'}"]) == 0
+    assert (
+        app.main([*arguments, "slice=0.03", "report=false", f"hydra.run.dir={tmp_path / 's'}"]) == 0
+    )
     ends = {name: number for number, (name, _) in enumerate(turns)}  # the last may be shorter
     full = [seconds for number, (name, seconds) in enumerate(turns) if number != ends[name]]
     assert len(full) > 2 and all(seconds >= 0.03 for seconds in full)
@@ -171,11 +176,11 @@ def test_one_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeypatch, 
 
 def test_an_interrupted_race_goes_on(tmp_path, capsys):
     folder = tmp_path / "race"
-    command = [sys.executable, "-m", "isas_cli", "race", *SMALL, "samplers=[uniform,ours]"]
+    command = [sys.executable, "-m", "isas_cli", "race", *SMALL, "samplers=[uniform,gradient]"]
     command += ["budget.iterations=4000", f"hydra.run.dir={folder}", "slice=0.05"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     until = time.monotonic() + 100
-    histories = [folder / name / "seed1/history.csv" for name in ("uniform", "ours")]
+    histories = [folder / name / "seed1/history.csv" for name in ("uniform", "gradient")]
     while not all(h.exists() and len(h.read_text().splitlines()) > 3 for h in histories):
         assert time.monotonic() < until and process.poll() is None, process.communicate()
         time.sleep(0.02)
@@ -238,7 +243,15 @@ def test_contestants_are_read_as_hydra_writes_or_as_json():
 def test_contestants_of_other_scenes_race_in_one_process(tmp_path, no_page):
     """Scenes with other materials: each pass must leave nothing behind that stops the other's."""
     contestants = "contestants=[{size:tiny},{target.spp:7},{scene:jumpydumpy}]"
-    arguments = ["race", *SMALL, contestants, "budget.iterations=3", f"hydra.run.dir={tmp_path}"]
+    contestants = contestants.replace("}", ",sampler:relevant}")
+    arguments = [
+        "race",
+        *SMALL,
+        contestants,
+        "budget.iterations=3",
+        "report=false",
+        f"hydra.run.dir={tmp_path}",
+    ]
     assert app.main(arguments) == 0
     planned = yaml.safe_load((tmp_path / "race.yaml").read_text())["entries"]
     runs = [records.load(tmp_path / plan["folder"]) for plan in planned]

@@ -34,7 +34,11 @@ def exact(p, loss, cells, samples: int) -> tuple[np.ndarray, np.ndarray]:
     [({TEXTURE: 0.5}, False), ({ROUGHNESS: 0.5}, True), (UNKNOWNS, True)],
     ids=["texture", "roughness", "both"],
 )
-@pytest.mark.parametrize("loss", [losses.L2(), losses.RelativeL2()], ids=["l2", "relative_l2"])
+@pytest.mark.parametrize(
+    "loss",
+    [losses.RelativeL2(), pytest.param(losses.L2(), marks=pytest.mark.slow)],
+    ids=["relative_l2", "l2"],
+)
 def test_moment_matches_brute_force(unknowns, shared, loss):
     """Over many probes on the very same paths. Products of channels vanish for a texture, whose
     entries belong to one channel each, and count where all channels share a roughness."""
@@ -138,6 +142,7 @@ def test_masked_pixels_draw_nothing():
     assert np.all(weights[:half] == 0) and weights[half:].sum() > 0
 
 
+@pytest.mark.slow  # three iterations of it are in tests/scenes
 def test_it_runs(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     run = ["run", "scene=pottery", "size=tiny", "sampler=joint", "sampler.refresh=2"]

@@ -220,6 +220,7 @@ def test_the_command_line_refuses_in_one_line(typed, words, tmp_path, monkeypatc
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow  # three iterations of it are in tests/scenes
 def test_it_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run = ["run", "scene=pottery", "size=tiny", "sampler=multiresolution", "sampler.base=gradient"]

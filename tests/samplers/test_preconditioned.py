@@ -212,6 +212,7 @@ def test_fixed_point_of_a_rendered_texture():
     assert max(spread[-2:]) < 0.2 and spread[0] > 0.8
 
 
+@pytest.mark.slow  # three iterations of it are in tests/scenes
 def test_it_runs(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     run = ["run", "scene=pottery", "size=tiny", "sampler=preconditioned", "sampler.refresh=2"]

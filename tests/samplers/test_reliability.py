@@ -5,6 +5,7 @@ import json
 import mitsuba as mi
 import numpy as np
 import pytest
+from crosses import some
 
 from isas_cli.config.compose import compose
 from isas_cli.engine.experiment import run
@@ -73,16 +74,18 @@ def warnings(folder, *settings: str) -> list[str]:
     return [line for line in said if line.startswith("the sampling density is not to be trusted")]
 
 
-@pytest.mark.parametrize("sampler", SQUARES)
+@pytest.mark.parametrize("sampler", some(SQUARES, ("ours",)))
 def test_a_caustic_that_paths_hardly_find_is_warned_of(sampler, tmp_path):
     assert len(warnings(tmp_path, "scene=caustic_failure", f"sampler={sampler}")) == 1
 
 
-@pytest.mark.parametrize("scene", ["pottery", "jumpydumpy", "dodoco", "trashcan"])
+@pytest.mark.parametrize(
+    "scene", some(["pottery", "jumpydumpy", "dodoco", "trashcan"], ("jumpydumpy", "trashcan"))
+)
 def test_other_scenes_are_not(scene, tmp_path):
     assert warnings(tmp_path, f"scene={scene}", "sampler=ours") == []
 
 
-@pytest.mark.parametrize("sampler", ["uniform", "relevant", "gradient"])
+@pytest.mark.parametrize("sampler", some(["uniform", "relevant", "gradient"], ("gradient",)))
 def test_densities_without_squares_are_not(sampler, tmp_path):
     assert warnings(tmp_path, "scene=caustic_failure", f"sampler={sampler}") == []

@@ -42,7 +42,7 @@ def workshop(request) -> Workshop:
 # Finite differences of sort take 300 renderings a step; the other scenes show that they run.
 CROSSED = [
     pair
-    for pair in crossed(MOVING, [*GRADIENTS], 2, always=["plateau"])
+    for pair in crossed(MOVING, [*GRADIENTS], 1, always=["plateau"])
     if pair.values != ("sort", "finite_differences")
 ]
 

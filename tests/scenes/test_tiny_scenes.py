@@ -45,7 +45,7 @@ def workshop(request) -> Workshop:
     return made
 
 
-@pytest.mark.parametrize("workshop, sampler", crossed(SCENES, SAMPLERS, 3), indirect=["workshop"])
+@pytest.mark.parametrize("workshop, sampler", crossed(SCENES, SAMPLERS, 2), indirect=["workshop"])
 def test_three_iterations(workshop, sampler):
     chosen = f"scene={workshop.problem.name}", f"sampler={sampler}"
     cfg, typed, budget = configured(*chosen, *SMALL)
