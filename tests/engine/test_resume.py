@@ -64,14 +64,14 @@ def stop_after(folder: Path, rows: int, process: subprocess.Popen, number: int) 
     "chosen, number",
     [
         (["scene=pottery", "sampler=ours"], signal.SIGKILL),
-        (["scene=pottery", "sampler=balanced"], signal.SIGINT),
+        pytest.param(["scene=pottery", "sampler=balanced"], signal.SIGINT, marks=pytest.mark.slow),
         (["scene=occlusion", "sampler=plateau", "sampler.base=differences"], signal.SIGKILL),
     ],
     ids=("ours", "balanced", "plateau"),
 )
 def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(tmp_path, chosen, number):
     whole, cut = tmp_path / "whole", tmp_path / "cut"
-    common = ["run", *chosen, *TINY, "budget.iterations=300"]
+    common = ["run", *chosen, *TINY, "budget.iterations=300", "report=false"]
     first = start(*common, f"hydra.run.dir={whole}")
     finish(first)
     assert first.returncode == 0

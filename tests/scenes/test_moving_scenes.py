@@ -5,7 +5,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from crosses import crossed
+from crosses import crossed, some
 from test_tiny_scenes import ITERATIONS, MOVING, SMALL, configured
 
 from isas_cli.config.compose import pixel_samplers
@@ -160,23 +160,20 @@ def test_path_replay_refuses_what_moves():
             workshop.loop(*configured("scene=shadows", f"sampler={sampler}", *SMALL))
 
 
-def test_a_hidden_ball_is_found():
+@pytest.mark.parametrize("name", some(("plateau", "mitsuba"), ("plateau",)))
+def test_a_hidden_ball_is_found(name):
     """Occlusion, solved at its tiny size, where Mitsuba's derivative stays behind in as many
     iterations."""
     settings = [*SMALL, "budget.iterations=300", "target.spp=256", "estimator.batch=8192"]
     workshop = workshop_of("scene=occlusion", *settings)
-    errors = {}
-    for name in ("plateau", "mitsuba"):
-        chosen = configured("scene=occlusion", *GRADIENTS[name], *settings)
-        loop = workshop.loop(*chosen)
-        loop.rehearse()
-        rows: list[dict] = []
-        loop.run(Hooks(evaluated=rows.append))
-        workshop.problem.unknowns.write(loop.stepper.values)
-        errors[name] = rows[-1]["parameter_rmse"] / rows[0]["parameter_rmse"]
-    print(errors)
-    assert errors["plateau"] < 0.05
-    assert errors["mitsuba"] > 0.5
+    loop = workshop.loop(*configured("scene=occlusion", *GRADIENTS[name], *settings))
+    loop.rehearse()
+    rows: list[dict] = []
+    loop.run(Hooks(evaluated=rows.append))
+    workshop.problem.unknowns.write(loop.stepper.values)
+    left = rows[-1]["parameter_rmse"] / rows[0]["parameter_rmse"]
+    print(left)
+    assert left < 0.05 if name == "plateau" else left > 0.5
 
 
 @pytest.mark.parametrize(
