@@ -49,6 +49,7 @@ def test_mitsubas_derivative_of_all_views():
     assert np.all(np.abs(found.mean(axis=0)) > 1e-4)
 
 
+@pytest.mark.slow
 def test_kernel_and_renderer_agree_at_the_end_of_a_range():
     """The radiance near 1, where it is clamped."""
     p = blurred_problem(at=(AT[0], 0.9), widths=(0.05, 0.3), glows=True)
