@@ -93,6 +93,7 @@ def test_mitsubas_own_derivative_does_not_see_over_a_plateau():
     assert mean > 4 * error
 
 
+@pytest.mark.slow
 def test_the_edge_of_a_point_lights_shadow_is_missing():
     """A limit of Mitsuba's, which the baseline on `shadows` has: no traced ray meets the light."""
     p = blurred_problem(at=(0.0, AT[1]), point=True)

@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from blurred_gradients import BATCH, LEVEL, made, p_value, references_of, rows, unbiased, uniform
+from crosses import crossed
 from poses_for_tests import AT, COLOUR, PLACE, SIGMA, blurred_problem
 from scipy import stats
 
@@ -38,13 +39,13 @@ def references(problem) -> dict[str, np.ndarray]:
     return references_of(problem)
 
 
-@pytest.mark.parametrize("scheme", ("joint", "separate"))
-@pytest.mark.parametrize("smooth", ("image", "loss"))
+@pytest.mark.parametrize("smooth, scheme", crossed(("image", "loss"), ("joint", "separate"), 1))
 def test_unbiased_for_the_objective_it_names(problem, references, smooth, scheme):
     found = rows(made(problem, smooth=smooth, scheme=scheme), problem, COUNT)
     assert unbiased(found, references[smooth])
 
 
+@pytest.mark.slow
 def test_the_papers_single_rendering_for_the_residual(problem, references):
     found = rows(made(problem, smooth="image", residual="one"), problem, COUNT)
     assert unbiased(found, references["image"])
@@ -92,6 +93,7 @@ def test_a_pair_for_each_of_very_many_entries_is_refused(problem, monkeypatch):
     made(problem, scheme="joint")
 
 
+@pytest.mark.slow
 def test_more_paths_of_the_residual_lower_the_variance_at_the_truth():
     p = blurred_problem(at=(0.2, 0.7), widths=(0.03, 0.02))
     few, many = (
