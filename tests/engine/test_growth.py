@@ -212,7 +212,7 @@ def test_a_seed_that_is_a_literal_is_noticed():
     "settings",
     [
         ["sampler=plateau", "sampler.base=differences"],
-        ["sampler=mitsuba"],
+        pytest.param(["sampler=mitsuba"], marks=pytest.mark.slow),
         pytest.param(["sampler=plateau", "sampler.smooth=loss"], marks=pytest.mark.slow),
         pytest.param(["sampler=finite_differences"], marks=pytest.mark.slow),
     ],

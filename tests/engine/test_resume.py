@@ -65,7 +65,11 @@ def stop_after(folder: Path, rows: int, process: subprocess.Popen, number: int) 
     [
         (["scene=pottery", "sampler=ours"], signal.SIGKILL),
         pytest.param(["scene=pottery", "sampler=balanced"], signal.SIGINT, marks=pytest.mark.slow),
-        (["scene=occlusion", "sampler=plateau", "sampler.base=differences"], signal.SIGKILL),
+        pytest.param(
+            ["scene=occlusion", "sampler=plateau", "sampler.base=differences"],
+            signal.SIGKILL,
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=("ours", "balanced", "plateau"),
 )

@@ -32,6 +32,7 @@ def test_mitsubas_derivative_blurred(smooth):
     assert unbiased(found, references_of(p)[smooth], seen=0.6)
 
 
+@pytest.mark.slow
 def test_mitsubas_own_derivative():
     """Unblurred, of place and radiance, against differences over so small a step that they change
     no more: the mean image is smooth in both."""

@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from blurred_gradients import BATCH, LEVEL, made, p_value, references_of, rows, unbiased, uniform
-from crosses import crossed
+from crosses import crossed, some
 from poses_for_tests import AT, COLOUR, PLACE, SIGMA, blurred_problem
 from scipy import stats
 
@@ -51,6 +51,7 @@ def test_the_papers_single_rendering_for_the_residual(problem, references):
     assert unbiased(found, references["image"])
 
 
+@pytest.mark.slow
 def test_a_residual_from_both_sides_lowers_the_variance_at_the_truth():
     """What an offset changes and its opposite changes back is noise that stays at the truth."""
     p = blurred_problem(at=(0.2, 0.7), widths=(0.2, 0.15))
@@ -104,6 +105,7 @@ def test_more_paths_of_the_residual_lower_the_variance_at_the_truth():
     assert np.all(few.var(axis=0) > 2 * many.var(axis=0))
 
 
+@pytest.mark.slow
 def test_a_residual_that_is_not_blurred_is_noticed(problem, references, monkeypatch):
     """Taken at θ itself, as ordinary gradients take it."""
     monkeypatch.setattr(smoothing, "blurred", lambda σ, rng: np.zeros(σ.size))
@@ -111,6 +113,7 @@ def test_a_residual_that_is_not_blurred_is_noticed(problem, references, monkeypa
     assert p_value(found, references["image"]) < LEVEL
 
 
+@pytest.mark.slow
 def test_several_pairs_and_independent_random_numbers(problem, references):
     found = rows(made(problem, smooth="image", pairs=3, common=False), problem, COUNT // 2)
     assert unbiased(found, references["image"])
@@ -158,7 +161,7 @@ def test_several_paths_of_fewer_pixels_lower_the_variance():
     assert np.all(single.var(axis=0) > 1.5 * several.var(axis=0))
 
 
-@pytest.mark.parametrize("smooth", ("image", "loss"))
+@pytest.mark.parametrize("smooth", some(("image", "loss"), ("image",)))
 def test_pixels_drawn_where_renderings_differ(problem, references, smooth):
     """Unbiased with the pmf that is made for it."""
     estimator = made(problem, smooth=smooth)
@@ -173,6 +176,7 @@ def drawn_by_differences(estimator, p, smooth: str) -> PixelDistribution:
     return sampler.distribution(sampler.look(p.unknowns.starts(), 3, 0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("smooth", ("image", "loss"))
 def test_pixels_drawn_where_renderings_differ_lower_the_variance(smooth):
     """Of blurs so narrow that the offsets' own noise, which no pmf mends, is not most of it."""
@@ -301,6 +305,7 @@ def test_common_random_numbers_lower_the_variance(smooth):
     assert np.all(apart.var(axis=0) > 1.5 * common.var(axis=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("smooth", ("loss", "image"))
 def test_narrow_blurs_stay_finite(smooth):
     """σ = 1e-4: the gradient is then the loss's own, against central differences, of the colour as
@@ -330,7 +335,7 @@ def test_every_unknown_has_a_schedule_of_its_own():
         assert blur.widths(np.array(AT), progress) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("method", ("kernel", "renderer"))
+@pytest.mark.parametrize("method", some(("kernel", "renderer"), ("kernel",)))
 def test_estimates_follow_the_schedule(method):
     """At the end of one that falls to the widths of another: the same numbers as that one's."""
     found = []
@@ -348,7 +353,7 @@ def test_estimates_follow_the_schedule(method):
     assert found[2] != pytest.approx(found[0], rel=0.1)
 
 
-@pytest.mark.parametrize("spp", (1, 3))
+@pytest.mark.parametrize("spp", some((1, 3), (3,)))
 def test_central_differences_are_those_of_the_loss(problem, spp):
     """Against renderings of the whole images at both ends."""
     estimator = FiniteDifferences(problem, losses.L2(), BATCH // spp, 0.5, spp=spp)

@@ -98,6 +98,7 @@ def shared():
     return Pair("interreflection")
 
 
+@pytest.mark.parametrize("pair", some([*PROBLEMS], ("sun", "back", "mirror")), indirect=True)
 def test_gradient_is_that_of_bsdf_sampling(pair, seed):
     outcome = pair.against_plain(pair.drawn.uniform(REPEATS, seed))
     print(outcome)

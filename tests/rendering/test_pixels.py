@@ -176,7 +176,11 @@ def test_a_film_of_one_pixel(floor):
     assert np.all(draw(d, 64, 1) == 0)
 
 
-@pytest.mark.parametrize("most", [1 << 20, 1 << 27], ids=["tiles", "pixels"])
+@pytest.mark.parametrize(
+    "most",
+    [1 << 20, pytest.param(1 << 27, marks=pytest.mark.slow)],
+    ids=["tiles", "pixels"],
+)
 def test_mass_in_the_last_of_70_million_pixels(most):
     """More pixels than float32 has uniform numbers, all mass in the very last: it is found, its
     probability is exact, and without a floor nothing else is drawn. With a floor every pixel's

@@ -79,7 +79,7 @@ def roughness() -> Workshop:
         return Workshop(experiment.built(typed, Phases(display)))
 
 
-@pytest.mark.parametrize("sampler", some(SAMPLERS, ("uniform", "balanced", "progress")))
+@pytest.mark.parametrize("sampler", some(SAMPLERS, ("uniform", "progress")))
 def test_derivative_sampling_with_each_sampler(roughness, sampler):
     """From the setting to the steps, which take five paths a pixel instead of two."""
     loops = {}

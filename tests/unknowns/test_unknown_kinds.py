@@ -40,7 +40,12 @@ def directions(unknown, rng: np.random.Generator) -> list[np.ndarray]:
 
 
 # Unrolled at depth 4, replayed at depth 6.
-@pytest.mark.parametrize("sky, depth", [("map", 4), ("map", 6), ("constant", 4)])
+OTHERS = (("map", 6), ("constant", 4))
+
+
+@pytest.mark.parametrize(
+    "sky, depth", [("map", 4), *(pytest.param(*more, marks=pytest.mark.slow) for more in OTHERS)]
+)
 def test_gradients_of_all_kinds_at_once_are_those_of_finite_differences(sky, depth, rng):
     made = problem(sky, depth)
     loss = configured("loss", "l2")
