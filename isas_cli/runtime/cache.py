@@ -9,11 +9,13 @@ import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from .errors import InputError, IsasError
 from .files import write_atomically
+
+if TYPE_CHECKING:
+    import numpy as np
 
 _DEFAULT_GIB = 4.0
 
@@ -50,6 +52,8 @@ def cached(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, 
     What has not been used for longest goes first where the cache outgrows its ``limit``. A cache
     that cannot be written costs the next run its time, never this run its result.
     """
+    import numpy as np  # which `isas doctor` need not wait for
+
     path = folder() / f"{key}.npz"
     try:
         with np.load(path) as stored:
@@ -74,6 +78,8 @@ def digest(*parts) -> str:
 
 
 def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    import numpy as np
+
     with open(path, "wb") as file:
         np.savez(file, **arrays)
 

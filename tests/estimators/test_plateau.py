@@ -77,7 +77,7 @@ def test_the_residuals_paths_are_a_setting(problem, references):
 
 def test_more_paths_of_the_residual_than_fit_are_refused(problem):
     with pytest.raises(
-        InputError, match="sampler.residual_spp=16384 times estimator.batch=1048576"
+        InputError, match="estimator.residual_spp=16384 times estimator.batch=1048576"
     ):
         Plateau(problem, losses.L2(), 1 << 20, "image", residual_spp=1 << 14)
     with pytest.raises(InputError, match=r"residual_spp=16384 \(as many as the pairs have on one"):
@@ -89,7 +89,7 @@ def test_a_pair_for_each_of_very_many_entries_is_refused(problem, monkeypatch):
     monkeypatch.setattr(blur, "_MOST_SINGLE", 1)
     with pytest.raises(InputError, match="estimator.scheme=separate takes a pair .* 2 entries"):
         made(problem, scheme="separate")
-    with pytest.raises(InputError, match="sampler=finite_differences takes a pair"):
+    with pytest.raises(InputError, match="estimator=finite_differences takes a pair"):
         FiniteDifferences(problem, losses.L2(), BATCH, 1.0)
     made(problem, scheme="joint")
 
@@ -384,7 +384,7 @@ def test_central_differences_are_those_of_the_loss(problem, spp):
 def test_an_unknown_without_blur_is_refused():
     p = blurred_problem()
     p.unknowns.items[1].blur = None
-    with pytest.raises(InputError, match=f"'{COLOUR}'.*has no blur, which sampler=plateau needs"):
+    with pytest.raises(InputError, match=f"'{COLOUR}'.*has no blur, which estimator=plateau needs"):
         made(p)
 
 

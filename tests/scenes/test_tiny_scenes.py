@@ -5,7 +5,6 @@ import pytest
 from crosses import crossed, some
 from omegaconf import DictConfig, OmegaConf
 
-from isas_cli import effects
 from isas_cli.config.compose import compose, options, pixel_samplers, translate
 from isas_cli.config.schema import Config
 from isas_cli.engine import experiment
@@ -93,8 +92,8 @@ def test_derivative_sampling_with_each_sampler(roughness, sampler):
     (key,) = roughness.problem.unknowns.keys
     values = [float(loop.stepper.values[key][0]) for loop in (plain, drawn)]
     assert values[0] != values[1] and all(0.05 <= v < 0.8 or v > 0.8 for v in values)
-    assert "two parts" in effects.plan(drawn.problem)["derivatives"]
-    assert "two parts" not in effects.plan(plain.problem)["derivatives"]
+    assert "two parts" in drawn.problem.integrator.derivatives
+    assert "two parts" not in plain.problem.integrator.derivatives
     batch = ITERATIONS * 1024
     steps = [loop.position.paths - looks(loop) for loop in (plain, drawn)]
     assert steps == [2 * batch, 5 * batch]

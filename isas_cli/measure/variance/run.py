@@ -164,6 +164,7 @@ class _Record:
         return 0 if done else interrupt.STATUS
 
     def _open(self) -> None:
+        from ... import effects  # imports Mitsuba
         from ...records import manifest
         from ...records.files import write_json, write_text
 
@@ -185,8 +186,10 @@ class _Record:
         }
         text = OmegaConf.to_yaml(OmegaConf.create({**asked, "samplers": samplers, **cfg}))
         write_text(plan.folder / "config.yaml", text)
+        problem = self.bench.problem
+        simulated = effects.plan(problem, problem.integrator.derivatives)
         described = manifest.describe(
-            self.machine, self.bench.problem, typed.seed, typed.target.seed
+            self.machine, problem, typed.seed, typed.target.seed, simulated
         )
         if self.best:
             asked["best_pmf"] = {"neighbours": self.best.share, "width": self.best.width}
