@@ -30,9 +30,12 @@ _CHOICES = ("sampler", _BASE, "estimator", "loss", "prior")
 # The sampler that looks at blurred renderings instead of paths.
 _BLURRED = "differences"
 # Settings of estimators that were settings of the samplers of the same names, and are still taken.
-_OF_ESTIMATORS = (
-    *("gradient", "smooth", "scheme", "pairs", "spp", "common", "residual", "residual_spp"),
-    *("silhouettes", "step"),
+_OF_ESTIMATORS = tuple(
+    f"sampler.{name}"
+    for name in (
+        *("gradient", "smooth", "scheme", "pairs", "spp", "common", "residual", "residual_spp"),
+        *("silhouettes", "step"),
+    )
 )
 _LABELS = tuple(f"{choice}.{label}" for choice in _CHOICES for label in ("name", "_target_"))
 
@@ -52,7 +55,10 @@ def _unpacked(overrides: list[str]) -> list[str]:
     ``sampler.scheme=…`` is ``estimator.scheme=…``, and with ``sampler.base=gradient`` the pixels
     are drawn by that sampler."""
     found = []
-    preset = next((name for name in PRESETS if f"sampler={name}" in overrides), None)
+    named = [o.partition("=")[2].split(",") for o in overrides if o.startswith("sampler=")]
+    preset = next((name for name in PRESETS if [name] in named), None)
+    # Of another sampler's setting the answer should name the sampler.
+    other = any(not set(names) & set(PRESETS) for names in named)
     base = next((o for o in overrides if o.lstrip("+").startswith(f"{_BASE}=")), None)
     for override in overrides:
         key, equals, value = override.lstrip("+").partition("=")
@@ -62,8 +68,8 @@ def _unpacked(overrides: list[str]) -> list[str]:
             found.append(f"sampler={value}")
         elif preset and key.startswith(f"{_BASE}."):
             found.append(f"sampler{key[len(_BASE) :]}={value}")
-        elif equals and key.startswith("sampler.") and key[len("sampler.") :] in _OF_ESTIMATORS:
-            found.append(f"estimator.{key[len('sampler.') :]}={value}")
+        elif equals and not other and key in _OF_ESTIMATORS:
+            found.append(f"estimator.{key.partition('.')[2]}={value}")
         else:
             found.append(override)
     return found

@@ -66,6 +66,9 @@ def test_settings_of_a_preset_go_to_the_estimator_and_its_base_draws():
     assert (same.estimator, same.sampler) == (cfg.estimator, cfg.sampler)
     with pytest.raises(InputError, match="sampler=plateau is a preset for estimator=plateau"):
         chosen("sampler=plateau", "estimator=mitsuba")
+    # A race names its samplers elsewhere; with another sampler it is no setting.
+    assert translate(["sampler.spp=4"]) == ["estimator.spp=4"]
+    assert translate(["sampler=ours", "sampler.spp=4"]) == ["sampler=ours", "sampler.spp=4"]
 
 
 @pytest.mark.parametrize("estimator", MADE)
