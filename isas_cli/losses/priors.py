@@ -12,7 +12,6 @@ billed with the step. Entries that no pixel touched move as well, towards their 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -141,8 +140,6 @@ class Neighbours:
 
 class OnUnknowns:
     """A prior on the unknowns of one problem."""
-
-    name: ClassVar[str] = "prior"
 
     def __init__(self, prior: Prior, neighbours: dict[str, Neighbours]):
         self.prior, self.neighbours = prior, neighbours
