@@ -111,7 +111,6 @@ def own_passes(integrator):
     import drjit as dr
     import mitsuba as mi
 
-
     def kernel(scene, leaves, both, seeds):
         with dr.suspend_grad():
             first, second = (mi.Ray3f(o, d) for o, d in both)
@@ -129,7 +128,6 @@ def stock_passes(integrator):
     """Mitsuba's: two primal passes, and the second one's paths replayed for the derivative."""
     import drjit as dr
     import mitsuba as mi
-
 
     def kernel(scene, leaves, both, seeds):
         with dr.suspend_grad():

@@ -30,7 +30,7 @@ NAMES = ["drawing", "primal", "adjoint", "scatter", "Adam", "update", "stage 1",
 
 @pytest.fixture(autouse=True)
 def few_rounds(monkeypatch):
-    monkeypatch.setattr(profiling, "_ROUNDS", 5)
+    monkeypatch.setattr(profiling, "_ROUNDS", 3)
 
 
 def rehearsed(p, name: str, freeze: bool = True, iterations: int = 8, steps=Stepper) -> Loop:
@@ -57,7 +57,7 @@ def profiled(loop: Loop, freeze: bool = True) -> dict[str, profiling.Phase]:
     return {phase.phase: phase for phase in found.phases}
 
 
-FEW = (("progress", True), ("uniform", False))  # for every run
+FEW = (("ours", True), ("uniform", False))  # for every run
 
 
 @pytest.mark.parametrize(
@@ -83,6 +83,7 @@ def test_every_sampler_can_be_profiled(name, freeze):
         assert phases[name].milliseconds > 0, name
 
 
+@pytest.mark.slow
 def test_long_paths_can_be_profiled():
     """Path replay, where the adjoint traces its paths twice."""
     p = problem({TEXTURE: 0.5}, depth=7)

@@ -45,21 +45,21 @@ def one_thread():
     dr.set_thread_count(count)
 
 
-def loops(workshop: Workshop, samplers: list[str], seeds: list[int]) -> list[Loop]:
+def loops(workshop: Workshop, *chosen: tuple[str, int]) -> list[Loop]:
+    """Rehearsed loops of these samplers and seeds."""
     made = []
-    for sampler in samplers:
-        for seed in seeds:
-            cfg = compose([*SETTINGS, f"sampler={sampler}", f"seed={seed}"])
-            made.append(workshop.loop(cfg, *checked(cfg)))
-            made[-1].rehearse()
+    for sampler, seed in chosen:
+        cfg = compose([*SETTINGS, f"sampler={sampler}", f"seed={seed}"])
+        made.append(workshop.loop(cfg, *checked(cfg)))
+        made[-1].rehearse()
     return made
 
 
 def test_contestants_in_turn_end_with_the_bits_that_each_has_alone(one_thread):
     """Nothing that is shared holds state of a run: kernels, samplers, estimators, evaluators."""
-    samplers, seeds = ["ours", "balanced"], [1, 2]
+    contestants = [("ours", 1), ("ours", 2), ("uniform", 1)]
     p = problem({TEXTURE: 0.5}, constant_target=None)
-    together = loops(Workshop(p), samplers, seeds)
+    together = loops(Workshop(p), *contestants)
     rows: list[list[dict]] = [[] for _ in together]
     hooks = [Hooks(evaluated=each.append) for each in rows]
     for loop, hook in zip(together, hooks):
@@ -71,9 +71,9 @@ def test_contestants_in_turn_end_with_the_bits_that_each_has_alone(one_thread):
     ends = [as_numpy(loop.stepper.values[TEXTURE]) for loop in together]
     p.unknowns.write(together[0].stepper.values)
     assert len({end.tobytes() for end in ends}) == len(ends), "all differ from each other"
-    for number, sampler, seed in ((1, "ours", 2), (2, "balanced", 1)):
+    for number, (sampler, seed) in [*enumerate(contestants)][1:]:
         alone = problem({TEXTURE: 0.5}, constant_target=None)
-        loop = loops(Workshop(alone), [sampler], [seed])[0]
+        loop = loops(Workshop(alone), (sampler, seed))[0]
         own: list[dict] = []
         loop.run(Hooks(evaluated=own.append))
         assert np.array_equal(as_numpy(loop.stepper.values[TEXTURE]), ends[number]), sampler
@@ -177,7 +177,8 @@ def test_one_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeypatch, 
 def test_an_interrupted_race_goes_on(tmp_path, capsys):
     folder = tmp_path / "race"
     command = [sys.executable, "-m", "isas_cli", "race", *SMALL, "samplers=[uniform,gradient]"]
-    command += ["budget.iterations=4000", f"hydra.run.dir={folder}", "slice=0.05"]
+    command += ["budget.iterations=4000", "evaluation.count=60", "slice=0.05"]
+    command.append(f"hydra.run.dir={folder}")
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     until = time.monotonic() + 100
     histories = [folder / name / "seed1/history.csv" for name in ("uniform", "gradient")]
@@ -242,7 +243,7 @@ def test_contestants_are_read_as_hydra_writes_or_as_json():
 
 def test_contestants_of_other_scenes_race_in_one_process(tmp_path, no_page):
     """Scenes with other materials: each pass must leave nothing behind that stops the other's."""
-    contestants = "contestants=[{size:tiny},{target.spp:7},{scene:jumpydumpy}]"
+    contestants = "contestants=[{size:tiny},{scene:jumpydumpy}]"
     contestants = contestants.replace("}", ",sampler:relevant}")
     arguments = [
         "race",
@@ -256,7 +257,7 @@ def test_contestants_of_other_scenes_race_in_one_process(tmp_path, no_page):
     planned = yaml.safe_load((tmp_path / "race.yaml").read_text())["entries"]
     runs = [records.load(tmp_path / plan["folder"]) for plan in planned]
     assert {run.summary["scene"] for run in runs} == {"dodoco", "jumpydumpy"}
-    assert len({run.manifest["target_hash"] for run in runs}) == 3
+    assert len({run.manifest["target_hash"] for run in runs}) == 2
 
 
 def test_entries_share_a_problem_when_scene_and_target_are_equal(tmp_path):

@@ -157,7 +157,7 @@ def test_halves_are_independent_and_agree(measured):
 
 def test_variance_of_single_draws_is_the_closed_form(small, measured, seed):
     """With one pixel per estimate nothing is stratified: V = Σ_j A_j/p_j - ‖∇‖², for any pmf."""
-    p, repeats = small, 4096
+    p, repeats = small, 2048
     made = bench(p, 1, seed % 1000)
     found = best.find(measured[0])
     contestants = [made.sampled(UNIFORM, Uniform()), made.fixed(BEST, found.distribution)]
@@ -171,7 +171,7 @@ def test_variance_of_single_draws_is_the_closed_form(small, measured, seed):
         error = steps.std(ddof=1) / np.sqrt(steps.size)
         z = (steps.mean() - exact) / error
         print(contestant.label, "measured", steps.mean(), "±", error, "closed form", exact, "z", z)
-        assert abs(z) < 4 and error < 0.2 * exact
+        assert abs(z) < 4 and error < 0.28 * exact
 
 
 def test_pixels_that_contribute_nothing_need_no_probability(small):

@@ -40,7 +40,7 @@ def gradients(p, both_ways: bool) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(found), np.array(radiance)
 
 
-@pytest.mark.parametrize("depth", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("depth", [1, 2, 5])
 def test_gradients_agree_with_path_replay(depth):
     if depth == 1:
         p = problem({"sky.radiance.value": 0.2}, depth=1)

@@ -98,7 +98,7 @@ def shared():
     return Pair("interreflection")
 
 
-@pytest.mark.parametrize("pair", some([*PROBLEMS], ("sun", "back", "mirror")), indirect=True)
+@pytest.mark.parametrize("pair", some([*PROBLEMS], ("back", "mirror")), indirect=True)
 def test_gradient_is_that_of_bsdf_sampling(pair, seed):
     outcome = pair.against_plain(pair.drawn.uniform(REPEATS, seed))
     print(outcome)
@@ -106,7 +106,7 @@ def test_gradient_is_that_of_bsdf_sampling(pair, seed):
     assert outcome.always_visible < 0.3, str(outcome)
 
 
-@pytest.mark.parametrize("pair", some([*PROBLEMS], ("interreflection", "two")), indirect=True)
+@pytest.mark.parametrize("pair", some([*PROBLEMS], ("two",)), indirect=True)
 def test_gradient_is_the_slope_of_the_loss(pair, seed):
     rng = np.random.default_rng(seed)
     rows = pair.drawn.uniform(2 * REPEATS, seed)

@@ -44,7 +44,7 @@ def workshop(request) -> Workshop:
     return made
 
 
-@pytest.mark.parametrize("workshop, sampler", crossed(SCENES, SAMPLERS, 2), indirect=["workshop"])
+@pytest.mark.parametrize("workshop, sampler", crossed(SCENES, SAMPLERS, 1), indirect=["workshop"])
 def test_three_iterations(workshop, sampler):
     chosen = f"scene={workshop.problem.name}", f"sampler={sampler}"
     cfg, typed, budget = configured(*chosen, *SMALL)
@@ -61,6 +61,7 @@ def test_three_iterations(workshop, sampler):
         assert np.isfinite(found).all()
         assert unknown.low <= found.min() and found.max() <= unknown.high
         assert np.abs(found - unknown.start).max() > 1e-3, f"{unknown.key} has not moved"
+        assert unknown.seen.mean() > 0.15, f"most of {unknown.key} is out of view"
     last = rows[-1]
     assert last["nonfinite"] == 0 and loop.lost == 0
     assert last["gradient_norm"] > 0
@@ -78,7 +79,7 @@ def roughness() -> Workshop:
         return Workshop(experiment.built(typed, Phases(display)))
 
 
-@pytest.mark.parametrize("sampler", some(SAMPLERS, ("uniform", "progress")))
+@pytest.mark.parametrize("sampler", some(SAMPLERS, ("progress",)))
 def test_derivative_sampling_with_each_sampler(roughness, sampler):
     """From the setting to the steps, which take five paths a pixel instead of two."""
     loops = {}
