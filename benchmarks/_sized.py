@@ -32,8 +32,8 @@ def problem_of(views: int, resolution: int, texture: int, depth: int):
     from isas_cli.scenes import pottery
 
     from isas_cli.config.schema import UnknownConfig
-    from isas_cli.scene.views import Views
     from isas_cli.scene.problem import Problem
+    from isas_cli.scene.views import Views
     from isas_cli.unknowns.specs import parse
     from isas_cli.unknowns.unknowns import Unknowns
 

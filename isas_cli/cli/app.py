@@ -68,11 +68,26 @@ best     paths per pixel that measure each pixel's share of the variance, for th
 uniform and gradient are always measured: ratios refer to them. Everything else is as in
 isas run --help. Status: 0 done, 2 bad configuration or input, 130 interrupted."""
 
+_EFFECTS_HELP = """\
+usage: isas effects scene=NAME [KEY=VALUE ...]
+
+Say which light transport a run would simulate, and why: what a probe of at most 3 seconds measures
+of the images, of the gradient and of the time, with 95 % bounds. Nothing is optimised.
+
+  isas effects scene=pottery
+  isas effects scene=earth effects.tolerance=0.02
+  isas effects scene=bowl effects.max_depth=2
+
+Settings: effects=auto (default), effects=full, effects.max_depth, effects.light_samples,
+effects.tolerance, effects.finish. Everything else is as in isas run --help.
+Status: 0 done, 2 bad configuration or input, 130 interrupted."""
+
 
 _SUMMARIES = {
     "run": "recover a scene's unknowns (isas run --help)",
     "race": "let configurations take turns at equal time (isas race --help)",
     "variance": "how noisy the gradient is with each sampler (isas variance --help)",
+    "effects": "which light transport a run would simulate (isas effects --help)",
     "compare": "tables, plots and a page over finished runs",
     "watch": "show how a run is going on",
     "scenes": "list the scenes, samplers and losses",
@@ -97,10 +112,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"isas {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
-    # Three are here for the help only: their arguments are Hydra's, passed on unparsed.
+    # Four are here for the help only: their arguments are Hydra's, passed on unparsed.
     commands.add_parser("run", help=_SUMMARIES["run"], add_help=False)
     commands.add_parser("race", help=_SUMMARIES["race"], add_help=False)
     commands.add_parser("variance", help=_SUMMARIES["variance"], add_help=False)
+    commands.add_parser("effects", help=_SUMMARIES["effects"], add_help=False)
     compare = commands.add_parser("compare", help=_SUMMARIES["compare"])
     compare.add_argument("folders", nargs="+", metavar="DIR", help="runs, or folders of runs")
     compare.add_argument("--output", metavar="DIR", help="where to (default: DIR/comparison)")
@@ -147,6 +163,13 @@ def _dispatch(arguments: list[str]) -> int:
         from .variance import main as variance
 
         return variance(arguments[1:])
+    if command == "effects":
+        if {"-h", "--help"} & set(arguments[1:]):
+            print(_EFFECTS_HELP)
+            return 0
+        from .effects import main as effects
+
+        return effects(arguments[1:])
     if command and not command.startswith("-") and command not in _SUMMARIES:
         raise InputError(f"{command}: no such command; {nearest(command, _SUMMARIES)}")
     parsed = _parser().parse_args(arguments)

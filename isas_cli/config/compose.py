@@ -21,12 +21,12 @@ from .schema import PRESETS
 # These take keys that no schema can list; '++' lets Hydra add them.
 _UNKNOWNS = "scene.unknowns="
 _NAMED = {_UNKNOWNS: schema.UnknownConfig, "scene.poses=": schema.PoseConfig}
-_GROUPS = ("scene", "sampler", "estimator", "loss", "prior")
+_GROUPS = ("scene", "sampler", "estimator", "loss", "prior", "effects")
 # Taken as they stand, whatever letters a path has.
 _PATHS = ("scene.path", "hydra.run.dir", "hydra.sweep.dir")
 # The sampler that another goes around: a choice within a choice, as typed and as Hydra takes it.
 _BASE, _BASE_OF_HYDRA = "sampler.base", "sampler@sampler.base"
-_CHOICES = ("sampler", _BASE, "estimator", "loss", "prior")
+_CHOICES = ("sampler", _BASE, "estimator", "loss", "prior", "effects")
 # The sampler that looks at blurred renderings instead of paths.
 _BLURRED = "differences"
 # Settings of estimators that were settings of the samplers of the same names, and are still taken.

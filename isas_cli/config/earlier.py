@@ -16,7 +16,12 @@ def modern(config: dict[str, Any]) -> dict[str, Any]:
     the sampler that drew their pixels as ``base``. Modules have moved since as well.
     """
     sampler, estimator = config.get("sampler"), config.get("estimator")
-    if not isinstance(sampler, dict) or "name" in (estimator or {}):
+    if not isinstance(sampler, dict):
+        return config
+    # Before there were plans of effects, everything was simulated.
+    if "effects" not in config:
+        config = {**config, "effects": _ALL_EFFECTS}
+    if "name" in (estimator or {}):
         return config
     common = {key: value for key, value in (estimator or {}).items() if key in _OF_ESTIMATORS}
     chosen = sampler.get("name")
@@ -35,6 +40,15 @@ def modern(config: dict[str, Any]) -> dict[str, Any]:
     return {**config, "estimator": found, "prior": config.get("prior") or _NO_PRIOR}
 
 
+_ALL_EFFECTS = {
+    "name": "full",
+    "_target_": "isas_cli.effects.settings.Effects",
+    "probe": False,
+    "max_depth": None,
+    "light_samples": None,
+    "tolerance": 0.005,
+    "finish": 0.0,
+}
 _NO_PRIOR = {"name": "none", "_target_": "isas_cli.losses.priors.Nothing"}
 
 

@@ -267,6 +267,8 @@ class Config:
     estimator: Dict[str, Any] = setting(dict, Role.METHOD)
     loss: Dict[str, Any] = setting(dict, Role.METHOD)
     prior: Dict[str, Any] = setting(dict, Role.METHOD)
+    # Measurements at a fixed point have all effects.
+    effects: Dict[str, Any] = setting(dict, Role.METHOD, looped=True)
     optimizer: OptimizerConfig = setting(OptimizerConfig, Role.METHOD)
     size: str = setting("default", Role.PROBLEM)
     target: TargetConfig = setting(TargetConfig, Role.PROBLEM)

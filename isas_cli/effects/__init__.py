@@ -1,5 +1,7 @@
 """Which light transport a scene calls for, and the evidence."""
 
-from .structure import plan
+from .plan import Plan, decide
+from .settings import Effects
+from .structure import statements
 
-__all__ = ["plan"]
+__all__ = ["Effects", "Plan", "decide", "statements"]

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from ..scene.problem import Problem
 
 
-_UNLIMITED = 2**32 - 1  # what Mitsuba makes of max_depth=-1
+UNLIMITED = 2**32 - 1  # what Mitsuba makes of max_depth=-1
 
 
-def plan(problem: "Problem", derivatives: str) -> dict[str, str]:
+def statements(problem: "Problem", derivatives: str) -> dict[str, str]:
     """Effect → what is done about it, and why, in the order in which a reader asks.
 
     ``derivatives``: how the estimator gets them, in words."""
@@ -41,9 +41,13 @@ def _moving(keys: list[str]) -> str:
     return "not differentiated: no unknown moves geometry"
 
 
+def longest(depth: int) -> str:
+    return "of any length" if depth == UNLIMITED else f"up to {depth} edges"
+
+
 def _depth(depth: int) -> str:
     """What a longest path of so many edges carries to the camera."""
-    if depth == _UNLIMITED:
+    if depth == UNLIMITED:
         return "of any length, ended by Russian roulette: all interreflection"
     if depth <= 1:
         return "of 1 edge: emission only, no surface is lit"

@@ -59,12 +59,22 @@ class Evaluator:
         if problem.truth_known:
             self.references = self._halves(problem.unknowns.truths())
 
-    def _halves(self, values: dict) -> tuple[mi.Color3f, mi.Color3f]:
+    def apart(self, problem: Problem, values: dict) -> float:
+        """Root mean square difference of the mean images of ``problem``, the same with another
+        integrator, from this one's."""
+        own, other = self._halves(values), self._halves(values, Renderer(problem))
+        (a, b), (c, d) = own, other
+        return math.sqrt(max(0.0, float(dr.mean(dr.mean((a - c) * (b - d)))[0])))
+
+    def _halves(
+        self, values: dict, renderer: Renderer | None = None
+    ) -> tuple[mi.Color3f, mi.Color3f]:
         """Two independent renderings of the chosen pixels at ``values``. Evaluates."""
         self.problem.unknowns.write(values)
         half = self.spp // 2
+        renderer = renderer or self.renderer
         halves = tuple(
-            self.renderer.pixels(
+            renderer.pixels(
                 self.pixels,
                 half,
                 lambda s, h=h: streams.seed(self.seed, h * half + s, "evaluation"),

@@ -49,7 +49,8 @@ def resume(folder: Path, changes: dict | None = None) -> int:
     earlier = prepare(Path(folder), changes or {})
     typed, budget = checked(earlier.cfg)
     machine = started([earlier.cfg], typed)
-    with _recorder(earlier.cfg, typed, budget, earlier.folder) as recorder:
+    planned = earlier.manifest.get("plan")
+    with _recorder(earlier.cfg, typed, budget, earlier.folder, planned) as recorder:
         check_same(recorder.loop.problem, machine, earlier.manifest, earlier.folder)
         return _go(recorder, lambda: recorder.reopen(machine, earlier))
 
@@ -69,7 +70,8 @@ def started(cfgs: list[DictConfig], typed: Config) -> backend.Backend:
     machine = backend.start(typed.variant, typed.threads)
     for cfg in cfgs:
         loss, sampler, estimator = (instantiate(cfg[name], name) for name in _CHOSEN)
-        instantiate(cfg.prior, "prior")
+        for name in ("prior", "effects"):
+            instantiate(cfg[name], name)
         estimator.fits(sampler)
         if cfg.profile and not estimator.replays:
             raise InputError(
@@ -123,8 +125,11 @@ def built(typed: Config, phases: Phases, cfgs: Iterable[DictConfig] = ()) -> "Pr
 
 
 @contextmanager
-def _recorder(cfg: DictConfig, typed: Config, budget: Budget, folder: Path) -> Iterator["Recorder"]:
-    """Everything up to the loop, compiled; no folder is written yet."""
+def _recorder(
+    cfg: DictConfig, typed: Config, budget: Budget, folder: Path, planned: dict | None = None
+) -> Iterator["Recorder"]:
+    """Everything up to the loop, compiled; no folder is written yet. ``planned``: the effects of a
+    run that goes on."""
     with Display(budget) as display:
         phases = Phases(display)
         problem = built(typed, phases, [cfg])
@@ -133,7 +138,7 @@ def _recorder(cfg: DictConfig, typed: Config, budget: Budget, folder: Path) -> I
         from .workshop import Workshop
 
         workshop = Workshop(problem)
-        loop = workshop.loop(cfg, typed, budget)
+        loop = workshop.loop(cfg, typed, budget, planned)
         phases.begin(None)
         loop.clock.unbilled_seconds.update(phases.seconds)
         yield Recorder(cfg, typed, loop, folder, display, workshop.renderer)
@@ -152,6 +157,7 @@ def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
     with interrupt.graceful(display.interrupted) as stop:
         display.phase("pictures")
         begin()
+        _tell(recorder)
         display.phase(str(recorder.cfg.sampler.name))
         try:
             status = loop.run(recorder.hooks(stop))
@@ -168,6 +174,16 @@ def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
     return interrupt.STATUS if status == "interrupted" else 0
 
 
+def _tell(recorder: "Recorder") -> None:
+    """What is simulated."""
+    plan = recorder.loop.plan
+    for effect in ("paths", "light samples", "finish"):
+        if effect in plan.statements:
+            recorder.display.say(f"{effect}: {plan.statements[effect]}")
+    if plan.seconds:
+        recorder.display.say(f"found by a probe of {plan.seconds:.1f} billed seconds")
+
+
 def _announce(recorder: "Recorder", status: str, page: Path) -> None:
     first, last = recorder.ends
     recorder.display.stop()
@@ -175,6 +191,8 @@ def _announce(recorder: "Recorder", status: str, page: Path) -> None:
     for name in ("image_rmse", "parameter_rmse"):
         if name in first and name in last:
             say(f"{name}: {first[name]:.4g} → {last[name]:.4g}")
+    if recorder.left_out is not None:
+        say(f"left out of the images: {recorder.left_out:.2g} (root mean square)")
     if recorder.profile is not None:
         from .profiling import table
 

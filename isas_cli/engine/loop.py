@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..effects import Plan
 from ..estimators.estimator import Gradients
 from ..losses.priors import OnUnknowns
 from ..runtime.budget import Budget
@@ -67,6 +68,7 @@ class Loop:
         seed: int,
         evaluations: int,
         prior: OnUnknowns | None = None,
+        plan: Plan | None = None,
     ):
         self.problem, self.sampler, self.stepper = problem, sampler, stepper
         self.evaluator, self.budget, self.seed = evaluator, budget, seed
@@ -75,7 +77,7 @@ class Loop:
         self.position = Position()
         self.last: dict | None = None
         self.lost = 0  # paths of evaluations that came out non-finite
-        self.estimator, self.prior = estimator, prior
+        self.estimator, self.prior, self.plan = estimator, prior, plan
         self.warnings: list[str] = []
         self._weights = self._distribution = self._gradients = None
         self._counted = 0, 0
@@ -104,6 +106,9 @@ class Loop:
                     self._look(iteration)
                 gradients.append(self._estimate(iteration))
                 self.stepper.step(gradients[-1], 0.0)
+            for share in getattr(self.estimator, "stages", ())[1:]:
+                for i in range(_REHEARSAL_STEPS):
+                    self._estimate(_REHEARSAL_BASE + i, share)
             self.stepper.calibrate(gradients)
             starts = self.problem.unknowns.starts()
             doubt = reliability.warning(self.sampler, starts, self.seed, _REHEARSAL_BASE)
@@ -183,10 +188,11 @@ class Loop:
         self._distribution = self.sampler.distribution(self._weights)
         dr.eval(self._distribution.cdf)
 
-    def _estimate(self, iteration: int) -> dict:
+    def _estimate(self, iteration: int, scheduled: float | None = None) -> dict:
         where = self._distribution, self.seed, iteration
         values = self.stepper.values
-        found = self.estimator.estimate(values, *where, self.scheduled)
+        share = self.scheduled if scheduled is None else scheduled
+        found = self.estimator.estimate(values, *where, share)
         return found if self.prior is None else self.prior.add(values, found)
 
     def _count_evaluations(self) -> None:
@@ -244,6 +250,14 @@ class Loop:
             entries = np.array(flat(gradient), dtype=np.float64)
             total += float(np.sum(entries[np.isfinite(entries)] ** 2))
         return total**0.5
+
+    def left_out(self) -> float | None:
+        """Root mean square of what the plan of effects leaves out of the images at the present
+        values, in units of radiance; None where it leaves out nothing."""
+        if self.problem.integrator.max_depth == self.evaluator.problem.integrator.max_depth:
+            return None
+        with self.clock.unbilled("evaluation"):
+            return self.evaluator.apart(self.problem, self.stepper.values)
 
     def export(self) -> tuple[dict[str, np.ndarray], dict]:
         """Everything that a continuation needs, as arrays and JSON state. Random streams are

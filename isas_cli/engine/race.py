@@ -95,10 +95,12 @@ class _Lanes:
         for entry in entries:
             interrupt.check()
             workshop = workshops[entry.problem_key]
+            planned = None
             if entry.earlier is not None:
                 earlier = entry.earlier.manifest
+                planned = earlier.get("plan")
                 resumption.check_same(workshop.problem, machine, earlier, entry.folder)
-            loop = workshop.loop(entry.cfg, entry.typed, entry.budget)
+            loop = workshop.loop(entry.cfg, entry.typed, entry.budget, planned)
             lane = display.lane(entry.name)
             renderer = workshop.renderer
             self.recorders.append(

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, OmegaConf
 
-from .. import effects
-from ..config.compose import instantiate
 from ..config.schema import Config
 from ..records import RunWriter, manifest, trackers
 from ..rendering.renderer import Renderer
@@ -49,6 +47,7 @@ class Recorder:
         self._saved = 0.0
         self._pause = _CHECKPOINT_SECONDS
         self._snapshots = 0
+        self.left_out: float | None = None  # by the plan of effects, once the run has ended
         self.profile: Profile | None = None  # once made, where the configuration asks for it
 
     def open(self, machine) -> None:
@@ -60,7 +59,12 @@ class Recorder:
             self._config()
             self.writer.manifest(
                 manifest.describe(
-                    machine, loop.problem, typed.seed, typed.target.seed, self._effects()
+                    machine,
+                    loop.problem,
+                    typed.seed,
+                    typed.target.seed,
+                    loop.plan.statements,
+                    loop.plan.record(),
                 )
             )
         self._checkpoint()
@@ -114,11 +118,6 @@ class Recorder:
             self._renderer,
         )
 
-    def _effects(self) -> dict[str, str]:
-        problem = self.loop.problem
-        estimator = instantiate(self.cfg.estimator, "estimator")
-        return effects.plan(problem, estimator.derivatives(problem))
-
     def _config(self) -> None:
         self.writer.config(OmegaConf.to_yaml(self.cfg, resolve=True))
 
@@ -168,6 +167,7 @@ class Recorder:
         """Checkpoint and summary: what was dear to compute. ``illustrate`` completes the record."""
         self._status = status
         self._checkpoint()
+        self.left_out = self.loop.left_out()
         self._summary(status, complete=False)
 
     def illustrate(self, given_up: Callable[[], bool] = lambda: False) -> Path:
@@ -262,6 +262,7 @@ class Recorder:
                 "seconds_unbilled": dict(loop.clock.unbilled_seconds),
                 "start": of(self._first),
                 "final": of(loop.last),
+                "left_out_rmse": self.left_out,
                 "warnings": self.warnings,
             }
         )

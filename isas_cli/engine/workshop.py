@@ -8,12 +8,26 @@ from omegaconf import DictConfig, OmegaConf
 
 from ..config.compose import instantiate
 from ..config.schema import Config
+from ..effects import Plan, decide
+from ..estimators.staged import Staged
 from ..rendering.renderer import Renderer
 from ..runtime.budget import Budget
 from ..scene.problem import Problem
 from .evaluate import Evaluator
 from .loop import Loop
 from .optimiser import Stepper
+
+
+def plan_of(problem: Problem, cfg: DictConfig, budget: Budget, planned: dict | None = None) -> Plan:
+    """The plan of effects of the run that ``cfg`` describes. ``planned``: its record, of a run that
+    goes on. Raises InputError, see ``effects.decide``."""
+    loss, estimator, settings = (
+        instantiate(cfg[name], name) for name in ("loss", "estimator", "effects")
+    )
+    # What a clock decides would make other runs differ from machine to machine.
+    timed = budget.seconds if budget.iterations is budget.paths is None else None
+    described = OmegaConf.to_yaml(cfg.loss, resolve=True)
+    return decide(problem, settings, estimator, loss, timed, planned, described)
 
 
 class Workshop:
@@ -35,26 +49,45 @@ class Workshop:
             self._made[key] = make()
         return self._made[key]
 
-    def loop(self, cfg: DictConfig, typed: Config, budget: Budget) -> Loop:
+    def loop(
+        self, cfg: DictConfig, typed: Config, budget: Budget, planned: dict | None = None
+    ) -> Loop:
         """The loop that ``cfg`` (``typed``: the same, checked) describes. Renders references.
+        ``planned``: the record of the plan of effects of a run that goes on.
 
         Raises InputError for settings that do not fit.
         """
-        nodes = cfg.loss, cfg.estimator, cfg.sampler, cfg.prior
-        named, how, chosen, held = (OmegaConf.to_yaml(node, resolve=True) for node in nodes)
+        nodes = cfg.loss, cfg.estimator, cfg.sampler, cfg.prior, cfg.effects
+        named, how, chosen, held, simulated = (OmegaConf.to_yaml(n, resolve=True) for n in nodes)
         loss = self._once("loss", (named,), lambda: instantiate(cfg.loss, "loss"))
-        estimator = self._once("settings", (how,), lambda: instantiate(cfg.estimator, "estimator"))
-        problem = self._once("problem", (how,), lambda: estimator.on(self.problem))
+        settings = self._once("settings", (how,), lambda: instantiate(cfg.estimator, "estimator"))
+        plan = self._once(
+            "plan",
+            (simulated, named, how, str(budget), str(planned)),
+            lambda: plan_of(self.problem, cfg, budget, planned),
+        )
+        paths = plan.max_depth, plan.lights
+        problem = self._once("problem", (how, paths), lambda: settings.on(plan.on(self.problem)))
 
         def sampler():
             made = instantiate(cfg.sampler, "sampler")
-            estimator.prepare(problem, made, loss)
+            settings.prepare(problem, made, loss)
             return made
 
+        def estimator(problem):
+            depth, lights = problem.integrator.max_depth, problem.integrator.lights
+            key = named, how, depth, lights
+            return self._once("estimator", key, lambda: settings.made(problem, loss))
+
+        gradients = estimator(problem)
+        if plan.finish and plan.on(self.problem) is not self.problem:
+            whole = self._once("problem", (how, None), lambda: settings.on(self.problem))
+            gradients = Staged(gradients, estimator(whole), 1 - plan.finish)
+
         measuring = named, typed.evaluation.pixels, typed.evaluation.spp, typed.seed
-        return Loop(
+        loop = Loop(
             problem,
-            self._once("sampler", (chosen, named, how), sampler),
+            self._once("sampler", (chosen, named, how, paths), sampler),
             Stepper(self.problem.unknowns, typed.optimizer),
             self._once(
                 "evaluator",
@@ -62,10 +95,14 @@ class Workshop:
                 lambda: Evaluator(self.problem, loss, *measuring[1:], self.renderer),
             ),
             budget,
-            self._once("estimator", (named, how), lambda: estimator.made(problem, loss)),
+            gradients,
             typed.seed,
             typed.evaluation.count,
             self._once(
                 "prior", (held,), lambda: instantiate(cfg.prior, "prior").on(problem.unknowns)
             ),
+            plan,
         )
+        if plan.seconds:
+            loop.clock.billed_seconds["probe"] = plan.seconds
+        return loop

@@ -44,6 +44,8 @@ class Estimator:
     """
 
     replays: ClassVar[bool] = False
+    # Whether its paths are isas's own, so that fewer effects can be simulated.
+    plannable: ClassVar[bool] = True
     # Where there is no setting of that name: paths of a drawn pixel in a rendering, and whether
     # kernels are recorded once instead of being traced every iteration.
     spp: ClassVar[int] = 1

@@ -38,6 +38,7 @@ class Settings(Estimator):
     dearest), grid, uniform, or direct: not at all."""
 
     name: ClassVar[str] = "mitsuba"
+    plannable: ClassVar[bool] = False
 
     silhouettes: str = "uniform"
 

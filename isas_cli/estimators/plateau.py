@@ -38,6 +38,11 @@ class Settings(Comparing):
     """
 
     name: ClassVar[str] = "plateau"
+
+    @property
+    def plannable(self) -> bool:
+        return self.gradient == "kernel"
+
     samplers: ClassVar[tuple[str, ...]] = ("uniform", "gradient", "differences")
 
     gradient: str = "kernel"

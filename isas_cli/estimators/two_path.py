@@ -25,6 +25,7 @@ class Settings(Estimator):
     these (``rendering.derivative_sampling``); ``freeze``: record kernels once instead of tracing
     every iteration."""
 
+    name: ClassVar[str] = "two_path"
     replays: ClassVar[bool] = True
 
     freeze: bool = True

@@ -71,11 +71,17 @@ def _headline(unit: str | None) -> str:
 
 
 def describe(
-    backend: Backend, problem: "Problem", seed: int, target_seed: int, effects: dict[str, str]
+    backend: Backend,
+    problem: "Problem",
+    seed: int,
+    target_seed: int,
+    effects: dict[str, str],
+    plan: dict,
 ) -> dict:
     """Versions, machine, seeds, content hashes, what is simulated, and the command line.
 
-    ``effects``: effect → what is done about it (``effects.plan``)."""
+    ``effects``: effect → what is done about it; ``plan``: the same in numbers, with what was
+    measured for it (``effects.Plan``)."""
     integrator = problem.integrator
     return {
         "isas": __version__,
@@ -98,6 +104,7 @@ def describe(
         "target_hash": problem.target_hash,
         "integrator": {"class": integrator.name, "max_depth": integrator.max_depth},
         "effects": effects,
+        "plan": plan,
         "views": [list(size) for size in problem.film_sizes],
         "parameter_rmse_is": _headline(problem.unknowns.unit),
         "unknowns": {

@@ -1,34 +1,31 @@
-"""Short paths differentiated in one go, without a replay."""
+"""Short paths, unrolled: radiance, and derivatives in one go, without a replay."""
 
 from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
 
+from .light import gathered, mis_weight
+
 # Paths up to this many edges are unrolled. Longer ones would cost compile time, and Russian
 # roulette, which starts at depth 5, is not unrolled.
 LONGEST = 5
 
 
-def handles(integrator) -> bool:
-    """Whether ``radiance`` estimates what this integrator does: surface paths short enough to
-    unroll and to need no roulette, with emitters visible."""
-    return (
-        type(integrator).__name__ == "PRBIntegrator"
-        and 1 <= integrator.max_depth <= min(LONGEST, integrator.rr_depth)
-        and not integrator.hide_emitters
-    )
+def handles(max_depth: int, rr_depth: int) -> bool:
+    """Whether paths are short enough to unroll and to need no roulette."""
+    return 1 <= max_depth <= min(LONGEST, rr_depth)
 
 
-def mis_weight(a: mi.Float, b: mi.Float) -> mi.Float:
-    """Power heuristic of two densities."""
-    a, b = dr.square(a), dr.square(b)
-    w = a / (a + b)
-    return dr.select(dr.isfinite(w), w, 0)
-
-
-def radiance(scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, max_depth: int) -> mi.Spectrum:
-    """Radiance of one path per ray, its derivative with respect to materials and lights attached.
+def radiance(
+    scene: mi.Scene,
+    sampler: mi.Sampler,
+    ray: mi.Ray3f,
+    max_depth: int,
+    lights: int = 1,
+    attach: bool = True,
+) -> mi.Spectrum:
+    """Radiance of one path per ray, the derivative by materials and lights attached.
 
     The estimator of path replay backpropagation (Vicini et al. 2021): next-event estimation,
     detached sampling, attached BSDF and emitter values. PRB traces every path twice, first for
@@ -36,15 +33,16 @@ def radiance(scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, max_depth: int
     long path's graph is dear. Unrolled, a short path's graph lives in registers and every ray is
     traced once; values and derivatives agree with ``prb`` path by path.
 
-    Call it with derivatives on (``dr.resume_grad``) and propagate from or to the result. Geometry
-    is not differentiated. Traced.
+    ``lights``: samples of emitters at the first vertex; at later ones it is one. ``attach``: call
+    it with derivatives on (``dr.resume_grad``) and propagate from or to the result; False for the
+    radiance alone. Geometry is not differentiated. Traced.
 
     β: throughput so far, with the derivatives of all earlier BSDF values; L: radiance so far.
     """
     context = mi.BSDFContext()
     L, β = mi.Spectrum(0), mi.Spectrum(1)
     active, delta = mi.Bool(True), mi.Bool(True)
-    pdf = mi.Float(1)
+    pdf, count = mi.Float(1), 1
     previous = dr.zeros(mi.SurfaceInteraction3f)
     with dr.suspend_grad():
         ray = mi.Ray3f(ray)
@@ -58,24 +56,16 @@ def radiance(scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, max_depth: int
             ds = mi.DirectionSample3f(scene, si=si, ref=previous)
             mis = mi.Float(1)  # nothing else could have sampled what the camera sees
             if depth > 0:
-                mis = mis_weight(pdf, scene.pdf_emitter_direction(previous, ds, ~delta))
+                of_light = scene.pdf_emitter_direction(previous, ds, ~delta)
+                mis = mis_weight(pdf, count * of_light)
         L += β * mis * ds.emitter.eval(si, active)
         active &= si.is_valid()
         if depth + 1 == max_depth:
             break
 
         # ---------------------- Emitter sampling ----------------------
-        with dr.suspend_grad():
-            lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-            ds, emitted = scene.sample_emitter_direction(si, sampler.next_2d(), True, lit)
-            lit &= ds.pdf != 0
-            wo = si.to_local(ds.d)
-        emitted_again = scene.eval_emitter_direction(si, ds, lit)
-        inverse = dr.select(ds.pdf != 0, dr.rcp(ds.pdf), 0)
-        emitted = dr.replace_grad(emitted, emitted_again * inverse)
-        value, value_pdf = bsdf.eval_pdf(context, si, wo, lit)
-        mis = dr.select(ds.delta, 1, mis_weight(ds.pdf, dr.detach(value_pdf)))
-        L += dr.select(lit, β * mis * value * emitted, 0)
+        count = lights if depth == 0 else 1
+        L += dr.select(active, β * gathered(scene, sampler, si, bsdf, active, count, attach), 0)
 
         # ------------------ Detached BSDF sampling -------------------
         with dr.suspend_grad():
@@ -84,8 +74,9 @@ def radiance(scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, max_depth: int
             sampler.next_1d()
             next_ray = si.spawn_ray(si.to_world(sample.wo))
             active &= dr.any(dr.detach(β) * weight != 0)
-        # The sampled weight, with the derivative of the BSDF's value.
-        β *= weight * dr.relative_grad(bsdf.eval(context, si, sample.wo, active))
+        if attach:  # the sampled weight, with the derivative of the BSDF's value
+            weight = weight * dr.relative_grad(bsdf.eval(context, si, sample.wo, active))
+        β *= weight
 
         with dr.suspend_grad():
             previous, pdf, ray = si, sample.pdf, next_ray

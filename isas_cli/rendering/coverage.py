@@ -74,7 +74,7 @@ def _judge(problem: Problem, judged: list[Unknown], seed: int) -> dict[str, np.n
     arrays: dict[str, np.ndarray] = {}
     for values in places:
         unknowns.write(unknowns.values_of(values))
-        found = _measure(problem, {u.key: values[u.key] for u in judged}, seed)
+        found = measure(problem, {u.key: values[u.key] for u in judged}, seed)
         for index, unknown in enumerate(judged):
             seen = unknown.kind.seen(found[unknown.key])
             name = f"seen{index}"
@@ -83,7 +83,7 @@ def _judge(problem: Problem, judged: list[Unknown], seed: int) -> dict[str, np.n
     return arrays
 
 
-def _measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[str, np.ndarray]:
+def measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[str, np.ndarray]:
     """Largest of |Σ_j ∂I_j/∂θ_k| and |Σ_j ±∂I_j/∂θ_k| per entry, by key of ``values``, at which
     they are taken; all other unknowns stay where they are in the scene.
 

@@ -47,8 +47,8 @@ import numpy as np
 from ..config.schema import ROUGHNESSES, roughness_of
 from ..runtime.errors import InputError
 from ..unknowns.unknowns import Unknowns
-from .attached import mis_weight
 from .integrators import InOneGo, Integrator
+from .light import mis_weight
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
@@ -83,6 +83,7 @@ class DerivativeSampling(InOneGo):
                 f"emitters, not for {base.name}; leave it out"
             )
         super().__init__(base.mitsuba)
+        self.base, self.max_depth = base, base.max_depth
         # Materials that outlive their scene break recordings of kernels for other scenes.
         self._scene = scene
         self._bsdfs = {word: [] for word in _ALPHA}
@@ -97,6 +98,9 @@ class DerivativeSampling(InOneGo):
                     "material itself"
                 )
             self._bsdfs[word] += found
+
+    def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, object]:
+        return self.base.primal(scene, sampler, ray)
 
     def _unknown(self, bsdf: mi.BSDFPtr) -> mi.Bool:
         return self._among([b for bsdfs in self._bsdfs.values() for b in bsdfs], bsdf)

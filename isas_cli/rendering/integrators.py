@@ -5,7 +5,8 @@ Everything that traces goes through an ``Integrator`` of this module, which says
 - ``primal``: radiance of one path per ray;
 - ``backward``: adds ⟨adjoint, dL/dθ⟩ to the gradients of the scene;
 - ``forward``: the derivative along a tangent, where ``has_forward``;
-- ``simulates``: the effects that its paths have: 'surfaces', 'media'.
+- ``simulates``: the effects that its paths have: 'surfaces', 'media';
+- ``cut``: the same with shorter paths, or more light samples, where it can have them (``cuts``).
 
 The order of events matters, so it is kept in one place: a replay must see the random numbers of
 the primal pass again (the sampler is cloned before it), nothing may track derivatives but the
@@ -19,7 +20,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..runtime.errors import InputError
-from . import attached
+from . import attached, replayed
 
 # Mitsuba's class → what it simulates, and whether it differentiates in forward mode.
 _REPLAYED = {
@@ -37,6 +38,7 @@ class Integrator:
 
     paths_per_derivative = 1
     derivatives = "path replay backpropagation"
+    cuts, lights = False, (1, 1)
 
     def __init__(self, base: mi.Integrator):
         self.mitsuba = base
@@ -118,13 +120,57 @@ class InOneGo(Integrator):
         return derivative
 
 
-class Unrolled(InOneGo):
+class Surfaces(Integrator):
+    """Paths between surfaces that do not move, by isas's own estimators: what ``Unrolled`` and
+    ``Replayed`` share. ``lights``: samples of emitters at the first vertex, in a primal pass and in
+    one that differentiates; one at later vertices."""
+
+    cuts = True
+
+    def __init__(self, base: mi.Integrator, max_depth: int, lights: tuple[int, int]):
+        super().__init__(base)
+        self.max_depth, self.lights = max_depth, lights
+
+    def cut(self, max_depth: int, lights: tuple[int, int]) -> "Integrator":
+        return _surfaces(self.mitsuba, max_depth, lights)
+
+
+class Unrolled(Surfaces, InOneGo):
     """Short paths, unrolled (``attached``)."""
 
     derivatives = "short paths unrolled and differentiated in one go"
 
+    def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, None]:
+        lights, _ = self.lights
+        return attached.radiance(scene, sampler, ray, self.max_depth, lights, attach=False), None
+
     def radiance(self, scene, sampler, ray) -> mi.Spectrum:
-        return attached.radiance(scene, sampler, ray, self.max_depth)
+        return attached.radiance(scene, sampler, ray, self.max_depth, self.lights[1])
+
+
+class Replayed(Surfaces):
+    """Long paths, replayed (``replayed``)."""
+
+    def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, None]:
+        return self._traced(dr.ADMode.Primal, scene, sampler, ray, self.lights[0]), None
+
+    def backward(self, scene, sampler, ray, adjoint: mi.Color3f) -> None:
+        self._replayed(dr.ADMode.Backward, scene, sampler, ray, adjoint)
+
+    def forward(self, scene, sampler, ray) -> mi.Color3f:
+        derivative = self._replayed(dr.ADMode.Forward, scene, sampler, ray)
+        dr.eval(derivative)
+        return derivative
+
+    def _replayed(self, mode, scene, sampler, ray, adjoint=None):
+        lights, again = self.lights[1], sampler.clone()
+        radiance = self._traced(dr.ADMode.Primal, scene, sampler, ray, lights)
+        dr.eval(adjoint, radiance)
+        return self._traced(mode, scene, again, ray, lights, adjoint, radiance)
+
+    def _traced(self, mode, scene, sampler, ray, lights, *more):
+        depths = self.max_depth, self.rr_depth
+        return replayed.trace(mode, scene, sampler, ray, *depths, lights, *more)
 
 
 def adapt(base: mi.Integrator | None, where: str = "the scene") -> Integrator:
@@ -136,4 +182,11 @@ def adapt(base: mi.Integrator | None, where: str = "the scene") -> Integrator:
             f"{where} has {named}, and paths are replayed by prb (surfaces) or prbvolpath (media): "
             "give it one of these"
         )
-    return (Unrolled if attached.handles(base) else Integrator)(base)
+    if replayed.handles(base):
+        return _surfaces(base, base.max_depth, (1, 1))
+    return Integrator(base)
+
+
+def _surfaces(base: mi.Integrator, max_depth: int, lights: tuple[int, int]) -> Surfaces:
+    unrolled = attached.handles(max_depth, base.rr_depth)
+    return (Unrolled if unrolled else Replayed)(base, max_depth, lights)

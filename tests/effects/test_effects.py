@@ -11,7 +11,7 @@ def plan(depth: int = 4, **more) -> dict[str, str]:
     p = problem({TEXTURE: 0.5}, depth=depth)
     if more:
         p.scene = mi.load_dict({"type": "scene", **more})
-    return effects.plan(p, p.integrator.derivatives)
+    return effects.statements(p, p.integrator.derivatives)
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ def drawn(p) -> PixelDistribution:
     return PixelDistribution.from_weights(weights, tiles)
 
 
-def rows(reach: float | None, count: int = 1000, base: int = 5, **settings) -> np.ndarray:
+def rows(reach: float | None, count: int = 700, base: int = 5, **settings) -> np.ndarray:
     """``count`` gradients by all places and the sky, ``(count, 9)``."""
     p = cards(reach)
     estimator = Plateau(p, losses.L2(), BATCH, **settings)
@@ -93,7 +93,7 @@ def p_value(found: np.ndarray, reference: np.ndarray) -> float:
 @lru_cache(maxsize=None)
 def whole(smooth: str) -> np.ndarray:
     """By all pixels, with the least variance that can be had: one unknown after the other."""
-    return rows(None, 300, base=6, scheme="separate", smooth=smooth)
+    return rows(None, 200, base=6, scheme="separate", smooth=smooth)
 
 
 @pytest.mark.parametrize("smooth", some(("image", "loss"), ("loss",)))

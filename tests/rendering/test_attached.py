@@ -7,7 +7,7 @@ import pytest
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
 from isas_cli.rendering import attached, rays
-from isas_cli.rendering.integrators import Integrator
+from isas_cli.rendering.integrators import Integrator, Replayed, Unrolled, adapt
 from isas_cli.unknowns.parameters import flat
 
 UNKNOWNS = {
@@ -56,7 +56,7 @@ def test_radiance_agrees_with_path_replay():
     p = problem(UNKNOWNS, depth=4)
     with dr.suspend_grad():
         ray, stream = setting(p, 7)
-        stock, _ = p.integrator.primal(p.scene, stream.clone(), ray)
+        stock, _ = Integrator(p.integrator.mitsuba).primal(p.scene, stream.clone(), ray)
         own = attached.radiance(p.scene, stream, ray, 4)
     assert np.allclose(np.array(own), np.array(stock), rtol=1e-4, atol=1e-6)
 
@@ -77,12 +77,13 @@ def test_forward_agrees_with_path_replay():
 
 
 def test_long_paths_are_replayed():
-    assert attached.handles(mi.load_dict({"type": "prb", "max_depth": 5}))
-    for other in ({"max_depth": 6}, {"max_depth": -1}, {"max_depth": 4, "rr_depth": 3}):
-        assert not attached.handles(mi.load_dict({"type": "prb", **other}))
-    assert not attached.handles(
-        mi.load_dict({"type": "prb", "max_depth": 3, "hide_emitters": True})
-    )
+    assert attached.handles(5, 5)
+    assert not any(attached.handles(*depths) for depths in ((6, 5), (2**32 - 1, 5), (4, 3)))
+    hidden = mi.load_dict({"type": "prb", "max_depth": 3, "hide_emitters": True})
+    kinds = {3: Unrolled, 7: Replayed}
+    for depth, kind in kinds.items():
+        assert type(adapt(mi.load_dict({"type": "prb", "max_depth": depth}))) is kind
+    assert type(adapt(hidden)) is Integrator and not adapt(hidden).cuts
 
 
 def test_inner_product_of_forward_and_backward():

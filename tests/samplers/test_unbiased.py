@@ -29,7 +29,7 @@ from isas_cli.unknowns.parameters import flat
 
 LEVEL = 1e-4
 BATCH = 4096
-REPEATS = 160
+REPEATS = 100
 LOSSES = unbiased_losses()
 # Cells of two pixels' side, with enough paths that the pmf follows the image and not the noise.
 LOOKS = {"stage1.resolution": 6, "stage1.spp": 4}
@@ -111,7 +111,7 @@ def test_reference_is_the_derivative_of_the_loss(bench, seed):
     for unknown in bench.problem.unknowns:
         direction = rng.uniform(0.5, 1.5, unknown.start.shape).astype(np.float32)
         quotients = difference_quotients(
-            bench.problem, list(bench.losses.values()), {unknown.key: direction}, 0.15, 64
+            bench.problem, list(bench.losses.values()), {unknown.key: direction}, 0.15, 40
         )
         for (loss, made), (whole, half) in zip(
             ((l, bench.gradients(l)) for l in LOSSES), quotients

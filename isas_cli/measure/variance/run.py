@@ -187,7 +187,7 @@ class _Record:
         text = OmegaConf.to_yaml(OmegaConf.create({**asked, "samplers": samplers, **cfg}))
         write_text(plan.folder / "config.yaml", text)
         problem = self.bench.problem
-        simulated = effects.plan(problem, problem.integrator.derivatives)
+        simulated = effects.statements(problem, problem.integrator.derivatives)
         described = manifest.describe(
             self.machine, problem, typed.seed, typed.target.seed, simulated
         )

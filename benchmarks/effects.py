@@ -1,0 +1,172 @@
+"""What leaving out effects saves in time and costs in accuracy: plans race at equal time.
+
+On each scene, with `sampler=progress`: everything (`full`), the plan that is made (`auto`), the
+same with everything in the last third of the budget (`auto, staged`), four light samples with all
+depths (`lights`), and each depth of a ladder below the scene's own (`depth 2`, …). Each at its own
+best rate with the first seed; the other seeds alone are reported. Settings and budgets are those
+of `reproduce.py`. Writes results/effects.csv (a row per scene and plan), effects_rates.csv and
+effects.png (error against billed time). Scenes that are not named keep their rows.
+
+    .venv/bin/python benchmarks/effects.py pottery bowl
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pages
+import pandas
+import reproduce
+from reproduce import COMMON, MEASURE, RESULTS, SCENES
+
+from isas_cli import records
+
+PLANS = {
+    "full": {"effects": "full"},
+    "auto": {"effects": "auto"},
+    "auto, staged": {"effects": "auto", "effects.finish": 0.33},
+    "lights": {"effects": "full", "effects.light_samples": "[4,4]"},
+}
+LADDER = (2, 3, 4, 6, 8)
+RATES = (0.01, 0.02)
+
+
+def plans(scene: str) -> dict[str, dict]:
+    """Name → settings. Depths below the scene's own, which its module states."""
+    from isas_cli.runtime import backend
+
+    backend.start()
+    import importlib
+
+    from isas_cli.config.compose import compose
+
+    cfg = compose([f"scene={SCENES[scene].scene or scene}", "size=tiny"]).scene
+    module, _, build = cfg.builder.rpartition(".")
+    scenery = getattr(importlib.import_module(module), build)(**cfg.arguments)
+    whole = scenery["integrator"]["max_depth"]
+    depths = {
+        f"depth {d}": {"effects": "full", "effects.max_depth": d} for d in LADDER if d < whole
+    }
+    return PLANS | depths
+
+
+def race(folder: Path, scene: str, contestants: list[dict], seeds: list[int], seconds: float):
+    listed = [",".join(f"{k}:{v}" for k, v in each.items()) for each in contestants]
+    command = [sys.executable, "-m", "isas_cli", "race", f"scene={SCENES[scene].scene or scene}"]
+    command += [*COMMON, *SCENES[scene].settings, "frames.views=0", "report=false"]
+    command += [f"budget.seconds={seconds}", f"seed=[{','.join(map(str, seeds))}]"]
+    command += ["contestants=[" + ",".join(f"{{{each}}}" for each in listed) + "]"]
+    subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
+
+
+def runs(folder: Path, named: dict[str, dict]) -> pandas.DataFrame:
+    """One row per run below ``folder``: its plan's name, rate, seed and history."""
+    rows = []
+    for path in sorted(folder.rglob("summary.json")):
+        run = records.load(path.parent)
+        own = run.config["effects"]
+        told = {"effects": own["name"], "effects.finish": own["finish"]}
+        told |= {"effects.max_depth": own["max_depth"]}
+        told["effects.light_samples"] = own["light_samples"]
+        plain = {"effects.finish": 0.0, "effects.max_depth": None, "effects.light_samples": None}
+        full = {name: plain | settings for name, settings in named.items()}
+        (name,) = [n for n, settings in full.items() if _same(settings, told)]
+        history = run.history
+        rows.append(
+            {
+                "plan": name,
+                "rate": run.config["optimizer"]["lr"],
+                "seed": run.config["seed"],
+                "history": history,
+                "final": history[MEASURE].iloc[-1],
+                "image": history["image_rmse"].iloc[-1],
+                "left_out": run.summary.get("left_out_rmse"),
+                "depth": run.manifest["plan"]["max_depth"],
+                "light_samples": " ".join(map(str, run.manifest["plan"]["light_samples"])),
+                "probe": run.manifest["plan"]["probe_seconds"],
+            }
+        )
+    return pandas.DataFrame(rows)
+
+
+def _same(settings: dict, told: dict) -> bool:
+    return all(
+        str(settings[key]).replace(" ", "") == str(told[key]).replace(" ", "") for key in told
+    )
+
+
+def table(scene: str, found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
+    rows = []
+    goal = found[found["plan"] == "full"]["final"].median()
+    for name, own in found.groupby("plan", sort=False):
+        row = {"scene": scene, "plan": name, "rate": own["rate"].iloc[0], "seeds": len(own)}
+        row |= {"seconds": seconds, "depth": own["depth"].iloc[0]}
+        row |= {"light_samples": own["light_samples"].iloc[0], "probe": own["probe"].iloc[0]}
+        row |= reproduce._spread("parameter_rmse", own["final"].tolist())
+        row |= reproduce._spread("image_rmse", own["image"].tolist())
+        row["left_out"] = own["left_out"].median() if own["left_out"].notna().any() else None
+        row["iterations"] = np.median([h["iteration"].iloc[-1] for h in own["history"]])
+        times = [reproduce.reached(h, goal) / seconds for h in own["history"]]
+        row |= reproduce._spread("time_to_full", times)
+        rows.append(row)
+    return pandas.DataFrame(rows)
+
+
+def draw(ax, scene: str, found: pandas.DataFrame) -> None:
+    for number, (name, own) in enumerate(found.groupby("plan", sort=False)):
+        for history in own["history"]:
+            label = name if history is own["history"].iloc[0] else None
+            style = "-" if name in PLANS else ":"
+            ax.plot(history["seconds"], history[MEASURE], style, color=f"C{number}", label=label)
+    ax.set(title=scene, yscale="log", xlabel="billed seconds", ylabel="parameter error")
+    ax.legend(fontsize=7)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
+    chosen = parser.parse_args()
+    root = Path(tempfile.mkdtemp(prefix="isas-effects-"))
+    scenes = chosen.scenes or list(SCENES)
+    figure, axes = plt.subplots(
+        -(-len(scenes) // 3), 3, figsize=(13, 3.6 * -(-len(scenes) // 3)), layout="constrained"
+    )
+    for scene, ax in zip(scenes, axes.flat):
+        seconds, named = SCENES[scene].seconds, plans(scene)
+        every = [{**p, "optimizer.lr": rate} for p in named.values() for rate in RATES]
+        race(root / scene / "rates", scene, every, chosen.seeds[:1], seconds)
+        first = runs(root / scene / "rates", named)
+        best = first.loc[first.groupby("plan", sort=False)["final"].idxmin()]
+        pairs = [{**named[p], "optimizer.lr": r} for p, r in zip(best["plan"], best["rate"])]
+        race(root / scene / "seeds", scene, pairs, chosen.seeds[1:], seconds)
+        found = runs(root / scene / "seeds", named)
+        rates = first.drop(columns="history").assign(scene=scene)
+        _merged("effects_rates.csv", rates, scene)
+        print(_merged("effects.csv", table(scene, found, seconds), scene).to_string(), flush=True)
+        draw(ax, scene, found)
+        # After each scene: what is measured survives what follows.
+        figure.savefig(RESULTS / "effects.png", dpi=80)
+    pages.write()
+
+
+def _merged(name: str, rows: pandas.DataFrame, scene: str) -> pandas.DataFrame:
+    """Write ``rows`` in place of the scene's earlier ones. Returns them."""
+    path = RESULTS / name
+    if path.exists():
+        earlier = pandas.read_csv(path)
+        whole = pandas.concat([earlier[earlier["scene"] != scene], rows])
+    else:
+        whole = rows
+    whole.to_csv(path, index=False, float_format="%.4g")
+    return rows
+
+
+if __name__ == "__main__":
+    main()

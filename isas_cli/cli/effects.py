@@ -1,0 +1,74 @@
+"""`isas effects`: which light transport a run would simulate, and the evidence."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+from ..config.compose import compose, translate
+from ..engine import experiment
+from ..engine.display import Display
+from ..runtime import interrupt
+from ..runtime.errors import InputError
+from . import one
+
+if TYPE_CHECKING:
+    from ..effects.plan import Plan
+
+
+def main(arguments: list[str]) -> int:
+    """Print the plan of the run that ``arguments`` describe. Raises IsasError; returns 0."""
+    for argument in arguments:
+        if argument.startswith("-"):
+            raise InputError(f"{argument}: no such flag; see isas effects --help")
+    with one.argv(["isas", "effects", *arguments]), interrupt.prompt():
+        cfg = compose(translate(arguments))
+        typed, budget = experiment.checked(cfg)
+        experiment.started([cfg], typed)
+        with Display(budget) as display:
+            phases = experiment.Phases(display)
+            problem = experiment.built(typed, phases, [cfg])
+            phases.begin("probe")
+            # Mitsuba's types exist only once the backend has started.
+            from ..engine.workshop import plan_of
+
+            plan = plan_of(problem, cfg, budget)
+            phases.begin(None)
+        show(plan, Console())
+    return 0
+
+
+def show(plan: "Plan", console: Console) -> None:
+    """The plan and what it rests on, as tables."""
+    table = Table("effect", "what is done about it, and why", title="effects of a run")
+    for effect, told in plan.statements.items():
+        table.add_row(effect, told)
+    console.print(table)
+    if plan.depths:
+        table = Table("edges at most", title="what longer paths are; in brackets the 95 % bound")
+        for column in ("of the images", "of the gradient", "time without them"):
+            table.add_column(column, justify="right")
+        for each in plan.depths[:-1]:
+            key, worst = max(each.gradient.items(), key=lambda pair: pair[1].bound)
+            of_gradient = f"{_share(worst)} {key}" if len(each.gradient) > 1 else _share(worst)
+            table.add_row(str(each.depth), _share(each.image), of_gradient, f"{each.time:.2f}")
+        console.print(table)
+    if plan.samples:
+        table = Table(
+            "light samples: residual, derivative", title="with one each = 1; ± one standard error"
+        )
+        for column in ("noise", "time of a step", "noise × time"):
+            table.add_column(column, justify="right")
+        for each in plan.samples:
+            samples = ", ".join(map(str, each.samples))
+            noise = f"{each.noise:.2f} ± {each.error:.2f}"
+            table.add_row(samples, noise, f"{each.time:.2f}", f"{each.noise * each.time:.2f}")
+        console.print(table)
+    if plan.seconds:
+        console.print(f"a run is billed {plan.seconds:.1f} s for these measurements")
+
+
+def _share(share) -> str:
+    return f"{share.value:.2%} ({share.bound:.2%})"

@@ -1,0 +1,253 @@
+"""Short measurements that tell which light transport a gradient needs, and what it costs.
+
+All at the start values, with uniform pixels. **Depth**: one kernel traces paths of any length; with
+the same random numbers a longer path begins as the shorter one, so the difference of two gradients
+is what the longer paths add, free of the noise that both share. **Light samples**: how the noise of
+a gradient and the time of a step change with their number. The residual that a run is left with in
+the end is noise, so the residual here is the difference of two renderings of the same pixels.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..rendering import rays
+from ..rendering.integrators import Replayed
+from ..rendering.pixels import PixelDistribution, Tiles
+from ..runtime import streams
+from ..runtime.backend import sync
+from ..scene.problem import Problem
+from ..unknowns.parameters import as_numpy
+
+_LANES = 1 << 14
+# Estimates of a gradient: as many as take so many seconds, at least and at most.
+_SECONDS, _BATCHES, _MOST_BATCHES = 0.3, 12, 64
+_WARM_UP = 4  # recordings are steady from the fourth call on
+_BLOCKS = 8
+# One-sided, 95 %.
+_Z = 1.645
+
+
+@dataclass(frozen=True)
+class Share:
+    """Of a whole that a part is: estimate, and the 95 % upper bound of it."""
+
+    value: float
+    bound: float
+
+
+@dataclass(frozen=True)
+class Depth:
+    """What paths of more than ``depth`` edges are: their share of the images, and of the gradient
+    by each unknown; ``time``: of a gradient without them, over that with them."""
+
+    depth: int
+    image: Share
+    gradient: dict[str, Share]
+    time: float
+
+
+@dataclass(frozen=True)
+class Lights:
+    """``noise``: variance of a gradient's entry with so many light samples (residual, derivative)
+    over that with one each, see ``noise_ratio``; ``error``: its standard error; ``time``: of a
+    step, likewise."""
+
+    samples: tuple[int, int]
+    noise: float
+    error: float
+    time: float
+
+
+class Probe:
+    """Measures on one problem and loss. ``seconds``: billed, without compiling."""
+
+    def __init__(self, problem: Problem, loss, seed: int):
+        self.problem, self.loss, self.seed = problem, loss, seed
+        self.values = problem.unknowns.starts()
+        self.pixels = PixelDistribution.uniform(Tiles.over(problem.views))
+        self.lanes = min(_LANES, problem.views.total)
+        self.seconds = 0.0
+
+    def depths(self, ladder: list[int]) -> list[Depth]:
+        """For each of ``ladder``, which rises and ends with the scene's own depth."""
+        kernel = self._kernel(None, True)
+        images, gradients, times = [], [], []
+        for depth in ladder:
+            found = self._repeated(kernel, depth, fixed=False)
+            images.append(found[0])
+            gradients.append(found[1])
+            times.append(found[2])
+        self.problem.unknowns.write(self.values)
+        # Batches of the same number have the same random numbers.
+        count = min(map(len, images))
+        images = [image[:count] for image in images]
+        gradients = [{key: g[:count] for key, g in own.items()} for own in gradients]
+        whole = gradients[-1]
+        return [
+            Depth(
+                depth,
+                _image_share(images[-1] - image, images[-1]),
+                {key: gradient_share(whole[key] - own[key], whole[key]) for key in whole},
+                time_ / times[-1],
+            )
+            for depth, image, own, time_ in zip(ladder, images, gradients, times)
+        ]
+
+    def lights(self, max_depth: int, candidates: list[tuple[int, int]]) -> list[Lights]:
+        """For each of ``candidates``, the first of which is (1, 1)."""
+        found = []
+        for samples in candidates:
+            integrator = self.problem.integrator.cut(max_depth, samples)
+            _, gradients, seconds = self._repeated(
+                self._kernel(integrator, False), max_depth, fixed=True
+            )
+            squares = {key: g.astype(np.float64) ** 2 for key, g in gradients.items()}
+            found.append((samples, squares, seconds))
+        self.problem.unknowns.write(self.values)
+        _, first, usual = found[0]
+        return [
+            Lights(samples, *noise_ratio(squares, first), seconds / usual)
+            for samples, squares, seconds in found
+        ]
+
+    def _repeated(self, kernel, depth: int, fixed: bool):
+        """Mean radiances, gradients by key ``(batches, entries)``, median seconds of a batch.
+
+        ``fixed``: the same pixels in every batch, each of which is compared with the one before
+        instead of the targets."""
+        unknowns, p = self.problem.unknowns, self.problem
+        images, rows, seconds = [], {key: [] for key in unknowns.keys}, []
+        earlier = dr.zeros(mi.Color3f, self.lanes)
+        dr.make_opaque(earlier)
+        for batch in itertools.count(-_WARM_UP):
+            if batch == _MOST_BATCHES or (batch >= _BATCHES and sum(seconds) > _SECONDS):
+                break
+            seeds = [
+                dr.opaque(mi.UInt32, streams.seed(self.seed, number % (1 << 20), purpose))
+                for purpose, number in (
+                    ("draw", 0 if fixed else batch),
+                    ("primal", batch),
+                    ("adjoint", batch),
+                )
+            ]
+            unknowns.attach(self.values)
+            sync()
+            begun = time.perf_counter()
+            arguments = (p.scene, p.sensors, p.views, unknowns.leaves, self.pixels, p.targets)
+            deepest = dr.opaque(mi.UInt32, depth)
+            radiance = kernel(*arguments, p.mask, earlier, deepest, seeds, p.share)
+            sync()
+            spent = time.perf_counter() - begun
+            earlier = radiance if fixed else earlier
+            if batch < 0:
+                continue
+            self.seconds += spent
+            seconds.append(spent)
+            images.append(float(dr.mean(dr.mean(radiance))[0]))
+            for key, gradient in unknowns.gradients().items():
+                rows[key].append(as_numpy(gradient).ravel())
+        return np.array(images), {k: np.array(r) for k, r in rows.items()}, np.median(seconds)
+
+    def _kernel(self, integrator, of_targets: bool):
+        """One estimate of the gradient. ``integrator``: None for paths as long as is asked for;
+        ``of_targets``: the residual is towards the targets, else towards an earlier rendering."""
+        base, loss, lanes = self.problem.integrator.mitsuba, self.loss, self.lanes
+
+        def kernel(
+            scene, sensors, views, leaves, pixels, targets, mask, earlier, depth, seeds, share
+        ):
+            with dr.suspend_grad():
+                paths = Replayed(base, depth, (1, 1)) if integrator is None else integrator
+                view, column, row, probability = pixels.draw(lanes, seeds[0])
+                pixel = views.index(view, column, row)
+                dr.eval(view, column, row, pixel, probability)
+                first = rays.stream(seeds[1], lanes)
+                ray, weight = rays.spawn(sensors, views, view, column, row, first)
+                radiance, _ = paths.primal(scene, first, ray)
+                radiance *= weight
+                target = dr.gather(mi.Color3f, targets, pixel)
+                seen = radiance if of_targets else radiance - earlier + target
+                residual = loss.derivative(seen, target)
+                if mask is not None:
+                    residual *= dr.gather(mi.Float, mask, pixel)
+                second = rays.stream(seeds[2], lanes)
+                ray, weight = rays.spawn(sensors, views, view, column, row, second)
+                adjoint = residual * weight * (share / (probability * lanes))
+                paths.backward(scene, second, ray, adjoint)
+                dr.eval(radiance)
+                return radiance
+
+        return dr.freeze(kernel)
+
+
+def gradient_share(part: np.ndarray, whole: np.ndarray) -> Share:
+    """‖E part‖/‖E whole‖ from independent rows ``(n, entries)`` of both, paired; the bound by the
+    jackknife. Squared norms of means are means of products of different rows: their noise does not
+    add to them."""
+    n = len(part)
+    gram = [rows.astype(np.float64) @ rows.astype(np.float64).T for rows in (part, whole)]
+
+    def squared(kept: np.ndarray) -> np.ndarray:
+        """‖E …‖² of both, from some of the rows."""
+        inner = [g[np.ix_(kept, kept)] for g in gram]
+        return np.array([(g.sum() - np.trace(g)) / (len(kept) * (len(kept) - 1)) for g in inner])
+
+    every = np.arange(n)
+    own = squared(every)
+    if own[1] <= 0:
+        return Share(float("nan"), float("inf"))
+    left = np.array([squared(np.delete(every, i)) for i in every])
+    errors = np.sqrt((n - 1) / n * np.sum((left - left.mean(axis=0)) ** 2, axis=0))
+    most, least = max(own[0], 0.0) + _Z * errors[0], own[1] - _Z * errors[1]
+    bound = np.sqrt(most / least) if least > 0 else float("inf")
+    return Share(float(np.sqrt(max(own[0], 0.0) / own[1])), float(bound))
+
+
+def _image_share(part: np.ndarray, whole: np.ndarray) -> Share:
+    if whole.mean() <= 0:
+        return Share(float("nan"), float("inf"))
+    value, error = part.mean() / whole.mean(), part.std(ddof=1) / len(part) ** 0.5 / whole.mean()
+    return Share(float(value), float(abs(value) + _Z * error))
+
+
+def noise_ratio(squares: dict, usual: dict) -> tuple[float, float]:
+    """How the noise of two gradients compares, and the standard error of that: by key, squared
+    estimates ``(batches, entries)`` of gradients whose mean is zero.
+
+    The geometric mean over entries of the ratio of mean squares, then over keys. Adam divides each
+    entry by the root of its own mean square, so that each counts alike, and rare bright paths,
+    which rule a plain mean, do not rule this one. The error by the jackknife over blocks of
+    batches."""
+    blocks = [
+        {
+            key: np.array([part.sum(axis=0) for part in np.array_split(rows, _BLOCKS)])
+            for key, rows in of.items()
+        }
+        for of in (squares, usual)
+    ]
+
+    def ratio(left_out: int | None = None) -> float:
+        logs = []
+        for key in squares:
+            own, first = (
+                of[key].sum(axis=0) - (0 if left_out is None else of[key][left_out])
+                for of in blocks
+            )
+            known = (own > 0) & (first > 0)
+            if known.any():
+                logs.append(np.mean(np.log(own[known] / first[known])))
+        return float(np.mean(logs)) if logs else float("nan")
+
+    whole = ratio()
+    left = np.array([ratio(i) for i in range(_BLOCKS)])
+    error = np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum((left - left.mean()) ** 2))
+    counts = [len(next(iter(of.values()))) for of in (squares, usual)]
+    value = float(np.exp(whole)) * counts[1] / counts[0]
+    return value, float(error) * value

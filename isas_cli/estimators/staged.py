@@ -1,0 +1,39 @@
+"""One estimator for the first part of a budget, another for the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..rendering.pixels import PixelDistribution
+from .estimator import Gradients
+
+
+@dataclass
+class Staged:
+    """``first`` up to the share ``until`` of the budget, ``second`` from there on."""
+
+    first: Gradients
+    second: Gradients
+    until: float
+
+    def __post_init__(self) -> None:
+        # Shares of the budget at which kernels differ, for a rehearsal.
+        self.stages = (0.0, self.until)
+        self._present = self.first
+
+    @property
+    def paths_per_step(self) -> int:
+        """Light paths of the latest estimate."""
+        return self._present.paths_per_step
+
+    def estimate(
+        self,
+        values: dict,
+        distribution: PixelDistribution,
+        seed: int,
+        iteration: int,
+        spent: float,
+    ) -> dict:
+        """The gradient at ``values``, by key, see ``Gradients``."""
+        self._present = self.first if spent < self.until else self.second
+        return self._present.estimate(values, distribution, seed, iteration, spent)

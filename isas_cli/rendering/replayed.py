@@ -1,0 +1,112 @@
+"""Long paths: traced once for the radiance, and replayed for its derivatives."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from .light import gathered, mis_weight
+
+
+def handles(integrator) -> bool:
+    """Whether ``trace`` estimates what this one does: surface paths with visible emitters."""
+    return type(integrator).__name__ == "PRBIntegrator" and not integrator.hide_emitters
+
+
+def trace(
+    mode: dr.ADMode,
+    scene: mi.Scene,
+    sampler: mi.Sampler,
+    ray: mi.Ray3f,
+    max_depth: int | mi.UInt32,
+    rr_depth: int,
+    lights: int = 1,
+    adjoint: mi.Spectrum | None = None,
+    radiance: mi.Spectrum | None = None,
+) -> mi.Spectrum:
+    """Path replay backpropagation (Vicini et al. 2021, Alg. 2) of surfaces that do not move.
+
+    Mitsuba's ``prb`` also differentiates where vertices lie, which costs a second look at every
+    surface and light; here materials and lights are all that is unknown. Values and derivatives
+    agree with ``prb``'s path by path where ``lights`` is 1.
+
+    ``mode``: Primal, Backward (adds ⟨adjoint, dL/dθ⟩ to the gradients) or Forward. ``radiance``: of
+    the same paths, from a primal pass with the same random numbers. ``lights``: samples of emitters
+    at the first vertex; at later ones it is one. ``max_depth`` may be opaque, so that one kernel
+    does for all depths. Returns the radiance, or in forward mode its derivative, ``(3, N)``.
+    Traced.
+
+    L: radiance so far; in a replay, what the path still brings; β: throughput so far.
+    """
+    primal = mode == dr.ADMode.Primal
+    context = mi.BSDFContext()
+    max_depth = mi.UInt32(max_depth)
+    ray = mi.Ray3f(dr.detach(ray))
+    hit = scene.ray_intersect_preliminary(ray, coherent=True, reorder=False, active=True)
+
+    def vertex(L, found, β, η, depth, active, hit, ray, previous, pdf, delta, sampler, count, here):
+        """One vertex: what it emits and reflects. ``count``: light samples at the one before;
+        ``here``: at this one."""
+        si = hit.compute_surface_interaction(ray, ray_flags=mi.RayFlags.All, active=active)
+        bsdf = si.bsdf(ray)
+        ds = mi.DirectionSample3f(scene, si=si, ref=previous)
+        # The camera's vertex, and what a mirror shows, no light sample could have found.
+        mis = mis_weight(pdf, count * scene.pdf_emitter_direction(previous, ds, ~delta))
+        on = active & si.is_valid() & (depth + 1 < max_depth)
+        with dr.resume_grad(when=not primal):
+            emitted = β * mis * ds.emitter.eval(si, active)
+            reflected = gathered(scene, sampler, si, bsdf, on, here, not primal)
+            own = emitted + dr.select(on, β * reflected, 0)
+        L = L + own if primal else L - dr.detach(own)
+
+        sample, weight = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), on)
+        if not primal:
+            with dr.resume_grad():
+                value = bsdf.eval(context, si, sample.wo, on)
+                total = own + L * dr.relative_grad(value)
+                if mode == dr.ADMode.Backward:
+                    # Paths too short to reach any unknown have no derivative.
+                    if dr.grad_enabled(total):
+                        dr.backward_from(adjoint * total)
+                elif dr.grad_enabled(total):
+                    found = found + dr.forward_to(total)
+
+        β = β * weight
+        η = η * sample.eta
+        most = dr.max(β)
+        chance = dr.minimum(most * dr.square(η), 0.95)
+        late = depth >= rr_depth
+        β = dr.select(late, β * dr.rcp(chance), β)
+        on &= (most != 0) & (~late | (sampler.next_1d() < chance))
+        next_ray = si.spawn_ray(si.to_world(sample.wo))
+        hit = scene.ray_intersect_preliminary(next_ray, coherent=False, reorder=False, active=on)
+        delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        previous = dr.detach(si, True)
+        return L, found, β, η, depth + 1, on, hit, next_ray, previous, sample.pdf, delta, sampler
+
+    state = (
+        mi.Spectrum(0 if primal else radiance),
+        mi.Spectrum(0),
+        mi.Spectrum(1),
+        mi.Float(1),
+        mi.UInt32(0),
+        mi.Bool(True),
+        hit,
+        ray,
+        dr.zeros(mi.SurfaceInteraction3f),
+        mi.Float(1),
+        mi.Bool(True),
+        sampler,
+    )
+    count = mi.Float(1)
+    if lights > 1:
+        # Once outside the loop, where the number of light samples is another.
+        state = vertex(*state, count, lights)
+        count = mi.Float(lights)
+    *state, _ = dr.while_loop(
+        (*state, count),
+        lambda *s: s[5],
+        lambda *s: (*vertex(*s, 1), mi.Float(1)),
+        label=f"paths ({mode.name})",
+    )
+    return state[1] if mode == dr.ADMode.Forward else state[0]

@@ -1,0 +1,292 @@
+"""The plan of effects: what decides it, what it changes, and what is refused."""
+
+import json
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from gradient_estimates import configured
+from scenes_for_tests import ROUGHNESS, TEXTURE, problem, without_targets
+
+from isas_cli import effects, records
+from isas_cli.cli.app import main
+from isas_cli.config.compose import compose
+from isas_cli.effects import plan as planning
+from isas_cli.effects.plan import _depth, _lights
+from isas_cli.effects.probe import Depth, Lights, Probe, Share, gradient_share, noise_ratio
+from isas_cli.effects.settings import Effects
+from isas_cli.estimators.staged import Staged
+from isas_cli.losses import L2
+from isas_cli.rendering.renderer import Renderer
+from isas_cli.runtime.errors import InputError
+
+WALL = "wall.bsdf.reflectance.value"
+
+
+def decided(p, seconds=None, estimator="two_path", **settings):
+    made = configured("estimator", estimator)
+    return effects.decide(p, Effects(**settings), made, L2(), seconds)
+
+
+def furnace(albedo: float, start: float, depth: int):
+    """A camera inside a diffuse sphere that emits 1: radiance is Σ albedo^i over its bounces."""
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": depth, "rr_depth": 100},
+        "wall": {
+            "type": "sphere",
+            "flip_normals": True,
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": albedo}},
+            "emitter": {"type": "area", "radiance": 1.0},
+        },
+        "sensor_000": {
+            "type": "perspective",
+            "to_world": mi.ScalarTransform4f().look_at([0, 0, 0.1], [0.3, 0.2, 1], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 16, "height": 16},
+        },
+    }
+    p = without_targets(scene, {WALL: start})
+    target = np.full(p.views.total * 3, sum(albedo**i for i in range(depth)), np.float32)
+    p.set_targets(mi.Float(target), None, "test")
+    p.unknowns.write(p.unknowns.starts())
+    return p
+
+
+@pytest.mark.parametrize("depth", [4, 8])
+def test_shares_of_depth_are_those_in_closed_form(depth):
+    """Unrolled or replayed in a run; of the image Σρ^i from d on, of the gradient by residual times
+    Σiρ^(i-1), both of which lose what longer paths bring."""
+    truth, start = 0.5, 0.3
+    p = furnace(truth, start, depth)
+    probe = Probe(p, L2(), 3)
+    target = sum(truth**i for i in range(depth))
+
+    def radiance(d: int) -> float:
+        return sum(start**i for i in range(d))
+
+    def gradient(d: int) -> float:
+        return (radiance(d) - target) * sum(i * start ** (i - 1) for i in range(1, d))
+
+    found = probe.depths([2, 3, depth])
+    assert probe.seconds > 0
+    for each in found[:-1]:
+        image = 1 - radiance(each.depth) / radiance(depth)
+        share = abs(1 - gradient(each.depth) / gradient(depth))
+        own = each.gradient[WALL]
+        print(each.depth, image, each.image, share, own)
+        assert each.image.value == pytest.approx(image, abs=3 * (each.image.bound - image) + 0.01)
+        assert own.value == pytest.approx(share, abs=0.1 * share + 0.02)
+        assert share < own.bound < 1.5 * share + 0.05
+    assert found[-1].gradient[WALL].value == pytest.approx(0, abs=1e-4)
+
+
+def test_bounds_hold_the_share_as_often_as_they_say(rng):
+    """Of parts and wholes with noise larger than themselves, in many entries."""
+    part, whole = 0.1 * np.ones(50), np.ones(50)
+    held = []
+    for _ in range(400):
+        noise = rng.normal(size=(12, 50))
+        rows = part + 0.5 * rng.normal(size=(12, 50)), whole + noise
+        found = gradient_share(*rows)
+        held.append(found.bound >= 0.1)
+    assert np.mean(held) > 0.9
+    assert gradient_share(np.zeros((12, 50)), whole + np.zeros((12, 50))) == Share(0.0, 0.0)
+    assert gradient_share(part + np.zeros((12, 50)), np.zeros((12, 50))).bound == np.inf
+
+
+def test_noise_is_compared_entry_by_entry(rng):
+    """Whatever their scales, and though a rare path rules one of them."""
+    scale = 10.0 ** rng.uniform(-6, 6, 200)
+    usual = (scale * rng.normal(size=(64, 200))) ** 2
+    quarter = (scale * 0.5 * rng.normal(size=(40, 200))) ** 2
+    usual[7, 3] *= 1e9
+    value, error = noise_ratio({"a": quarter}, {"a": usual})
+    assert value == pytest.approx(0.25, abs=4 * error) and error < 0.03
+    one, error = noise_ratio({"a": usual}, {"a": usual})
+    assert one == pytest.approx(1) and error == pytest.approx(0, abs=1e-9)
+
+
+def rung(depth: int, *bounds: float) -> Depth:
+    return Depth(depth, Share(0, 0), {str(i): Share(b / 2, b) for i, b in enumerate(bounds)}, 1)
+
+
+def test_depth_is_the_least_beyond_which_no_unknown_loses_its_share():
+    ladder = [rung(2, 0.001, 0.2), rung(3, 0.001, 0.004), rung(4, 0, 0), rung(6, 0, 0)]
+    assert _depth(ladder, 0.01, 6)[0] == 3
+    assert _depth(ladder, 0.002, 6)[0] == 4
+    assert _depth(ladder, 0.5, 6)[0] == 2
+    depth, why = _depth(ladder, 0.0, 6)
+    assert depth == 6 and "%" in why
+    assert _depth([], 0.01, 6)[0] == 6
+
+
+def test_light_samples_are_more_only_where_that_surely_pays():
+    one = Lights((1, 1), 1.0, 0.05, 1.0)
+    assert _lights([one, Lights((4, 4), 0.3, 0.02, 1.6)])[0] == (4, 4)
+    assert _lights([one, Lights((4, 4), 0.6, 0.02, 1.8)])[0] == (1, 1)
+    assert _lights([one, Lights((4, 4), 0.5, 0.3, 1.6)])[0] == (1, 1)
+    assert _lights([])[0] == (1, 1)
+
+
+def test_a_run_by_iterations_has_all_effects_and_no_probe():
+    """A clock's decision would make it another run on another machine."""
+    p = problem({TEXTURE: 0.5}, depth=4)
+    plan = decided(p)
+    assert plan.on(p) is p and plan.seconds == 0 and not plan.depths
+    assert "up to 4 edges" in plan.statements["paths"]
+
+
+def test_a_timed_run_is_probed_once(monkeypatch, tmp_path):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}, depth=4)
+    first = decided(p, 60.0, tolerance=0.99)
+    assert [each.depth for each in first.depths] == [2, 3, 4] and len(first.samples) == 3
+    assert 0 < first.seconds < 4 and first.max_depth == 2
+    assert {k: f"{v}" for k, v in first.depths[0].gradient.items()}.keys() == {TEXTURE, ROUGHNESS}
+    assert "bound" in first.statements["paths"]
+    planned = first.on(p).integrator
+    assert (planned.max_depth, planned.lights) == (first.max_depth, first.lights)
+    monkeypatch.setattr(planning, "Probe", None)
+    assert decided(p, 60.0, tolerance=0.99) == first
+    short = decided(p, 5.0)
+    assert short.seconds == 0 and short.on(p) is p
+    again = effects.decide(
+        p, Effects(), configured("estimator", "two_path"), L2(), 60.0, first.record()
+    )
+    assert (again.max_depth, again.lights) == (first.max_depth, first.lights)
+    assert again.seconds == first.seconds
+
+
+def test_what_is_set_is_done():
+    p = problem({TEXTURE: 0.5}, depth=4)
+    plan = decided(p, max_depth=2, light_samples=[3, 2])
+    integrator = plan.on(p).integrator
+    assert (integrator.max_depth, integrator.lights) == (2, (3, 2))
+    assert (
+        "as set" in plan.statements["paths"] and "4 edges in the scene" in plan.statements["paths"]
+    )
+    assert decided(p, max_depth=9).on(p) is p, "never more than the scene has"
+
+
+def behind_a_mirror():
+    """A wall that only a mirror shows, lit by a sky."""
+    to = mi.ScalarTransform4f
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 4},
+        "sky": {"type": "constant"},
+        "mirror": {
+            "type": "rectangle",
+            "to_world": to().translate([0, 0, -1]),
+            "bsdf": {"type": "conductor"},
+        },
+        "wall": {
+            "type": "rectangle",
+            "to_world": to().translate([0, 0, 3]).rotate([0, 1, 0], 180).scale(3),
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.5}},
+        },
+        "sensor_000": {
+            "type": "perspective",
+            "fov": 20,
+            "to_world": to().look_at([0, 0, 1], [0, 0, -1], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 8, "height": 8},
+        },
+    }
+    p = without_targets(scene, {WALL: 0.2})
+    p.unknowns.write(p.unknowns.truths())
+    pixels = Renderer(p).range(0, p.views.total, 16, int)
+    p.set_targets(mi.Float(pixels.reshape(-1)), None, "test")
+    p.unknowns.write(p.unknowns.starts())
+    return p
+
+
+def test_a_plan_without_a_path_to_an_unknown_is_refused_or_not_made(monkeypatch, tmp_path):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    p = behind_a_mirror()
+    with pytest.raises(InputError, match=rf"effects.max_depth=2: .*'{WALL}'.*the scene's 4"):
+        decided(p, max_depth=2)
+    assert decided(p, max_depth=3).max_depth == 3
+    assert decided(p, 60.0, tolerance=0.9).max_depth == 3
+
+
+@pytest.mark.parametrize(
+    "settings, words",
+    [
+        ({"max_depth": 0}, "effects.max_depth=0: at least 1"),
+        ({"light_samples": [4]}, r"effects.light_samples=\[4\]: two numbers"),
+        ({"light_samples": [0, 4]}, r"light_samples=\[0,4\]"),
+        ({"tolerance": 1.0}, "effects.tolerance=1.0"),
+        ({"finish": -0.1}, "effects.finish=-0.1"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(settings, words):
+    with pytest.raises(InputError, match=words):
+        Effects(**settings)
+
+
+def test_what_leaves_paths_to_mitsuba_cannot_be_planned():
+    p = problem({TEXTURE: 0.5}, depth=4)
+    with pytest.raises(InputError, match="estimator=mitsuba leaves the paths to Mitsuba"):
+        decided(p, estimator="mitsuba", max_depth=2)
+    assert decided(p, 60.0, estimator="mitsuba").on(p) is p
+    hidden = {"type": "prb", "max_depth": 3, "hide_emitters": True}
+    from isas_cli.rendering.integrators import adapt
+
+    p.integrator = adapt(mi.load_dict(hidden))
+    with pytest.raises(InputError, match="integrator PRBIntegrator is Mitsuba's"):
+        decided(p, light_samples=[2, 2])
+
+
+def test_a_staged_run_takes_the_second_estimator_at_the_end():
+    class Named:
+        def __init__(self, name, paths):
+            self.name, self.paths_per_step = name, paths
+
+        def estimate(self, *arguments):
+            return self.name
+
+    staged = Staged(Named("cheap", 10), Named("full", 30), 0.75)
+    told = [(staged.estimate({}, None, 1, 0, s), staged.paths_per_step) for s in (0, 0.74, 0.75, 1)]
+    assert told == [("cheap", 10), ("cheap", 10), ("full", 30), ("full", 30)]
+
+
+TINY = [
+    *("scene=pottery", "size=tiny", "sampler=uniform", "target.spp=4", "estimator.batch=256"),
+    *("frames.views=0", "frames.snapshots=0", "evaluation.pixels=512", "report=false"),
+]
+
+
+def test_a_run_says_what_it_left_out(tmp_path, capsys):
+    """Its errors are those with all effects; the difference of the images stands beside them. The
+    last part of the budget has all effects."""
+    settings = ["effects.max_depth=2", "effects.finish=0.5", "budget.iterations=8"]
+    assert main(["run", *TINY, *settings, f"hydra.run.dir={tmp_path / 'r'}"]) == 0
+    told = capsys.readouterr().err
+    assert "paths: of up to 2 edges" in told and "left out of the images: " in told
+    run = records.load(tmp_path / "r")
+    assert run.summary["left_out_rmse"] > 1e-3
+    assert run.manifest["plan"]["max_depth"] == 2 and "50%" in run.manifest["effects"]["finish"]
+    assert main(["run", f"resume={tmp_path / 'r'}", "budget.iterations=10"]) == 0
+    assert records.load(tmp_path / "r").summary["iterations"] == 10
+
+
+def test_effects_are_printed_alone(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert main(["effects", *TINY[:3], "target.spp=4"]) == 0
+    out = capsys.readouterr().out
+    for words in ("of the gradient", "noise × time", "light samples", "a run is billed"):
+        assert words in " ".join(out.split()), out
+    assert list(tmp_path.iterdir()) == []
+    assert main(["effects", *TINY[:3], "effects.max_dept=3"]) == 2
+    assert "did you mean 'effects.max_depth'" in capsys.readouterr().err
+    assert main(["effects", "--foo"]) == 2
+    assert main(["variance", "scene=pottery", "effects.max_depth=2"]) == 2
+    assert "no use for it" in capsys.readouterr().err
+
+
+def test_earlier_records_had_all_effects():
+    from isas_cli.config.earlier import modern
+
+    now = compose(["scene=pottery", "effects=full"])
+    before = modern({"sampler": {"name": "uniform"}, "estimator": {"name": "two_path"}})
+    assert json.loads(json.dumps(before["effects"])) == dict(now.effects)

@@ -1,0 +1,147 @@
+"""Several light samples at the first hit, and isas's own replay of long paths: the same means as
+with one, the same values as Mitsuba's."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from gradient_estimates import Gradients
+from hard_scenes import hard_problem
+from montecarlo import welch
+from scenes_for_tests import ROUGHNESS, TEXTURE, problem
+
+from isas_cli.losses import L2
+from isas_cli.rendering import light, rays
+from isas_cli.rendering.integrators import Integrator, Replayed, Unrolled
+from isas_cli.unknowns.parameters import flat
+
+LEVEL = 1e-4
+UNKNOWNS = {
+    TEXTURE: 0.5,
+    ROUGHNESS: 0.5,
+    "lamp.emitter.radiance.value": 9.0,
+    "sky.radiance.value": 0.2,
+}
+
+
+def spawned(p, seed: int, copies: int = 4):
+    pixel = dr.tile(dr.arange(mi.UInt32, p.views.total), copies)
+    stream = rays.stream(mi.UInt32(seed), dr.width(pixel))
+    ray, _ = rays.spawn(p.sensors, p.views, *p.views.locate(pixel), stream)
+    return p.scene, stream, ray
+
+
+def backward(p, integrator) -> np.ndarray:
+    starts = p.unknowns.starts()
+    p.unknowns.attach(starts)
+    with dr.suspend_grad():
+        scene, stream, ray = spawned(p, 5)
+        weights = np.random.default_rng(1).normal(size=(3, dr.width(ray.o)))
+        integrator.backward(scene, stream, ray, mi.Color3f(weights))
+    found = [np.array(flat(g), np.float64) for g in p.unknowns.gradients().values()]
+    p.unknowns.write(starts)
+    return np.concatenate(found)
+
+
+def forward(p, integrator) -> np.ndarray:
+    starts = p.unknowns.starts()
+    p.unknowns.push_tangent(starts, {k: v * 0 + 1 for k, v in starts.items()})
+    with dr.suspend_grad():
+        found = np.array(integrator.forward(*spawned(p, 9)))
+    p.unknowns.write(starts)
+    return found
+
+
+def primal(p, integrator) -> np.ndarray:
+    with dr.suspend_grad():
+        return np.array(integrator.primal(*spawned(p, 7))[0])
+
+
+@pytest.mark.parametrize("depth", [2, 7])
+@pytest.mark.parametrize("what", [backward, forward, primal])
+def test_own_replay_agrees_with_mitsubas(what, depth):
+    """Path by path; with roulette where paths are long enough for it."""
+    p = problem(UNKNOWNS, depth=depth)
+    own = Replayed(p.integrator.mitsuba, depth, (1, 1))
+    ours, stock = what(p, own), what(p, Integrator(p.integrator.mitsuba))
+    assert np.abs(stock).max() > 0
+    assert np.allclose(ours, stock, rtol=5e-4, atol=2e-5 * np.abs(stock).max())
+
+
+def test_one_kernel_does_for_all_depths():
+    p = problem({TEXTURE: 0.5}, depth=6)
+    for depth in (2, 4):
+        opaque = Replayed(p.integrator.mitsuba, dr.opaque(mi.UInt32, depth), (1, 1))
+        plain = p.integrator.cut(depth, (1, 1))
+        assert isinstance(plain, Unrolled)
+        assert np.allclose(primal(p, opaque), primal(p, plain), rtol=1e-4, atol=1e-6)
+
+
+def test_parts_of_the_square_are_equal_and_disjoint():
+    points = mi.Point2f(np.random.default_rng(0).random((2, 4000)).astype(np.float32))
+    for count, shape in ((1, (1, 1)), (3, (3, 1)), (4, (2, 2)), (6, (3, 2)), (8, (4, 2))):
+        parts = set()
+        for index in range(count):
+            x, y = np.array(light.stratum(points, index, count))
+            cells = np.floor(x * shape[0]).astype(int), np.floor(y * shape[1]).astype(int)
+            (part,) = set(zip(*(cell.tolist() for cell in cells)))
+            parts.add(part)
+            assert np.ptp(x) > 0.99 / shape[0] and np.ptp(y) > 0.99 / shape[1]
+        assert len(parts) == count
+
+
+class Bench:
+    """A scene of `hard_scenes` at a depth that is unrolled or replayed; gradients of an L2 loss."""
+
+    def __init__(self, name: str, depth: int):
+        self.problem = hard_problem(name, depth=depth)
+        self.one = Gradients(self.problem, L2(), 4096)
+        self.reference = self.one.uniform(300, 99)
+
+    def outcome(self, lights: tuple[int, int], seed: int):
+        whole = self.problem.integrator
+        self.problem.integrator = whole.cut(whole.max_depth, lights)
+        try:
+            rows = Gradients(self.problem, L2(), 4096).uniform(120, seed)
+        finally:
+            self.problem.integrator = whole
+        components = self.one.components
+        return rows, welch(
+            components(rows, self.reference), components(self.reference, self.reference), LEVEL
+        )
+
+
+CASES = [("sun", 3, (4, 4)), ("glass", 7, (3, 2))]
+
+
+@pytest.mark.parametrize("name, depth, lights", CASES)
+def test_several_light_samples_are_unbiased(name, depth, lights, seed):
+    """A sun and a sky, unrolled; glass, replayed. In the residual as in the derivative."""
+    bench = Bench(name, depth)
+    assert isinstance(bench.problem.integrator, Unrolled if depth < 6 else Replayed)
+    rows, outcome = bench.outcome(lights, seed)
+    print(outcome)
+    assert outcome.p_value > LEVEL, str(outcome)
+    assert outcome.always_visible < 0.15, str(outcome)
+
+
+def test_weights_that_ignore_their_number_are_noticed(seed, monkeypatch):
+    """Each light sample weighted as if it were the only one: light that the BSDF's sample finds,
+    too, counts twice in part."""
+    bench = Bench("sun", 3)
+    honest = light.mis_weight
+    monkeypatch.setattr(light, "mis_weight", lambda a, b: honest(a / 4, b))
+    _, outcome = bench.outcome((4, 4), seed)
+    assert outcome.p_value < LEVEL
+
+
+def test_light_samples_lower_the_noise_of_radiance_and_gradient(seed):
+    p = problem({TEXTURE: 0.5}, depth=3)
+    variances = []
+    for lights in ((1, 1), (4, 4)):
+        integrator = p.integrator.cut(3, lights)
+        with dr.suspend_grad():
+            L = np.array(integrator.primal(*spawned(p, seed % 1000, 64))[0])
+        variances.append(L.reshape(3, 64, -1).var(axis=1).mean())
+    print("variance of radiance, one over four", variances[0] / variances[1])
+    assert variances[0] > 1.2 * variances[1]
