@@ -59,7 +59,7 @@ def plans(scene: str) -> dict[str, dict]:
 def race(folder: Path, scene: str, contestants: list[dict], seeds: list[int], seconds: float):
     listed = [",".join(f"{k}:{v}" for k, v in each.items()) for each in contestants]
     command = [sys.executable, "-m", "isas_cli", "race", f"scene={SCENES[scene].scene or scene}"]
-    command += [*COMMON, *SCENES[scene].settings, "frames.views=0", "report=false"]
+    command += [*COMMON, *SCENES[scene].settings, "report=false"]
     command += [f"budget.seconds={seconds}", f"seed=[{','.join(map(str, seeds))}]"]
     command += ["contestants=[" + ",".join(f"{{{each}}}" for each in listed) + "]"]
     subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
