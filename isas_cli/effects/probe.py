@@ -25,9 +25,9 @@ from ..runtime.backend import sync
 from ..scene.problem import Problem
 from ..unknowns.parameters import as_numpy
 
-_LANES = 1 << 14
+_LANES = 1 << 13
 # Estimates of a gradient: as many as take so many seconds, at least and at most.
-_SECONDS, _BATCHES, _MOST_BATCHES = 0.3, 12, 64
+_SECONDS, _BATCHES, _MOST_BATCHES = 0.15, 12, 64
 _WARM_UP = 4  # recordings are steady from the fourth call on
 _BLOCKS = 8
 # One-sided, 95 %.
