@@ -1,8 +1,9 @@
 """Writes the pages of results from the tables in results/.
 
-adaptive_sampling.md and plateau.md, a page a paper, cost.md, what steps and records cost, and the
-table in the README. What measures calls this at its end; all numbers in the text are filled in
-from the tables, by the templates in templates/.
+adaptive_sampling.md and plateau.md, a page a paper, cost.md, what steps and records cost,
+effects.md, what leaving out light transport saves, and the table in the README. What measures
+calls this at its end; all numbers in the text are filled in from the tables, by the templates in
+templates/.
 
     python benchmarks/pages.py
 """
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import _page_adaptive
 import _page_cost
+import _page_effects
 import _page_plateau
 import jinja2
 
@@ -27,6 +29,7 @@ PAGES = {
     "adaptive_sampling": _page_adaptive.facts,
     "plateau": _page_plateau.facts,
     "cost": _page_cost.facts,
+    "effects": _page_effects.facts,
 }
 
 

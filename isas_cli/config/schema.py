@@ -290,12 +290,10 @@ class Config:
         if scene.builder is None and scene.path is None:
             raise InputError(f"scene={scene.name} needs a file: give scene.path=FILE.xml")
         if scene.builder is not None:
-            for name in ("path", "max_depth"):
-                if getattr(scene, name) is not None:
-                    raise InputError(
-                        f"scene.{name}={getattr(scene, name)}: only scene=file has it, "
-                        f"not scene={scene.name}"
-                    )
+            if scene.path is not None:
+                raise InputError(
+                    f"scene.path={scene.path}: only scene=file has it, not scene={scene.name}"
+                )
         if not scene.sizes and self.size != Config.size:
             raise InputError(
                 f"size={self.size}: scene={scene.name} has no sizes: its films say how large it is"

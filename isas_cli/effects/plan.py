@@ -101,9 +101,15 @@ def decide(
             depths, samples, spent = _probed(problem, settings, loss, described)
             depth, why["paths"] = _depth(depths, settings.tolerance, depth)
             lights, why["light samples"] = _lights(samples)
-        if settings.max_depth is not None and settings.max_depth < whole.max_depth:
+        if settings.max_depth is not None:
+            if settings.max_depth > whole.max_depth:
+                raise InputError(
+                    f"effects.max_depth={settings.max_depth}: the scene's own paths have "
+                    f"{longest(whole.max_depth)}: at most that; scene.max_depth changes the scene"
+                )
             depth, why["paths"] = settings.max_depth, "as set"
-            _check_reach(problem, whole.cut(depth, lights))
+            if depth < whole.max_depth:
+                _check_reach(problem, whole.cut(depth, lights))
         if settings.light_samples is not None:
             lights, why["light samples"] = tuple(settings.light_samples), "as set"
     plan = Plan(depth, lights, settings.finish, {}, depths, samples, spent)

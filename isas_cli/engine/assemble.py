@@ -101,6 +101,9 @@ def _from_builder(scene: SceneConfig) -> mi.Scene:
         raise InputError(f"scene.builder={scene.builder}: cannot be imported ({error})") from error
     _check_arguments(scene, build)
     dictionary = build(**scene.arguments)
+    if scene.max_depth is not None:
+        integrator = dictionary.get("integrator", {"type": "prb"})
+        dictionary["integrator"] = {**integrator, "max_depth": scene.max_depth}
     # Merging equal materials would turn two unknowns with equal starts into one.
     return mi.load_dict(dictionary, optimize=False)
 

@@ -70,9 +70,14 @@ def started(cfgs: list[DictConfig], typed: Config) -> backend.Backend:
     machine = backend.start(typed.variant, typed.threads)
     for cfg in cfgs:
         loss, sampler, estimator = (instantiate(cfg[name], name) for name in _CHOSEN)
-        for name in ("prior", "effects"):
-            instantiate(cfg[name], name)
+        instantiate(cfg.prior, "prior")
+        simulated = instantiate(cfg.effects, "effects")
         estimator.fits(sampler)
+        if cfg.profile and simulated.finish:
+            raise InputError(
+                f"profile=true takes one kind of step apart, and effects.finish={simulated.finish} "
+                "makes two: leave one of them out"
+            )
         if cfg.profile and not estimator.replays:
             raise InputError(
                 "profile=true takes path replay's step apart, which estimator="

@@ -31,6 +31,7 @@ def write_page(run: Run, pictures: list[Picture], plots: list[Picture]) -> Path:
     text = template("isas_cli.report", number=number, embedded=_embedded).render(
         summary=summary,
         results=_results(summary),
+        effects=run.manifest.get("effects") or {},
         parameter_rmse_is=run.parameter_rmse_is,
         truth_known=_value(summary, "start", "parameter_rmse") is not None,
         phases=_phases(summary),

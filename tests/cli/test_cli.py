@@ -14,7 +14,8 @@ from isas_cli import records
 from isas_cli.cli.app import main
 from isas_cli.runtime.errors import IsasError
 
-TINY = ["scene=pottery", "size=tiny", "budget.iterations=2", "target.spp=4", "frames.spp=2"]
+TINY = ["scene=pottery", "size=tiny", "effects=full", "budget.iterations=2", "target.spp=4"]
+TINY += ["frames.spp=2"]
 
 
 @pytest.fixture
@@ -92,7 +93,10 @@ BAD_SETTINGS = {
     "scene=pottery scene.arguments.foo=1": ["scene.arguments.views"],
     "scene=pottery scene.builder=foo.bar": ["scene.builder=foo.bar"],
     "scene=pottery scene.path=a.xml": ["scene.path=a.xml", "scene=file"],
-    "scene=pottery scene.max_depth=3": ["scene.max_depth=3", "scene=file"],
+    "scene=pottery scene.max_depth=-2": ["scene.max_depth=-2: at least -1"],
+    "scene=pottery effects=ful": ["effects=ful", "did you mean 'full'?"],
+    "scene=pottery effects.max_depth=0": ["effects.max_depth=0: at least 1"],
+    "scene=pottery profile=true effects.finish=0.3": ["profile=true", "effects.finish"],
     "scene=pottery scene.masks=[a.png]": ["scene.masks", "scene.targets"],
     "scene=pottery scene.targets=a.png": ["scene.targets=a.png", "list"],
     "scene=pottery scene.targets=[a.png] target.spp=4": ["target"],
@@ -252,7 +256,7 @@ def test_an_interrupted_loop_finishes_its_record(tmp_path, number):
     process = start(
         tmp_path,
         "run",
-        *TINY[:2],
+        *TINY[:3],
         "sampler=uniform",
         "target.spp=4",
         "frames.spp=2",
@@ -272,7 +276,7 @@ def test_an_interrupted_loop_finishes_its_record(tmp_path, number):
 
 def test_an_interruption_before_the_loop_leaves_nothing(tmp_path):
     process = start(
-        tmp_path, "run", *TINY[:2], "sampler=uniform", "target.spp=1000000", "hydra.run.dir=r"
+        tmp_path, "run", *TINY[:3], "sampler=uniform", "target.spp=1000000", "hydra.run.dir=r"
     )
     while "targets" not in process.stderr.readline():
         assert process.poll() is None
@@ -288,7 +292,7 @@ def test_a_killed_run_leaves_readable_files(tmp_path):
     process = start(
         tmp_path,
         "run",
-        *TINY[:2],
+        *TINY[:3],
         "sampler=uniform",
         "target.spp=4",
         "frames.spp=2",

@@ -26,6 +26,7 @@ TINY = [
     "size=tiny",
     "scene.builder=flaky_scene.build",
     "sampler=uniform",  # compiles fastest
+    "effects=full",
     "budget.iterations=2",
     "evaluation.count=2",
     "frames.views=0",

@@ -165,7 +165,9 @@ def test_what_is_set_is_done():
     assert (
         "as set" in plan.statements["paths"] and "4 edges in the scene" in plan.statements["paths"]
     )
-    assert decided(p, max_depth=9).on(p) is p, "never more than the scene has"
+    assert decided(p, max_depth=4).on(p) is p
+    with pytest.raises(InputError, match="effects.max_depth=9: the scene's own paths .* 4 edges"):
+        decided(p, max_depth=9)
 
 
 def behind_a_mirror():

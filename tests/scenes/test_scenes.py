@@ -13,6 +13,9 @@ from isas_cli.scenes.bake import bake, unfold
 from isas_cli.scenes.lathe import turn
 from isas_cli.scenes.subdivide import subdivide
 
+from isas_cli.config import schema
+from isas_cli.config.compose import compose
+from isas_cli.engine import assemble
 from isas_cli.runtime import backend
 from isas_cli.runtime.errors import InputError
 
@@ -109,6 +112,11 @@ def test_builders_are_deterministic(name):
     for key in first.keys():
         if hasattr(first[key], "shape"):
             np.testing.assert_array_equal(np.array(first[key]), np.array(second[key]), key)
+
+
+def test_the_depth_of_paths_is_a_setting():
+    scene = schema.typed(compose(["scene=pottery", "size=tiny", "scene.max_depth=2"])).scene
+    assert assemble._from_builder(scene).integrator().max_depth == 2
 
 
 def test_surfaces_are_principled_or_clear_glass(loaded):

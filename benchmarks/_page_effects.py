@@ -1,0 +1,58 @@
+"""What effects.md says: plans of effects, at equal time."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pandas
+
+
+def facts(results: Path) -> dict:
+    table = pandas.read_csv(results / "effects.csv")
+    scenes = []
+    for scene, rows in table.groupby("scene", sort=False):
+        of = {row["plan"]: row for row in rows.to_dict("records")}
+        full = of["full"]
+        scenes.append(
+            {
+                "name": scene,
+                "seconds": full["seconds"],
+                "seeds": full["seeds"],
+                "rows": [_row(row, full) for row in of.values()],
+                "auto": of["auto"],
+                "verdict": {name: _verdict(row, full) for name, row in of.items()},
+            }
+        )
+    times = [scene["auto"]["time_to_full"] for scene in scenes]
+    verdicts = {
+        plan: {
+            words: [s["name"] for s in scenes if s["verdict"].get(plan) == words]
+            for words in ("better", "worse", "alike")
+        }
+        for plan in ("auto", "auto, staged", "lights")
+    }
+    return {
+        "scenes": scenes,
+        "median": float(pandas.Series(times).median()),
+        "verdicts": verdicts,
+        "seeds": int(table["seeds"].min()),
+    }
+
+
+def _row(row: dict, full: dict) -> dict:
+    time = row["time_to_full"]
+    return {
+        **row,
+        "share": row["parameter_rmse"] / full["parameter_rmse"],
+        "time": "–" if row is full else f"{time:.2f}" if math.isfinite(time) else "not reached",
+        "left": "–" if pandas.isna(row["left_out"]) else f"{row['left_out']:.2g}",
+        "lights": row["light_samples"].replace(" ", ", "),
+    }
+
+
+def _verdict(row: dict, full: dict) -> str:
+    """By the ranges of the seeds."""
+    if row["parameter_rmse_high"] < full["parameter_rmse_low"]:
+        return "better"
+    return "worse" if row["parameter_rmse_low"] > full["parameter_rmse_high"] else "alike"
