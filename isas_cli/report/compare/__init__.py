@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 
 from ...runtime.errors import InputError
-from . import accuracy, bootstrap, curves, price, summary, tables
+from . import accuracy, across, bootstrap, curves, price, summary, tables
 from .gather import Comparison, Method, gather
 from .tables import read as read_accuracy
 
@@ -42,6 +42,7 @@ def build(folders: list[Path], baseline: str | None = None) -> Comparison:
         price=price.table(methods),
         summary=summary.table(methods, chosen),
         warnings=warnings + _few_seeds(methods),
+        across=across.problems(methods, chosen),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,8 @@ from .series import AXES, MEASURES, read, seed
 
 if TYPE_CHECKING:
     import pandas
+
+    from .across import Problems
 
 # Any of these makes a folder one that somebody would miss in a comparison.
 _MARKS = {"manifest.json", "history.csv", "summary.json"}
@@ -49,7 +51,8 @@ class Comparison:
 
     methods: scene by scene, the baseline first; baseline: scene → label; curves, accuracy, price,
     summary: see `curves.table`, `accuracy.table`, `price.table`, `summary.table`, numbers
-    throughout; warnings: what was left out and why, and what the runs themselves warn of.
+    throughout; warnings: what was left out and why, and what the runs themselves warn of; across:
+    all scenes together, see `across.problems`.
     """
 
     methods: list[Method]
@@ -59,6 +62,7 @@ class Comparison:
     price: pandas.DataFrame
     summary: pandas.DataFrame
     warnings: list[str]
+    across: list[Problems] = field(default_factory=list)
 
 
 def gather(

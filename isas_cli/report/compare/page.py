@@ -22,7 +22,7 @@ from .. import interactive
 from ..chart import Chart
 from ..figures import Picture
 from ..page import template
-from . import animation, charts, facts, plots, sheet, slides
+from . import animation, charts, facts, plots, sheet, slides, together
 from .gather import Comparison, Method, by_scene
 from .styles import styles
 
@@ -90,10 +90,17 @@ def write(comparison: Comparison, output: Path) -> Path:
         scene = _scene(comparison, name, anchor, methods, output)
         drawn = {"costs": _plots(anchor, costs), "insides": _plots(f"{anchor}in", insides)}
         scenes.append(_Scene(**scene, **drawn, pictures=pictures))
+    chips = together.styled(comparison, own)
+    whole = together.charts(comparison, chips)
+    plots.write_plots("all", whole, output / "plots")
     shown = {"embedded": slides.file_address, "least_width": slides.least_width}
     text = template("isas_cli.report.compare", **shown).render(
         scenes=scenes,
-        colours={label: style.colour for label, style in own.items()},
+        together=together.tables(comparison),
+        together_plots=_plots("all", whole),
+        baseline=comparison.across[0].baseline if comparison.across else "",
+        methods=list(own),
+        colours={label: style.colour for label, style in (chips | own).items()},
         warnings=warnings,
         runs=sum(len(method.runs) for method in comparison.methods),
         scripts=[Markup(text) for text in (plotly.offline.get_plotlyjs(), *_scripts())],

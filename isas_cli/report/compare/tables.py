@@ -9,6 +9,7 @@ import pandas
 
 from ...records import write_atomically
 from ...runtime.errors import InputError
+from . import across
 from .gather import Comparison
 
 NOT_REACHED = "not reached"
@@ -26,7 +27,8 @@ _BOUNDS = ("_low", "_high")
 
 
 def write(comparison: Comparison, output: Path) -> list[Path]:
-    """Writes accuracy_time.csv, price_of_accuracy.csv, methods.csv and curves.csv into ``output``.
+    """Writes accuracy_time.csv, price_of_accuracy.csv, methods.csv and curves.csv into ``output``,
+    and, of several scenes, across.csv.
 
     Infinite costs stand there as "not reached" (of CS: "not converged"), a ratio of two of them as
     "neither reached", the bounds of what one run alone knows (this method's or, of a ratio, the
@@ -40,6 +42,8 @@ def write(comparison: Comparison, output: Path) -> list[Path]:
         "methods.csv": worded(comparison.summary),
         "curves.csv": comparison.curves,
     }
+    if comparison.across:
+        files["across.csv"] = across.table(comparison.across)
     for name, frame in files.items():
         write_atomically(output / name, lambda path: frame.to_csv(path, index=False))
     return [output / name for name in files]

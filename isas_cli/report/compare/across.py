@@ -1,0 +1,224 @@
+"""All scenes together: how much sooner a method is, how often it arrives, and how sure that is.
+
+Levels are what the baseline has after an eighth, a quarter, half and all of its budget, on each
+scene by itself: halvings of the start's error often lie beyond what anyone reaches. A *problem* is
+a scene and a level.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import pandas
+from scipy import stats
+
+from .gather import Method, by_scene
+from .series import MEASURES, Series, known
+
+# Of the baseline's budget.
+SHARES = (0.125, 0.25, 0.5, 1.0)
+# The rate is each method's own business: methods that differ in nothing else are one.
+_OWN = "optimizer.lr="
+_RESAMPLES = 999
+_SEED = 20260102
+
+
+@dataclass(frozen=True)
+class Problems:
+    """One measure on all scenes. ``times``: method → scene → billed seconds ``(levels, seeds)`` to
+    each level, +inf: not reached; ``spent``: likewise ``(seeds,)``, how far each run went;
+    ``finals``: likewise final errors, as shares of the start's; ``budgets``: by scene, seconds."""
+
+    measure: str
+    baseline: str
+    times: dict[str, dict[str, np.ndarray]]
+    spent: dict[str, dict[str, np.ndarray]]
+    finals: dict[str, dict[str, np.ndarray]]
+    budgets: dict[str, float]
+
+
+def problems(methods: list[Method], baseline: dict[str, str]) -> list[Problems]:
+    """For each measure that all runs know, what methods that are there on all scenes reached.
+    Empty for one scene, and where the scenes' baselines are not one method."""
+    grouped = by_scene(methods)
+    named = {scene: names(group) for scene, group in grouped.items()}
+    bases = {named[scene][label] for scene, label in baseline.items()}
+    if len(grouped) < 2 or len(bases) > 1:
+        return []
+    (base,) = bases
+    first, *others = (list(of.values()) for of in named.values())
+    shared = [name for name in first if all(name in other for other in others)]
+    if len(shared) < 2 or base not in shared:
+        return []
+    made = []
+    for measure in MEASURES:
+        found = {
+            name: {
+                scene: known(m.runs, measure)
+                for scene, group in grouped.items()
+                for m in group
+                if named[scene][m.label] == name
+            }
+            for name in [base, *(n for n in shared if n != base)]
+        }
+        if all(runs for of in found.values() for runs in of.values()):
+            made.append(_reached(measure, base, found))
+    return made
+
+
+def names(group: list[Method]) -> dict[str, str]:
+    """Label → name without the rate, where that still tells the methods of a scene apart."""
+    plain = {m.label: " ".join(w for w in m.label.split() if not w.startswith(_OWN)) for m in group}
+    return plain if len(set(plain.values())) == len(plain) else {m.label: m.label for m in group}
+
+
+def _reached(measure: str, base: str, found: dict[str, dict[str, list[Series]]]) -> Problems:
+    budgets, goals = {}, {}
+    for scene, runs in found[base].items():
+        budgets[scene] = min(float(s.cost["seconds"][-1]) for s in runs)
+        at = np.array(SHARES) * budgets[scene]
+        goals[scene] = np.median([s.at(at, "seconds") / s.error[0] for s in runs], axis=0)
+
+    def each(of) -> dict[str, dict[str, np.ndarray]]:
+        return {
+            name: {scene: of(scene, runs) for scene, runs in by.items()}
+            for name, by in found.items()
+        }
+
+    return Problems(
+        measure,
+        base,
+        each(
+            lambda scene, runs: np.array(
+                [[s.reached(g * s.error[0], "seconds") for s in runs] for g in goals[scene]]
+            )
+        ),
+        each(lambda scene, runs: np.array([s.cost["seconds"][-1] for s in runs])),
+        each(lambda scene, runs: np.array([s.error[-1] / s.error[0] for s in runs])),
+        budgets,
+    )
+
+
+def expected(times: np.ndarray, spent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Expected running time to each level, ``(levels,)``, and whether any run reached it: what all
+    seeds spent together, each until it arrived or to its end, over the number that arrived (Hansen
+    et al. 2021, COCO). Where none did, as if the next moment had been the first arrival: a bound
+    from below."""
+    arrived = np.isfinite(times)
+    total = np.where(arrived, times, spent).sum(axis=-1)
+    return total / np.maximum(arrived.sum(axis=-1), 1), arrived.any(axis=-1)
+
+
+def table(found: list[Problems]) -> pandas.DataFrame:
+    """One row per measure and method.
+
+    ``reached``: share of (scene, seed, level) that it reached; ``time_<share>``: expected running
+    time to what the baseline has after that share of its budget, over the baseline's own, the
+    geometric mean over scenes; ``speed_up``: geometric mean over all problems of the baseline's
+    expected running time over this one's, ``_low`` and ``_high`` its 95 % interval (seeds
+    resampled within each scene and method); ``at_most``: whether it is a bound from above, as some
+    problem was never solved; ``p``: of the rank-sum test of final errors, each over the mean of
+    its scene, against the baseline's, by Holm for all pairs of methods.
+    """
+    rows = []
+    for each in found:
+        compared = pairs(each)
+        for name in each.times:
+            times, certain = _ratios(each, name)
+            low, high = _interval(each, name)
+            row = {"measure": each.measure, "method": name, "scenes": len(each.budgets)}
+            arrived = [np.isfinite(t).ravel() for t in each.times[name].values()]
+            row["reached"] = float(np.concatenate(arrived).mean())
+            for share, ratio in zip(SHARES, np.exp(np.log(times).mean(axis=0))):
+                row[f"time_{share:g}"] = float(ratio)
+            row["speed_up"] = float(np.exp(-np.log(times).mean()))
+            row |= {"speed_up_low": low, "speed_up_high": high, "at_most": not certain}
+            row["p"] = compared.get(frozenset((name, each.baseline)), float("nan"))
+            rows.append(row)
+    return pandas.DataFrame(rows)
+
+
+def _ratios(of: Problems, name: str, rng=None) -> tuple[np.ndarray, bool]:
+    """Expected running times over the baseline's, ``(scenes, levels)``, and whether every problem
+    was solved. ``rng``: seeds are resampled."""
+    rows, certain = [], True
+    for scene in of.budgets:
+        sides = []
+        for method in (name, of.baseline):
+            times, spent = of.times[method][scene], of.spent[method][scene]
+            if rng is not None:
+                drawn = rng.integers(times.shape[1], size=times.shape[1])
+                times, spent = times[:, drawn], spent[drawn]
+            value, solved = expected(times, spent)
+            certain &= bool(solved.all())
+            sides.append(value)
+        rows.append(sides[0] / sides[1])
+    return np.array(rows), certain
+
+
+def _interval(of: Problems, name: str) -> tuple[float, float]:
+    """Of the speed-up; (1, 1) of the baseline over itself, NaN where a seed is alone."""
+    if name == of.baseline:
+        return 1.0, 1.0
+    if min(spent.size for spent in (*of.spent[name].values(), *of.spent[of.baseline].values())) < 2:
+        return float("nan"), float("nan")
+    rng = np.random.default_rng(_SEED)
+    drawn = [np.exp(-np.log(_ratios(of, name, rng)[0]).mean()) for _ in range(_RESAMPLES)]
+    low, high = np.quantile(drawn, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def pairs(of: Problems) -> dict[frozenset, float]:
+    """For each pair of methods the p-value of the rank-sum test (Mann and Whitney) of their final
+    errors, all scenes and seeds, each over the geometric mean of its scene; by Holm."""
+    means = {
+        scene: np.exp(np.mean(np.log(np.concatenate([by[scene] for by in of.finals.values()]))))
+        for scene in of.budgets
+    }
+    pooled = {
+        name: np.concatenate([by[scene] / means[scene] for scene in of.budgets])
+        for name, by in of.finals.items()
+    }
+    raw = {
+        frozenset(both): float(stats.mannwhitneyu(*(pooled[name] for name in both)).pvalue)
+        for both in itertools.combinations(pooled, 2)
+    }
+    corrected, largest = {}, 0.0
+    for number, (both, p) in enumerate(sorted(raw.items(), key=lambda item: item[1])):
+        largest = max(largest, min(1.0, p * (len(raw) - number)))
+        corrected[both] = largest
+    return corrected
+
+
+def arrivals(of: Problems) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Method → shares of the budget, rising, and the share of (scene, seed, level) reached by then:
+    the empirical distribution of running times."""
+    return {
+        name: _distribution(
+            np.concatenate([by[scene].ravel() / of.budgets[scene] for scene in of.budgets])
+        )
+        for name, by in of.times.items()
+    }
+
+
+def profiles(of: Problems) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Method → factors, from 1 on, and the share of problems that it solves within that factor of
+    the soonest method's expected running time (Dolan and Moré 2002)."""
+    costs = {}
+    for name, by in of.times.items():
+        values = []
+        for scene in of.budgets:
+            value, solved = expected(by[scene], of.spent[name][scene])
+            values.append(np.where(solved, value, np.inf))
+        costs[name] = np.concatenate(values)
+    soonest = np.min(list(costs.values()), axis=0)
+    with np.errstate(invalid="ignore"):
+        return {name: _distribution(cost / soonest) for name, cost in costs.items()}
+
+
+def _distribution(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Finite values, rising, and the share of all that is no larger. (SciPy's takes no infinity.)"""
+    ordered = np.sort(values[np.isfinite(values)])
+    return ordered, np.arange(1, ordered.size + 1) / values.size

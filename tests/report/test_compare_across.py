@@ -1,0 +1,155 @@
+"""All scenes together: expected running times, arrivals, profiles and tests, in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas
+import pytest
+import synthetic_runs as synthetic
+from scipy import stats
+
+from isas_cli.report.compare import across, build, facts, write
+
+SECONDS = np.concatenate([[0.0], np.geomspace(0.5, 32, 49)])
+
+
+def law(speed: float) -> np.ndarray:
+    """Error 1 at the start, then (speed · t)^-1/2: between evaluations exact."""
+    return np.concatenate([[1.0], (speed * SECONDS[1:]) ** -0.5])
+
+
+def recorded(folder, speeds: dict[str, dict[str, list[float]]], rates=None) -> None:
+    """Scene → sampler → the speed of each of its seeds."""
+    for scene, samplers in speeds.items():
+        for sampler, of_seeds in samplers.items():
+            for seed, speed in enumerate(of_seeds, 1):
+                settings = {"scene.name": scene}
+                if rates:
+                    settings["optimizer.lr"] = rates[scene][sampler]
+                synthetic.write(
+                    folder / scene / sampler / str(seed),
+                    SECONDS,
+                    law(speed),
+                    law(speed),
+                    sampler=sampler,
+                    seed=seed,
+                    settings=settings,
+                )
+
+
+def table(folder) -> pandas.DataFrame:
+    found = build([folder]).across
+    assert [each.measure for each in found] == ["image_rmse", "parameter_rmse"]
+    made = across.table(found)
+    return made[made["measure"] == "parameter_rmse"].set_index("method")
+
+
+def test_twice_as_fast_is_a_speed_up_of_two(tmp_path):
+    """On all scenes, at all levels; the slower one is a half and never gets to the end."""
+    speeds = {"uniform": [4.0] * 3, "ours": [8.0] * 3, "gradient": [2.0] * 3}
+    recorded(tmp_path, {"bowl": speeds, "pottery": speeds})
+    found = table(tmp_path)
+    assert list(found.index) == ["uniform", "gradient", "ours"]
+    assert found.loc["ours", "speed_up"] == pytest.approx(2)
+    assert found.loc["uniform", "speed_up"] == 1 and found.loc["ours", "reached"] == 1
+    for share in across.SHARES:
+        assert found.loc["ours", f"time_{share:g}"] == pytest.approx(0.5)
+    assert found.loc["gradient", "reached"] == 0.75 and found.loc["gradient", "at_most"]
+    # The last level costs all that three seeds spent.
+    assert found.loc["gradient", "time_1"] == pytest.approx(3)
+    assert found.loc["gradient", "time_0.5"] == pytest.approx(2)
+    assert not found.loc["ours", "at_most"]
+    low, high = found.loc["ours", ["speed_up_low", "speed_up_high"]]
+    assert low == pytest.approx(2) and high == pytest.approx(2)
+
+
+def test_speeds_of_scenes_have_a_geometric_mean(tmp_path):
+    """And each scene's own best rate does not make another method of it."""
+    speeds = {
+        "bowl": {"uniform": [4.0, 4.0], "ours": [16.0, 16.0]},
+        "pottery": {"uniform": [4.0, 4.0], "ours": [4.0, 4.0]},
+    }
+    rates = {
+        "bowl": {"uniform": 0.01, "ours": 0.02},
+        "pottery": {"uniform": 0.02, "ours": 0.01},
+    }
+    recorded(tmp_path, speeds, rates)
+    assert table(tmp_path).loc["ours", "speed_up"] == pytest.approx(2)
+
+
+def test_expected_running_time_counts_what_failures_spent():
+    times = np.array([[2.0, np.inf, 4.0], [np.inf] * 3])
+    value, solved = across.expected(times, np.array([5.0, 10.0, 6.0]))
+    assert value.tolist() == [(2 + 10 + 4) / 2, 21] and solved.tolist() == [True, False]
+
+
+def problems(times: dict[str, list], finals=None) -> across.Problems:
+    """One scene of budget 8 with one level."""
+    arrays = {name: {"bowl": np.array([t])} for name, t in times.items()}
+    spent = {name: {"bowl": np.full(len(t), 8.0)} for name, t in times.items()}
+    finals = finals or {name: [1.0] * len(t) for name, t in times.items()}
+    ends = {name: {"bowl": np.array(f)} for name, f in finals.items()}
+    return across.Problems("image_rmse", "uniform", arrays, spent, ends, {"bowl": 8.0})
+
+
+def test_arrivals_are_the_share_reached_by_then():
+    at, share = across.arrivals(problems({"uniform": [2.0, 8.0, 4.0, np.inf]}))["uniform"]
+    assert at.tolist() == [0.25, 0.5, 1.0] and share.tolist() == [0.25, 0.5, 0.75]
+
+
+def test_profiles_compare_with_the_soonest():
+    found = across.profiles(
+        problems({"uniform": [4.0, 4.0], "ours": [1.0, 3.0], "x": [np.inf] * 2})
+    )
+    assert found["ours"][0].tolist() == [1.0] and found["uniform"][0].tolist() == [2.0]
+    assert found["ours"][1].tolist() == [1.0] and found["x"][0].size == 0
+
+
+def test_pairs_are_tested_and_corrected():
+    """Holm: the least p times three, the next times two, never falling."""
+    finals = {
+        "uniform": [1.0, 2, 3, 4, 5],
+        "ours": [6.0, 7, 8, 9, 10],
+        "x": [1.5, 2.5, 3.5, 9.5, 5.5],
+    }
+    found = across.pairs(problems({name: [1.0] * 5 for name in finals}, finals))
+    raw = {
+        frozenset(pair): stats.mannwhitneyu(finals[pair[0]], finals[pair[1]]).pvalue
+        for pair in (("uniform", "ours"), ("uniform", "x"), ("ours", "x"))
+    }
+    ordered = sorted(raw, key=raw.get)
+    assert found[ordered[0]] == pytest.approx(3 * raw[ordered[0]])
+    assert found[ordered[1]] == pytest.approx(max(2 * raw[ordered[1]], found[ordered[0]]))
+    assert found[ordered[2]] == pytest.approx(max(raw[ordered[2]], found[ordered[1]]))
+
+
+def test_equal_methods_are_told_apart_as_rarely_as_they_should(rng):
+    """Of scenes as unlike as may be."""
+    rejected = []
+    for _ in range(300):
+        finals = {
+            name: {s: 10.0**k * rng.lognormal(size=3) for k, s in enumerate("abcd")}
+            for name in ("uniform", "ours")
+        }
+        one = {name: {s: np.ones((1, 3)) for s in "abcd"} for name in finals}
+        of = across.Problems("image_rmse", "uniform", one, one, finals, dict.fromkeys("abcd", 1.0))
+        rejected.append(across.pairs(of)[frozenset(finals)] < 0.05)
+    assert stats.binomtest(sum(rejected), len(rejected), 0.05).pvalue > 1e-3
+
+
+def test_one_scene_or_one_method_is_no_comparison_of_scenes(tmp_path):
+    recorded(tmp_path, {"bowl": {"uniform": [4.0], "ours": [8.0]}})
+    assert build([tmp_path]).across == []
+    recorded(tmp_path, {"pottery": {"uniform": [4.0]}})
+    assert build([tmp_path]).across == []
+
+
+def test_page_table_and_plots_are_written(tmp_path):
+    speeds = {"uniform": [4.0] * 2, "ours": [8.0] * 2}
+    recorded(tmp_path / "runs", {"bowl": speeds, "pottery": speeds})
+    page = write(build([tmp_path / "runs"]), tmp_path / "out")
+    assert "All scenes together" in page.read_text()
+    assert f"<b>{facts.times(2.0)}</b>" in page.read_text()
+    assert len(pandas.read_csv(tmp_path / "out" / "across.csv")) == 4
+    for name in ("arrivals", "profiles"):
+        assert (tmp_path / "out" / "plots" / f"all_{name}.png").stat().st_size > 1000
