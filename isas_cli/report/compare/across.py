@@ -219,6 +219,6 @@ def profiles(of: Problems) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 
 def _distribution(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finite values, rising, and the share of all that is no larger. (SciPy's takes no infinity.)"""
+    """Finite values, rising, and the share of all that is no larger. SciPy's takes no infinity."""
     ordered = np.sort(values[np.isfinite(values)])
     return ordered, np.arange(1, ordered.size + 1) / values.size

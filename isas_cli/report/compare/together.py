@@ -103,7 +103,9 @@ def _panel(of: Problems, found: dict[str, tuple], label: str) -> Panel:
     end = x.limits[1] if x.limits else 1.0
     marks = []
     for name, (at, share) in found.items():
-        # On to the right end, where nothing more is reached.
-        last = share[-1:] if share.size else np.zeros(1)
-        marks.append(Points(name, np.append(at, end), np.append(share, last), steps=True, line=1.8))
+        # From nothing, and on to the right end, where nothing more is reached.
+        share = np.concatenate([[0.0], share, share[-1:]]) if at.size else np.zeros(2)
+        begin = at[:1] if at.size else x.limits[:1] if x.limits else np.ones(1)
+        at = np.concatenate([begin, at, [end]])
+        marks.append(Points(name, at, share, steps=True, line=1.8))
     return Panel(x, Axis("share", (0.0, 1.03)), marks, content.SHORT[of.measure], 3.4)
