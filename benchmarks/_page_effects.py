@@ -30,7 +30,7 @@ def facts(results: Path) -> dict:
             words: [s["name"] for s in scenes if s["verdict"].get(plan) == words]
             for words in ("better", "worse", "alike")
         }
-        for plan in ("auto", "auto, staged", "lights")
+        for plan in ("auto", "lights", "staged")
     }
     return {
         "scenes": scenes,

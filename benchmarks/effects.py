@@ -1,10 +1,10 @@
 """What leaving out effects saves in time and costs in accuracy: plans race at equal time.
 
-On each scene, with `sampler=progress`: everything (`full`), the plan that is made (`auto`), the
-same with everything in the last third of the budget (`auto, staged`), four light samples with all
-depths (`lights`), and each depth of a ladder below the scene's own (`depth 2`, …). Each at its own
-best rate with the first seed; the other seeds alone are reported. Settings and budgets are those
-of `reproduce.py`. Writes results/effects.csv (a row per scene and plan), effects_rates.csv and
+On each scene, with `sampler=progress`: everything (`full`), the plan that is made (`auto`), four
+light samples with all depths (`lights`), the same with two edges until the last third of the budget
+(`staged`), and each depth of a ladder below the scene's own (`depth 2`, …). Each at its own best
+rate with the first seed; the other seeds alone are reported. Settings and budgets are those of
+`reproduce.py`. Writes results/effects.csv (a row per scene and plan), effects_rates.csv and
 effects.png (error against billed time). Scenes that are not named keep their rows.
 
     .venv/bin/python benchmarks/effects.py pottery bowl
@@ -30,8 +30,12 @@ from isas_cli import records
 PLANS = {
     "full": {"effects": "full"},
     "auto": {"effects": "auto"},
-    "auto, staged": {"effects": "auto", "effects.finish": 0.33},
     "lights": {"effects": "full", "effects.light_samples": "[4,4]"},
+}
+STAGED = {
+    **PLANS["lights"],
+    "effects.max_depth": 2,
+    "effects.finish": 0.33,
 }
 LADDER = (2, 3, 4, 6, 8)
 RATES = (0.01, 0.02)
@@ -53,7 +57,7 @@ def plans(scene: str) -> dict[str, dict]:
     depths = {
         f"depth {d}": {"effects": "full", "effects.max_depth": d} for d in LADDER if d < whole
     }
-    return PLANS | depths
+    return PLANS | ({"staged": STAGED} if depths else {}) | depths
 
 
 def race(folder: Path, scene: str, contestants: list[dict], seeds: list[int], seconds: float):
@@ -122,7 +126,7 @@ def draw(ax, scene: str, found: pandas.DataFrame) -> None:
     for number, (name, own) in enumerate(found.groupby("plan", sort=False)):
         for history in own["history"]:
             label = name if history is own["history"].iloc[0] else None
-            style = "-" if name in PLANS else ":"
+            style = ":" if name.startswith("depth") else "-"
             ax.plot(history["seconds"], history[MEASURE], style, color=f"C{number}", label=label)
     ax.set(title=scene, yscale="log", xlabel="billed seconds", ylabel="parameter error")
     ax.legend(fontsize=7)

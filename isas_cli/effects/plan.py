@@ -44,12 +44,13 @@ class Plan:
     samples: tuple[Lights, ...] = ()
     seconds: float = 0.0
 
-    def on(self, problem: "Problem") -> "Problem":
-        """``problem``, its paths as planned."""
+    def on(self, problem: "Problem", finish: bool = False) -> "Problem":
+        """``problem``, its paths as planned; with all effects where it is the ``finish``."""
         whole = problem.integrator
-        if (self.max_depth, self.lights) == (whole.max_depth, whole.lights):
+        depth = whole.max_depth if finish else self.max_depth
+        if (depth, self.lights) == (whole.max_depth, whole.lights):
             return problem
-        return dataclasses.replace(problem, integrator=whole.cut(self.max_depth, self.lights))
+        return dataclasses.replace(problem, integrator=whole.cut(depth, self.lights))
 
     def record(self) -> dict:
         """For the manifest."""
@@ -119,7 +120,7 @@ def decide(
     told["light samples"] = f"{lights[0]} for a residual, {lights[1]} for a derivative"
     for effect, reason in why.items():
         told[effect] += f": {reason}"
-    if plan.finish and plan.on(problem) is not problem:
+    if plan.finish and depth != whole.max_depth:
         told["finish"] = f"the last {plan.finish:.0%} of the budget with all effects"
     return dataclasses.replace(plan, statements=told)
 

@@ -80,8 +80,9 @@ class Workshop:
             return self._once("estimator", key, lambda: settings.made(problem, loss))
 
         gradients = estimator(problem)
-        if plan.finish and plan.on(self.problem) is not self.problem:
-            whole = self._once("problem", (how, None), lambda: settings.on(self.problem))
+        if plan.finish and plan.max_depth != self.problem.integrator.max_depth:
+            finish = lambda: settings.on(plan.on(self.problem, finish=True))
+            whole = self._once("problem", (how, paths, "finish"), finish)
             gradients = Staged(gradients, estimator(whole), 1 - plan.finish)
 
         measuring = named, typed.evaluation.pixels, typed.evaluation.spp, typed.seed

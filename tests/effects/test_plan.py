@@ -159,7 +159,10 @@ def test_a_timed_run_is_probed_once(monkeypatch, tmp_path):
 
 def test_what_is_set_is_done():
     p = problem({TEXTURE: 0.5}, depth=4)
-    plan = decided(p, max_depth=2, light_samples=[3, 2])
+    plan = decided(p, max_depth=2, light_samples=[3, 2], finish=0.3)
+    last = plan.on(p, finish=True).integrator
+    assert (last.max_depth, last.lights) == (4, (3, 2)) and "30%" in plan.statements["finish"]
+    assert "finish" not in decided(p, light_samples=[3, 2], finish=0.3).statements
     integrator = plan.on(p).integrator
     assert (integrator.max_depth, integrator.lights) == (2, (3, 2))
     assert (
