@@ -36,7 +36,6 @@ def facts(results: Path) -> dict:
         "scenes": scenes,
         "median": float(pandas.Series(times).median()),
         "verdicts": verdicts,
-        "seeds": int(table["seeds"].min()),
     }
 
 

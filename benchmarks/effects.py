@@ -1,11 +1,12 @@
 """What leaving out effects saves in time and costs in accuracy: plans race at equal time.
 
 On each scene, with `sampler=progress`: everything (`full`), the plan that is made (`auto`), four
-light samples with all depths (`lights`), the same with two edges until the last third of the budget
-(`staged`), and each depth of a ladder below the scene's own (`depth 2`, …). Each at its own best
-rate with the first seed; the other seeds alone are reported. Settings and budgets are those of
-`reproduce.py`. Writes results/effects.csv (a row per scene and plan), effects_rates.csv and
-effects.png (error against billed time). Scenes that are not named keep their rows.
+light samples with all depths (`lights`), the same with the ladder's fewest edges until the last
+third of the budget (`staged`), and each depth of a ladder below the scene's own (`depth 2`, …).
+Each at its own best rate with the first seed; the other seeds alone are reported. Settings and
+budgets are those of `reproduce.py`. Writes results/effects.csv (a row per scene and plan),
+effects_rates.csv and effects_<scene>.png (error against billed time). Scenes that are not named
+keep their rows.
 
     .venv/bin/python benchmarks/effects.py pottery bowl
 """
@@ -32,11 +33,8 @@ PLANS = {
     "auto": {"effects": "auto"},
     "lights": {"effects": "full", "effects.light_samples": "[4,4]"},
 }
-STAGED = {
-    **PLANS["lights"],
-    "effects.max_depth": 2,
-    "effects.finish": 0.33,
-}
+# The shallowest of the ladder, but for the last third.
+STAGED = {**PLANS["lights"], "effects.finish": 0.33}
 LADDER = (2, 3, 4, 6, 8)
 RATES = (0.01, 0.02)
 
@@ -54,10 +52,17 @@ def plans(scene: str) -> dict[str, dict]:
     module, _, build = cfg.builder.rpartition(".")
     scenery = getattr(importlib.import_module(module), build)(**cfg.arguments)
     whole = scenery["integrator"]["max_depth"]
-    depths = {
-        f"depth {d}": {"effects": "full", "effects.max_depth": d} for d in LADDER if d < whole
-    }
-    return PLANS | ({"staged": STAGED} if depths else {}) | depths
+    reaching = [d for d in LADDER if d < whole and _reaches(scene, d)]
+    depths = {f"depth {d}": {"effects": "full", "effects.max_depth": d} for d in reaching}
+    staged = {"staged": STAGED | {"effects.max_depth": reaching[0]}} if reaching else {}
+    return PLANS | staged | depths
+
+
+def _reaches(scene: str, depth: int) -> bool:
+    """Whether paths of so many edges reach every unknown: other plans are refused."""
+    command = [sys.executable, "-m", "isas_cli", "effects", f"scene={SCENES[scene].scene or scene}"]
+    command += ["size=tiny", "effects=full", f"effects.max_depth={depth}"]
+    return subprocess.run(command, capture_output=True).returncode == 0
 
 
 def race(folder: Path, scene: str, contestants: list[dict], seeds: list[int], seconds: float):
@@ -122,7 +127,8 @@ def table(scene: str, found: pandas.DataFrame, seconds: float) -> pandas.DataFra
     return pandas.DataFrame(rows)
 
 
-def draw(ax, scene: str, found: pandas.DataFrame) -> None:
+def draw(scene: str, found: pandas.DataFrame) -> None:
+    figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
     for number, (name, own) in enumerate(found.groupby("plan", sort=False)):
         for history in own["history"]:
             label = name if history is own["history"].iloc[0] else None
@@ -130,6 +136,8 @@ def draw(ax, scene: str, found: pandas.DataFrame) -> None:
             ax.plot(history["seconds"], history[MEASURE], style, color=f"C{number}", label=label)
     ax.set(title=scene, yscale="log", xlabel="billed seconds", ylabel="parameter error")
     ax.legend(fontsize=7)
+    figure.savefig(RESULTS / f"effects_{scene}.png", dpi=80)
+    plt.close(figure)
 
 
 def main() -> None:
@@ -138,11 +146,7 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
     chosen = parser.parse_args()
     root = Path(tempfile.mkdtemp(prefix="isas-effects-"))
-    scenes = chosen.scenes or list(SCENES)
-    figure, axes = plt.subplots(
-        -(-len(scenes) // 3), 3, figsize=(13, 3.6 * -(-len(scenes) // 3)), layout="constrained"
-    )
-    for scene, ax in zip(scenes, axes.flat):
+    for scene in chosen.scenes or SCENES:
         seconds, named = SCENES[scene].seconds, plans(scene)
         every = [{**p, "optimizer.lr": rate} for p in named.values() for rate in RATES]
         race(root / scene / "rates", scene, every, chosen.seeds[:1], seconds)
@@ -154,10 +158,9 @@ def main() -> None:
         rates = first.drop(columns="history").assign(scene=scene)
         _merged("effects_rates.csv", rates, scene)
         print(_merged("effects.csv", table(scene, found, seconds), scene).to_string(), flush=True)
-        draw(ax, scene, found)
+        draw(scene, found)
         # After each scene: what is measured survives what follows.
-        figure.savefig(RESULTS / "effects.png", dpi=80)
-    pages.write()
+        pages.write()
 
 
 def _merged(name: str, rows: pandas.DataFrame, scene: str) -> pandas.DataFrame:

@@ -251,7 +251,9 @@ def test_help_imports_nothing_heavy(tmp_path):
     assert not loaded & {"mitsuba", "drjit", "numpy", "hydra", "rich", "matplotlib", "pandas"}
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_an_interrupted_loop_finishes_its_record(tmp_path, number):
     process = start(
         tmp_path,

@@ -57,18 +57,13 @@ def profiled(loop: Loop, freeze: bool = True) -> dict[str, profiling.Phase]:
     return {phase.phase: phase for phase in found.phases}
 
 
-FEW = (("uniform", False),)  # for every run; other tests profile ours
-
-
+@pytest.mark.slow  # every run profiles ours, below
 @pytest.mark.parametrize(
     "name, freeze",
     [
-        pytest.param(name, freeze, marks=() if (name, freeze) in FEW else pytest.mark.slow)
-        for name, freeze in [
-            *((name, True) for name in pixel_samplers()),
-            ("uniform", False),
-            ("ours", False),
-        ]
+        *((name, True) for name in pixel_samplers()),
+        ("uniform", False),
+        ("ours", False),
     ],
 )
 def test_every_sampler_can_be_profiled(name, freeze):
