@@ -129,6 +129,10 @@ def stock_passes(integrator):
     import drjit as dr
     import mitsuba as mi
 
+    from isas_cli.rendering.integrators import Integrator
+
+    integrator = Integrator(integrator.mitsuba)
+
     def kernel(scene, leaves, both, seeds):
         with dr.suspend_grad():
             first, second = (mi.Ray3f(o, d) for o, d in both)

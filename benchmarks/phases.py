@@ -16,7 +16,7 @@ import pandas
 
 HERE = Path(__file__).parent
 SCENES = ("pottery", "jumpydumpy", "dodoco")
-COMMON = ["profile=true", "target.spp=16", "evaluation.count=2", "frames.views=0"]
+COMMON = ["profile=true", "effects=full", "target.spp=16", "evaluation.count=2", "frames.views=0"]
 
 
 def main() -> None:

@@ -20,7 +20,13 @@ from isas_cli import records
 
 HERE = Path(__file__).parent
 CONTESTANTS = ("uniform", "ours")
-COMMON = ["scene=pottery", "frames.views=0", "frames.snapshots=0", "evaluation.count=5"]
+COMMON = [
+    "scene=pottery",
+    "effects=full",
+    "frames.views=0",
+    "frames.snapshots=0",
+    "evaluation.count=5",
+]
 
 
 def isas(*arguments: str) -> None:

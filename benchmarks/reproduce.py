@@ -85,6 +85,7 @@ def race(
     listed = ",".join(f"{{sampler:{s},optimizer.lr:{rate}}}" for s, rate in contestants)
     command = [sys.executable, "-m", "isas_cli", "race", f"scene={own}", *COMMON]
     command += [*SCENES[scene].settings, f"frames.spp={spp}", f"budget.seconds={seconds}"]
+    command += ["effects=full"]  # `effects.py` compares plans
     command += [f"contestants=[{listed}]", f"seed=[{','.join(map(str, seeds))}]"]
     subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
 
