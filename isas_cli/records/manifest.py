@@ -76,12 +76,12 @@ def describe(
     seed: int,
     target_seed: int,
     effects: dict[str, str],
-    plan: dict,
+    plan: dict | None = None,
 ) -> dict:
     """Versions, machine, seeds, content hashes, what is simulated, and the command line.
 
     ``effects``: effect → what is done about it; ``plan``: the same in numbers, with what was
-    measured for it (``effects.Plan``)."""
+    measured for it (``effects.Plan``); None of what has none."""
     integrator = problem.integrator
     return {
         "isas": __version__,
@@ -104,7 +104,7 @@ def describe(
         "target_hash": problem.target_hash,
         "integrator": {"class": integrator.name, "max_depth": integrator.max_depth},
         "effects": effects,
-        "plan": plan,
+        **({} if plan is None else {"plan": plan}),
         "views": [list(size) for size in problem.film_sizes],
         "parameter_rmse_is": _headline(problem.unknowns.unit),
         "unknowns": {

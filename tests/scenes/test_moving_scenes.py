@@ -14,7 +14,7 @@ from isas_cli.engine.display import Display
 from isas_cli.engine.experiment import Phases
 from isas_cli.engine.loop import Hooks
 from isas_cli.engine.workshop import Workshop
-from isas_cli.rendering.integrators import Integrator
+from isas_cli.rendering.integrators import Unrolled
 from isas_cli.runtime.errors import InputError, NumericalError
 from isas_cli.unknowns.parameters import as_numpy
 
@@ -76,7 +76,7 @@ def test_three_iterations(workshop, name):
 def test_a_path_that_is_not_a_number_costs_its_step(monkeypatch, share, status, spp):
     """Now and then: the step is left out and counted. Every time: the run says so and stops, with
     its values as they were."""
-    whole = Integrator.primal
+    whole = Unrolled.primal
 
     def broken(integrator, scene, sampler, ray):
         radiance, state = whole(integrator, scene, sampler, ray)
@@ -86,7 +86,7 @@ def test_a_path_that_is_not_a_number_costs_its_step(monkeypatch, share, status, 
     settings = [*SMALL, "budget.iterations=40", f"sampler.spp={spp}"]
     workshop = workshop_of("scene=occlusion", *settings[:-1])
     loop = workshop.loop(*configured("scene=occlusion", "sampler=plateau", *settings))
-    monkeypatch.setattr(Integrator, "primal", broken)
+    monkeypatch.setattr(Unrolled, "primal", broken)
     values, bad = [], []
 
     def watched(loop, progress):
