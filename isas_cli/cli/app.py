@@ -6,6 +6,7 @@ Nothing heavy is imported before a command is known: `isas --help` must answer a
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
 import sys
 import traceback
@@ -71,8 +72,8 @@ isas run --help. Status: 0 done, 2 bad configuration or input, 130 interrupted."
 _EFFECTS_HELP = """\
 usage: isas effects scene=NAME [KEY=VALUE ...]
 
-Say which light transport a run would simulate, and why: what a probe of at most 3 seconds measures
-of the images, of the gradient and of the time, with 95 % bounds. Nothing is optimised.
+Say which light transport a run would simulate, and why: what a probe of about 3 seconds measures of
+the images, of the gradient and of the time, with 95 % bounds. Nothing is optimised.
 
   isas effects scene=pottery
   isas effects scene=earth effects.tolerance=0.02
@@ -82,7 +83,13 @@ Settings: effects=auto (default), effects=full, effects.max_depth, effects.light
 effects.tolerance, effects.finish. Everything else is as in isas run --help.
 Status: 0 done, 2 bad configuration or input, 130 interrupted."""
 
-
+# Commands whose arguments are Hydra's, passed on as they are, and their helps.
+_UNPARSED = {
+    "run": _RUN_HELP,
+    "race": _RACE_HELP,
+    "variance": _VARIANCE_HELP,
+    "effects": _EFFECTS_HELP,
+}
 _SUMMARIES = {
     "run": "recover a scene's unknowns (isas run --help)",
     "race": "let configurations take turns at equal time (isas race --help)",
@@ -112,11 +119,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"isas {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
-    # Four are here for the help only: their arguments are Hydra's, passed on unparsed.
-    commands.add_parser("run", help=_SUMMARIES["run"], add_help=False)
-    commands.add_parser("race", help=_SUMMARIES["race"], add_help=False)
-    commands.add_parser("variance", help=_SUMMARIES["variance"], add_help=False)
-    commands.add_parser("effects", help=_SUMMARIES["effects"], add_help=False)
+    for command in _UNPARSED:  # here for the list of commands only
+        commands.add_parser(command, help=_SUMMARIES[command], add_help=False)
     compare = commands.add_parser("compare", help=_SUMMARIES["compare"])
     compare.add_argument("folders", nargs="+", metavar="DIR", help="runs, or folders of runs")
     compare.add_argument("--output", metavar="DIR", help="where to (default: DIR/comparison)")
@@ -142,34 +146,11 @@ def _parser() -> argparse.ArgumentParser:
 
 def _dispatch(arguments: list[str]) -> int:
     command = arguments[0] if arguments else ""
-    if command == "run":
+    if command in _UNPARSED:
         if {"-h", "--help"} & set(arguments[1:]):
-            print(_RUN_HELP)
+            print(_UNPARSED[command])
             return 0
-        from .run import main as run
-
-        return run(arguments[1:])
-    if command == "race":
-        if {"-h", "--help"} & set(arguments[1:]):
-            print(_RACE_HELP)
-            return 0
-        from .race import main as race
-
-        return race(arguments[1:])
-    if command == "variance":
-        if {"-h", "--help"} & set(arguments[1:]):
-            print(_VARIANCE_HELP)
-            return 0
-        from .variance import main as variance
-
-        return variance(arguments[1:])
-    if command == "effects":
-        if {"-h", "--help"} & set(arguments[1:]):
-            print(_EFFECTS_HELP)
-            return 0
-        from .effects import main as effects
-
-        return effects(arguments[1:])
+        return importlib.import_module(f".{command}", __package__).main(arguments[1:])
     if command and not command.startswith("-") and command not in _SUMMARIES:
         raise InputError(f"{command}: no such command; {nearest(command, _SUMMARIES)}")
     parsed = _parser().parse_args(arguments)

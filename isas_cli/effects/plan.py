@@ -26,7 +26,7 @@ _LADDER = (2, 3, 4, 6, 8)
 _LIGHTS = ((1, 1), (4, 1), (4, 4))
 # A budget of so many seconds can pay for a probe.
 _WORTH = 10.0
-_FORMAT = 3
+_FORMAT = 4
 
 
 @dataclass(frozen=True)

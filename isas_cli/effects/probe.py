@@ -26,8 +26,12 @@ from ..scene.problem import Problem
 from ..unknowns.parameters import as_numpy
 
 _LANES = 1 << 13
-# Estimates of a gradient: as many as take so many seconds, at least and at most.
+# Estimates of a gradient: as many as take so many seconds, at least and at most; fewer where they
+# would take too long. There are nine kinds at most (`plan`), so that all take about 3 seconds.
 _SECONDS, _BATCHES, _MOST_BATCHES = 0.15, 12, 64
+_TOO_LONG, _LEAST_BATCHES = 0.3, 4
+# Numbers of the probe's streams, which no iteration of a run reaches.
+_FAR = (1 << 27) - (1 << 18)
 _WARM_UP = 4  # recordings are steady from the fourth call on
 _BLOCKS, _MOST_ENTRIES = 8, 1 << 16
 # One-sided, 95 %.
@@ -127,10 +131,13 @@ class Probe:
         earlier = dr.zeros(mi.Color3f, self.lanes)
         dr.make_opaque(earlier)
         for batch in itertools.count(-_WARM_UP):
-            if batch == _MOST_BATCHES or (batch >= _BATCHES and sum(seconds) > _SECONDS):
+            least, enough = _BATCHES, _SECONDS
+            if sum(seconds) > _TOO_LONG:
+                least, enough = _LEAST_BATCHES, _TOO_LONG
+            if batch == _MOST_BATCHES or (batch >= least and sum(seconds) > enough):
                 break
             seeds = [
-                dr.opaque(mi.UInt32, streams.seed(self.seed, number % (1 << 20), purpose))
+                dr.opaque(mi.UInt32, streams.seed(self.seed, _FAR + number, purpose))
                 for purpose, number in (
                     ("draw", 0 if fixed else batch),
                     ("primal", batch),
@@ -232,9 +239,10 @@ def noise_ratio(squares: dict, usual: dict) -> tuple[float, float]:
     entry by the root of its own mean square, so that each counts alike, and rare bright paths,
     which rule a plain mean, do not rule this one. The error by the jackknife over blocks of
     batches."""
+    count = min(_BLOCKS, *(len(next(iter(of.values()))) for of in (squares, usual)))
     blocks = [
         {
-            key: np.array([part.sum(axis=0) for part in np.array_split(rows, _BLOCKS)])
+            key: np.array([part.sum(axis=0) for part in np.array_split(rows, count)])
             for key, rows in of.items()
         }
         for of in (squares, usual)
@@ -253,8 +261,8 @@ def noise_ratio(squares: dict, usual: dict) -> tuple[float, float]:
         return float(np.mean(logs)) if logs else float("nan")
 
     whole = ratio()
-    left = np.array([ratio(i) for i in range(_BLOCKS)])
-    error = np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum((left - left.mean()) ** 2))
+    left = np.array([ratio(i) for i in range(count)])
+    error = np.sqrt((count - 1) / count * np.sum((left - left.mean()) ** 2))
     counts = [len(next(iter(of.values()))) for of in (squares, usual)]
     value = float(np.exp(whole)) * counts[1] / counts[0]
     return value, float(error) * value
