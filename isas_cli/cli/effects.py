@@ -46,15 +46,12 @@ def show(plan: "Plan", console: Console) -> None:
     for effect, told in plan.statements.items():
         table.add_row(effect, told)
     console.print(table)
-    if plan.depths:
-        table = Table("edges at most", title="what longer paths are; in brackets the 95 % bound")
-        for column in ("of the images", "of the gradient", "time without them"):
-            table.add_column(column, justify="right")
-        for each in plan.depths[:-1]:
-            key, worst = max(each.gradient.items(), key=lambda pair: pair[1].bound)
-            of_gradient = f"{_share(worst)} {key}" if len(each.gradient) > 1 else _share(worst)
-            table.add_row(str(each.depth), _share(each.image), of_gradient, f"{each.time:.2f}")
-        console.print(table)
+    for cuts, title in (
+        (plan.derivatives, "what the derivatives of longer paths are"),
+        (plan.cuts, "what longer paths are"),
+    ):
+        if cuts:
+            console.print(_cuts(cuts, title))
     if plan.samples:
         table = Table(
             "light samples: residual, derivative", title="with one each = 1; ± one standard error"
@@ -68,6 +65,18 @@ def show(plan: "Plan", console: Console) -> None:
         console.print(table)
     if plan.seconds:
         console.print(f"a run is billed {plan.seconds:.1f} s for these measurements")
+
+
+def _cuts(cuts, title: str) -> Table:
+    table = Table("edges at most", title=f"{title}; in brackets the 95 % bound")
+    for column in ("of the images", "of the gradient", "time without them"):
+        table.add_column(column, justify="right")
+    for each in cuts:
+        key, worst = max(each.gradient.items(), key=lambda pair: pair[1].bound)
+        of_gradient = f"{_share(worst)} {key}" if len(each.gradient) > 1 else _share(worst)
+        of_image = _share(each.image) if each.image else "–"
+        table.add_row(str(each.depth), of_image, of_gradient, f"{each.time:.2f}")
+    return table
 
 
 def _share(share) -> str:

@@ -45,8 +45,10 @@ _ALL_EFFECTS = {
     "_target_": "isas_cli.effects.settings.Effects",
     "probe": False,
     "max_depth": None,
+    "derivative_depth": None,
     "light_samples": None,
     "tolerance": 0.005,
+    "derivative_tolerance": 0.3,
     "finish": 0.0,
 }
 _NO_PRIOR = {"name": "none", "_target_": "isas_cli.losses.priors.Nothing"}

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..rendering import coverage
+from ..rendering.integrators import Paths
 from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
-from .probe import Depth, Lights, Probe, Share
+from .probe import Cut, Lights, Probe, Share
 from .settings import Effects
 from .structure import UNLIMITED, longest, statements
 
@@ -24,44 +25,58 @@ if TYPE_CHECKING:
 # Depths that are compared, and numbers of light samples (residual, derivative).
 _LADDER = (2, 3, 4, 6, 8)
 _LIGHTS = ((1, 1), (4, 1), (4, 4))
-# A budget of so many seconds can pay for a probe.
-_WORTH = 10.0
-_FORMAT = 4
+# A budget of so many seconds can pay for a probe, which takes at most this share of it and at most
+# so many seconds.
+_WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
+# Of the entries that any view sees, the share that may lose all of their derivative.
+_LOST = 0.01
+_FORMAT = 6
 
 
 @dataclass(frozen=True)
 class Plan:
-    """``max_depth``: edges of the longest path; ``lights``: samples of emitters at the first hit,
-    for the residual and for the derivative; ``finish``: the last share of the budget with all
-    effects; ``statements``: effect → what is done about it, and why; ``depths``, ``samples``: what
-    the probe measured; ``seconds``: what it is billed."""
+    """``paths``: as they are simulated; ``finish``: the last share of the budget with all effects;
+    ``statements``: effect → what is done about it, and why; ``cuts`` (of paths), ``derivatives``
+    (of what is differentiated), ``samples``: what the probe measured; ``seconds``: what it is
+    billed."""
 
-    max_depth: int
-    lights: tuple[int, int]
+    paths: Paths
     finish: float
     statements: dict[str, str]
-    depths: tuple[Depth, ...] = ()
+    cuts: tuple[Cut, ...] = ()
+    derivatives: tuple[Cut, ...] = ()
     samples: tuple[Lights, ...] = ()
     seconds: float = 0.0
 
     def on(self, problem: "Problem", finish: bool = False) -> "Problem":
         """``problem``, its paths as planned; with all effects where it is the ``finish``."""
         whole = problem.integrator
-        depth = whole.max_depth if finish else self.max_depth
-        if (depth, self.lights) == (whole.max_depth, whole.lights):
+        paths = dataclasses.replace(whole.paths, lights=self.paths.lights) if finish else self.paths
+        if paths == whole.paths:
             return problem
-        return dataclasses.replace(problem, integrator=whole.cut(depth, self.lights))
+        return dataclasses.replace(problem, integrator=whole.cut(paths))
+
+    def staged(self, problem: "Problem") -> bool:
+        """Whether the last part of the budget differs from the first."""
+        first, last = (self.on(problem, end).integrator.paths for end in (False, True))
+        return self.finish > 0 and first != last
 
     def record(self) -> dict:
         """For the manifest."""
         return {
-            "max_depth": None if self.max_depth == UNLIMITED else self.max_depth,
-            "light_samples": list(self.lights),
+            "max_depth": _finite(self.paths.depth),
+            "derivative_depth": _finite(self.paths.derivative),
+            "light_samples": list(self.paths.lights),
             "finish": self.finish,
             "probe_seconds": self.seconds,
-            "depths": [dataclasses.asdict(each) for each in self.depths],
+            "depths": [dataclasses.asdict(each) for each in self.cuts],
+            "derivatives": [dataclasses.asdict(each) for each in self.derivatives],
             "lights": [dataclasses.asdict(each) for each in self.samples],
         }
+
+
+def _finite(depth: int) -> int | None:
+    return None if depth == UNLIMITED else depth
 
 
 def decide(
@@ -82,107 +97,187 @@ def decide(
     that drops the only paths to an unknown.
     """
     whole = problem.integrator
-    asked = settings.max_depth is not None or settings.light_samples is not None
     follows = whole.cuts and estimator.plannable
-    if asked and not follows:
+    if settings.cuts and not follows:
         who = (
             f"estimator={estimator.name} leaves the paths to Mitsuba"
             if whole.cuts
             else f"the scene's integrator {whole.name} is Mitsuba's and"
         )
         raise InputError(f"effects.…: {who} traces them as the scene says: take effects=full")
-    depth, lights, why = whole.max_depth, (1, 1), {}
-    depths, samples, spent = (), (), 0.0
     if earlier is not None:
         depth = earlier["max_depth"] or UNLIMITED
-        lights = tuple(earlier["light_samples"])
-        spent = earlier["probe_seconds"]
+        derivative = earlier.get("derivative_depth") or depth
+        paths = Paths(depth, derivative, tuple(earlier["light_samples"]))
+        plan, why = Plan(paths, settings.finish, {}, seconds=earlier["probe_seconds"]), {}
     elif follows:
+        paths = _as_set(problem, settings)
+        found = Plan(paths, settings.finish, {})
         if settings.probe and estimator.replays and (seconds or 0) >= _WORTH:
-            depths, samples, spent = _probed(problem, settings, loss, described)
-            depth, why["paths"] = _depth(depths, settings.tolerance, depth)
-            lights, why["light samples"] = _lights(samples)
-        if settings.max_depth is not None:
-            if settings.max_depth > whole.max_depth:
-                raise InputError(
-                    f"effects.max_depth={settings.max_depth}: the scene's own paths have "
-                    f"{longest(whole.max_depth)}: at most that; scene.max_depth changes the scene"
-                )
-            depth, why["paths"] = settings.max_depth, "as set"
-            if depth < whole.max_depth:
-                _check_reach(problem, whole.cut(depth, lights))
-        if settings.light_samples is not None:
-            lights, why["light samples"] = tuple(settings.light_samples), "as set"
-    plan = Plan(depth, lights, settings.finish, {}, depths, samples, spent)
-    told = statements(plan.on(problem), estimator.derivatives(plan.on(problem)))
-    if depth != whole.max_depth:
+            found = _probed(problem, settings, loss, min(_MOST, _SHARE * seconds), described, found)
+        plan, why = _chosen(problem, settings, found)
+    else:
+        plan, why = Plan(whole.paths, settings.finish, {}), {}
+    planned = plan.on(problem)
+    told = statements(planned, estimator.derivatives(planned))
+    if plan.paths.depth != whole.max_depth:
         told["paths"] += f"; {longest(whole.max_depth)} in the scene"
+    lights = plan.paths.lights
+    told["differentiated"] = f"what comes by paths {longest(plan.paths.derivative)}"
     told["light samples"] = f"{lights[0]} for a residual, {lights[1]} for a derivative"
     for effect, reason in why.items():
         told[effect] += f": {reason}"
-    if plan.finish and depth != whole.max_depth:
+    if plan.staged(problem):
         told["finish"] = f"the last {plan.finish:.0%} of the budget with all effects"
     return dataclasses.replace(plan, statements=told)
 
 
-def _check_reach(problem: "Problem", integrator) -> None:
-    """Raises InputError where paths of ``integrator`` no longer reach an unknown."""
-    judged = {u.key: u.start for u in problem.unknowns if not u.kind.moves_geometry}
-    cut = dataclasses.replace(problem, integrator=integrator)
-    found = coverage.measure(cut, judged, 0)
+def _as_set(problem: "Problem", settings: Effects) -> Paths:
+    """All that the scene has, but for what is set. Raises InputError for what it cannot have."""
+    whole = problem.integrator
+    depth = _at_most(whole.max_depth, settings.max_depth, "max_depth", "the scene's own paths have")
+    derivative = _at_most(
+        depth, settings.derivative_depth, "derivative_depth", "the paths to differentiate have"
+    )
+    lights = tuple(settings.light_samples or (1, 1))
+    paths = Paths(depth, derivative, lights)
+    for name, edges in (("max_depth", depth), ("derivative_depth", derivative)):
+        if getattr(settings, name) is not None and edges < whole.max_depth:
+            for key, lost in _lost(problem, edges).items():
+                if lost == 1:
+                    raise InputError(
+                        f"effects.{name}={edges}: no path of so few edges meets '{key}': give "
+                        f"more, at most the scene's {whole.max_depth}"
+                    )
+    return paths
+
+
+def _at_most(whole: int, asked: int | None, name: str, what: str) -> int:
+    if asked is not None and asked > whole:
+        raise InputError(
+            f"effects.{name}={asked}: {what} {longest(whole)}: at most that; scene.max_depth "
+            "changes the scene"
+        )
+    return whole if asked is None else asked
+
+
+def _chosen(problem: "Problem", settings: Effects, found: Plan) -> tuple[Plan, dict[str, str]]:
+    """``found`` with paths as set and else as measured, and why."""
+    paths, why = found.paths, {}
+    if settings.max_depth is not None:
+        why["paths"] = "as set"
+    elif found.cuts:
+        depth, why["paths"] = _depth(found.cuts, settings.tolerance, paths.depth)
+        paths = dataclasses.replace(paths, depth=depth, derivative=min(depth, paths.derivative))
+    if settings.derivative_depth is not None:
+        why["differentiated"] = "as set"
+    elif found.derivatives:
+        derivative, why["differentiated"] = _derivative(
+            found.derivatives, settings.derivative_tolerance, paths.derivative
+        )
+        paths = dataclasses.replace(paths, derivative=derivative)
+    if settings.light_samples is not None:
+        why["light samples"] = "as set"
+    elif found.seconds:
+        lights, why["light samples"] = _lights(found.samples)
+        paths = dataclasses.replace(paths, lights=lights)
+    return dataclasses.replace(found, paths=paths), why
+
+
+def _lost(problem: "Problem", edges: int) -> dict[str, float]:
+    """By key: of the entries that a view sees, the share that no path of so few ``edges`` meets."""
+    whole = problem.integrator
+    judged = [u for u in problem.unknowns if not u.kind.moves_geometry]
+    cut = dataclasses.replace(problem, integrator=whole.cut(Paths(edges, edges)))
+    found = coverage.measure(cut, {u.key: u.start for u in judged}, 0)
     problem.unknowns.write(problem.unknowns.starts())
-    for key, sensitivity in found.items():
-        if not sensitivity.any():
-            raise InputError(
-                f"effects.max_depth={integrator.max_depth}: no path of so few edges meets "
-                f"'{key}': give more, at most the scene's {problem.integrator.max_depth}"
-            )
+    lost = {}
+    for unknown in judged:
+        missed = found[unknown.key][unknown.seen] == 0
+        lost[unknown.key] = float(missed.mean()) if missed.size else 0.0
+    return lost
 
 
-def _probed(problem: "Problem", settings: Effects, loss, described: str) -> tuple:
-    """What the probe finds: depths, light samples, seconds; from the cache where possible."""
+def _probed(
+    problem: "Problem", settings: Effects, loss, allowed: float, described: str, plan: Plan
+) -> Plan:
+    """``plan`` with what a probe of at most ``allowed`` seconds finds; from the cache where
+    possible."""
     starts = hashlib.blake2b(digest_size=16)
     for unknown in problem.unknowns:
         starts.update(f"{unknown.key} {unknown.start.shape}".encode() + unknown.start.tobytes())
     what = problem.content_hash, problem.target_hash, starts.hexdigest(), described
-    asked = settings.max_depth, settings.light_samples, settings.tolerance
+    asked = dataclasses.astuple(settings), allowed, dataclasses.astuple(plan.paths)
     key = "effects-" + digest("effects", _FORMAT, *what, *asked)
 
     def compute() -> dict[str, np.ndarray]:
-        probe, whole = Probe(problem, loss, 0), problem.integrator.max_depth
-        ladder = [depth for depth in _LADDER if depth < whole]
-        depths, lights = [], []
-        if ladder and settings.max_depth is None:
-            depths = probe.depths([*ladder, whole])
-        depth = settings.max_depth or _depth(depths, settings.tolerance, whole)[0]
-        if settings.light_samples is None and depth > 1:
-            lights = probe.lights(min(depth, whole), list(_LIGHTS))
-        found = [dataclasses.asdict(each) for each in (*depths, *lights)]
-        text = json.dumps({"found": found, "depths": len(depths), "seconds": probe.seconds})
-        return {"json": np.array(text)}
+        found = _measured(problem, settings, Probe(problem, loss, 0, allowed), plan)
+        return {"json": np.array(json.dumps(found.record()))}
 
     found = json.loads(str(cached(key, compute)["json"]))
-    depths = tuple(
-        Depth(
-            row["depth"],
-            Share(**row["image"]),
-            {key: Share(**share) for key, share in row["gradient"].items()},
-            row["time"],
-        )
-        for row in found["found"][: found["depths"]]
+    return dataclasses.replace(
+        plan,
+        cuts=tuple(_cut(row) for row in found["depths"]),
+        derivatives=tuple(_cut(row) for row in found["derivatives"]),
+        samples=tuple(
+            Lights(**row | {"samples": tuple(row["samples"])}) for row in found["lights"]
+        ),
+        seconds=found["probe_seconds"],
     )
-    lights = tuple(
-        Lights(**(row | {"samples": tuple(row["samples"])}))
-        for row in found["found"][found["depths"] :]
-    )
-    return depths, lights, found["seconds"]
 
 
-def _depth(depths, tolerance: float, whole: int) -> tuple[int, str]:
+def _cut(row: dict) -> Cut:
+    image = row["image"] and Share(**row["image"])
+    gradient = {key: Share(**share) for key, share in row["gradient"].items()}
+    return Cut(**row | {"image": image, "gradient": gradient})
+
+
+def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -> Plan:
+    """What pays most first: a short budget ends before the rest. The derivative's depth from the
+    shortest up to one that does; the paths' own from the longest down to one that does not."""
+    paths, cuts, derivatives, samples = plan.paths, [], [], []
+    ladder = [depth for depth in _LADDER if depth < paths.depth]
+    if settings.derivative_depth is None:
+        for depth in ladder:
+            found = probe.cut(depth, derivative=True)
+            if found is None:
+                break
+            derivatives.append(found)
+            if _worst(found) < settings.derivative_tolerance:
+                lost = max(_lost(problem, depth).values())
+                if lost <= _LOST:
+                    paths = dataclasses.replace(paths, derivative=depth)
+                    break
+                derivatives[-1] = dataclasses.replace(found, lost=lost)
+    if settings.light_samples is None and paths.depth > 1:
+        samples = probe.lights(paths, list(_LIGHTS))
+    if settings.max_depth is None:
+        for depth in reversed(ladder):
+            found = probe.cut(depth, derivative=False)
+            if found is None:
+                break
+            cuts.insert(0, found)
+            if not _worst(found) < settings.tolerance:
+                break
+    return dataclasses.replace(
+        plan,
+        cuts=tuple(cuts),
+        derivatives=tuple(derivatives),
+        samples=tuple(samples),
+        seconds=probe.seconds,
+    )
+
+
+def _worst(cut: Cut) -> float:
+    """The 95 % bound of what the unknown that loses most loses of its gradient."""
+    return max(share.bound for share in cut.gradient.values())
+
+
+def _depth(cuts, tolerance: float, whole: int) -> tuple[int, str]:
     """The shallowest of the ladder beyond which nothing counts."""
     chosen, why = whole, "all that the scene has"
-    for each in reversed(depths[:-1]):
-        bound = max(share.bound for share in each.gradient.values())
+    for each in reversed(cuts):
+        bound = _worst(each)
         told = f"longer ones are up to {bound:.2%} of a gradient (95 % bound)"
         if not bound < tolerance:
             return chosen, why if chosen != whole else told
@@ -190,11 +285,26 @@ def _depth(depths, tolerance: float, whole: int) -> tuple[int, str]:
     return chosen, why
 
 
+def _derivative(cuts, tolerance: float, whole: int) -> tuple[int, str]:
+    """The shallowest of the ladder whose derivative points nearly where the whole one does."""
+    for each in cuts:
+        if _worst(each) < tolerance and each.lost <= _LOST:
+            return each.depth, f"longer ones are up to {_worst(each):.0%} of a gradient"
+    last = cuts[-1]
+    if _worst(last) < tolerance:
+        return whole, f"{last.lost:.0%} of the entries are met by longer ones only"
+    return whole, f"longer than {last.depth} are up to {_worst(last):.0%} of a gradient"
+
+
 def _lights(samples) -> tuple[tuple[int, int], str]:
-    """The number with the least noise × time, if it is surely less than that of one each."""
-    best = min(samples, key=lambda s: s.noise * s.time, default=None)
-    if best is None or best.samples == (1, 1):
-        return (1, 1), "more would not pay" if samples else "not measured"
-    if (best.noise + 1.645 * best.error) * best.time >= 1:
+    """The number with the least noise × time, if it is surely less than that of one each. Of those
+    that are as good within their errors, the most: noise is what the residual is at a run's end,
+    and earlier the derivative's own noise counts for more."""
+    if not samples:
+        return (1, 1), "not measured"
+    least = min(samples, key=lambda s: s.noise * s.time)
+    if (least.noise + 1.645 * least.error) * least.time >= 1:
         return (1, 1), "more would not surely pay"
+    alike = [s for s in samples if (s.noise - s.error) * s.time <= least.noise * least.time]
+    best = max(alike, key=lambda s: sum(s.samples))
     return best.samples, f"noise × time {best.noise * best.time:.2f} of that with one each"

@@ -9,7 +9,7 @@ the end is noise, so the residual here is the difference of two renderings of th
 
 from __future__ import annotations
 
-import itertools
+import math
 import time
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..rendering import rays
-from ..rendering.integrators import Replayed
+from ..rendering.integrators import Paths, Replayed
 from ..rendering.pixels import PixelDistribution, Tiles
 from ..runtime import streams
 from ..runtime.backend import sync
@@ -26,10 +26,10 @@ from ..scene.problem import Problem
 from ..unknowns.parameters import as_numpy
 
 _LANES = 1 << 13
-# Estimates of a gradient: as many as take so many seconds, at least and at most; fewer where they
-# would take too long. There are nine kinds at most (`plan`), so that all take about 3 seconds.
-_SECONDS, _BATCHES, _MOST_BATCHES = 0.15, 12, 64
-_TOO_LONG, _LEAST_BATCHES = 0.3, 4
+# A kind of path is measured for so many seconds, or for its part of what is allowed (about as many
+# kinds as are usual), by estimates of the gradient between these numbers.
+_SECONDS, _PARTS = 0.25, 8
+_LEAST_BATCHES, _MOST_BATCHES = 8, 64
 # Numbers of the probe's streams, which no iteration of a run reaches.
 _FAR = (1 << 27) - (1 << 18)
 _WARM_UP = 4  # recordings are steady from the fourth call on
@@ -47,14 +47,17 @@ class Share:
 
 
 @dataclass(frozen=True)
-class Depth:
-    """What paths of more than ``depth`` edges are: their share of the images, and of the gradient
-    by each unknown; ``time``: of a gradient without them, over that with them."""
+class Cut:
+    """What paths of more than ``depth`` edges are, or their derivatives: their share of the images
+    (none, where only the derivative is cut) and of the gradient by each unknown; ``time``: of a
+    gradient without them, over that with them; ``lost``: of the entries that a view sees, the share
+    that has no other derivative, where that was asked."""
 
     depth: int
-    image: Share
+    image: Share | None
     gradient: dict[str, Share]
     time: float
+    lost: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -70,97 +73,108 @@ class Lights:
 
 
 class Probe:
-    """Measures on one problem and loss. ``seconds``: billed, without compiling."""
+    """Measures on one problem and loss. ``allowed``: seconds at most, ``seconds``: taken so far,
+    both without compiling."""
 
-    def __init__(self, problem: Problem, loss, seed: int):
-        self.problem, self.loss, self.seed = problem, loss, seed
+    def __init__(self, problem: Problem, loss, seed: int, allowed: float = math.inf):
+        self.problem, self.loss, self.seed, self.allowed = problem, loss, seed, allowed
         self.values = problem.unknowns.starts()
         self.pixels = PixelDistribution.uniform(Tiles.over(problem.views))
         self.lanes = min(_LANES, problem.views.total)
         self.seconds = 0.0
+        self._any_depth = self._kernel(None, True)
+        self._whole = None
 
-    def depths(self, ladder: list[int]) -> list[Depth]:
-        """For each of ``ladder``, which rises and ends with the scene's own depth."""
-        kernel = self._kernel(None, True)
-        images, gradients, times = [], [], []
-        for depth in ladder:
-            found = self._repeated(kernel, depth, fixed=False)
-            images.append(found[0])
-            gradients.append(found[1])
-            times.append(found[2])
+    def cut(self, depth: int, derivative: bool) -> Cut | None:
+        """What is lost where paths (``derivative``: what is differentiated of them) have at most
+        ``depth`` edges; None where measuring would take too long."""
+        whole = self.problem.integrator.max_depth
+        if self._whole is None:
+            self._whole = self._repeated(self._any_depth, Paths(whole, whole))
+        paths = Paths(whole if derivative else depth, depth)
+        own = self._whole and self._repeated(self._any_depth, paths)
         self.problem.unknowns.write(self.values)
+        if not own:
+            return None
         # Batches of the same number have the same random numbers.
-        count = min(map(len, images))
-        images = [image[:count] for image in images]
-        gradients = [{key: g[:count] for key, g in own.items()} for own in gradients]
-        whole = gradients[-1]
-        return [
-            Depth(
-                depth,
-                _image_share(images[-1] - image, images[-1]),
-                {key: gradient_share(whole[key] - own[key], whole[key]) for key in whole},
-                time_ / times[-1],
-            )
-            for depth, image, own, time_ in zip(ladder, images, gradients, times)
-        ]
+        count = min(len(own[0]), len(self._whole[0]))
+        images, gradients = zip(*((i[:count], g) for i, g, _ in (own, self._whole)))
+        shares = {}
+        for key, every in gradients[1].items():
+            every, some = every[:count], gradients[0][key][:count]
+            shares[key] = gradient_share(every - some, every)
+        image = None if derivative else _image_share(images[1] - images[0], images[1])
+        return Cut(depth, image, shares, own[2] / self._whole[2])
 
-    def lights(self, max_depth: int, candidates: list[tuple[int, int]]) -> list[Lights]:
-        """For each of ``candidates``, the first of which is (1, 1)."""
+    def lights(self, paths: Paths, candidates: list[tuple[int, int]]) -> list[Lights]:
+        """For each of ``candidates``, the first of which is (1, 1), on ``paths``; those for which
+        there is time."""
         found = []
         for samples in candidates:
-            integrator = self.problem.integrator.cut(max_depth, samples)
-            _, gradients, seconds = self._repeated(
-                self._kernel(integrator, False), max_depth, fixed=True
-            )
-            squares = {key: g.astype(np.float64) ** 2 for key, g in gradients.items()}
-            found.append((samples, squares, seconds))
+            own = Paths(paths.depth, paths.derivative, samples)
+            kernel = self._kernel(self.problem.integrator.cut(own), False)
+            measured = self._repeated(kernel, own, fixed=True)
+            if not measured:
+                break
+            squares = {key: g.astype(np.float64) ** 2 for key, g in measured[1].items()}
+            found.append((samples, squares, measured[2]))
         self.problem.unknowns.write(self.values)
-        _, first, usual = found[0]
         return [
-            Lights(samples, *noise_ratio(squares, first), seconds / usual)
+            Lights(samples, *noise_ratio(squares, found[0][1]), seconds / found[0][2])
             for samples, squares, seconds in found
         ]
 
-    def _repeated(self, kernel, depth: int, fixed: bool):
-        """Mean radiances, gradients by key ``(batches, entries)``, median seconds of a batch.
+    def _repeated(self, kernel, paths: Paths, fixed: bool = False):
+        """Mean radiances, gradients by key ``(batches, entries)``, median seconds of a batch; None
+        where that would take longer than is allowed.
 
         ``fixed``: the same pixels in every batch, each of which is compared with the one before
         instead of the targets."""
-        unknowns, p = self.problem.unknowns, self.problem
+        unknowns = self.problem.unknowns
         images, rows, seconds = [], {key: [] for key in unknowns.keys}, []
         earlier = dr.zeros(mi.Color3f, self.lanes)
         dr.make_opaque(earlier)
-        for batch in itertools.count(-_WARM_UP):
-            least, enough = _BATCHES, _SECONDS
-            if sum(seconds) > _TOO_LONG:
-                least, enough = _LEAST_BATCHES, _TOO_LONG
-            if batch == _MOST_BATCHES or (batch >= least and sum(seconds) > enough):
-                break
-            seeds = [
-                dr.opaque(mi.UInt32, streams.seed(self.seed, _FAR + number, purpose))
-                for purpose, number in (
-                    ("draw", 0 if fixed else batch),
-                    ("primal", batch),
-                    ("adjoint", batch),
-                )
-            ]
-            unknowns.attach(self.values)
-            sync()
-            begun = time.perf_counter()
-            arguments = (p.scene, p.sensors, p.views, unknowns.leaves, self.pixels, p.targets)
-            deepest = dr.opaque(mi.UInt32, depth)
-            radiance = kernel(*arguments, p.mask, earlier, deepest, seeds, p.share)
-            sync()
-            spent = time.perf_counter() - begun
+        for batch in range(-_WARM_UP, _MOST_BATCHES):
+            radiance, spent = self._estimate(kernel, paths, earlier, batch, fixed)
             earlier = radiance if fixed else earlier
             if batch < 0:
+                seconds.append(spent)
                 continue
+            if batch == 0:
+                # Of the warm-up only the last estimate compiled nothing.
+                part = min(_SECONDS, self.allowed / _PARTS)
+                wanted = max(_LEAST_BATCHES, min(_MOST_BATCHES, int(part / seconds[-1])))
+                if self.seconds + wanted * seconds[-1] > self.allowed:
+                    return None
+                seconds = []
             self.seconds += spent
             seconds.append(spent)
             images.append(float(dr.mean(dr.mean(radiance))[0]))
             for key, gradient in unknowns.gradients().items():
                 rows[key].append(_some(as_numpy(gradient).ravel()))
+            if len(seconds) == wanted:
+                break
         return np.array(images), {k: np.array(r) for k, r in rows.items()}, np.median(seconds)
+
+    def _estimate(self, kernel, paths: Paths, earlier, batch: int, fixed: bool):
+        """One gradient, left in the unknowns' leaves; its radiances and seconds."""
+        p = self.problem
+        seeds = [
+            dr.opaque(mi.UInt32, streams.seed(self.seed, _FAR + number, purpose))
+            for purpose, number in (
+                ("draw", 0 if fixed else batch),
+                ("primal", batch),
+                ("adjoint", batch),
+            )
+        ]
+        p.unknowns.attach(self.values)
+        depths = [dr.opaque(mi.UInt32, depth) for depth in (paths.depth, paths.derivative)]
+        sync()
+        begun = time.perf_counter()
+        arguments = (p.scene, p.sensors, p.views, p.unknowns.leaves, self.pixels, p.targets)
+        radiance = kernel(*arguments, p.mask, earlier, depths, seeds, p.share)
+        sync()
+        return radiance, time.perf_counter() - begun
 
     def _kernel(self, integrator, of_targets: bool):
         """One estimate of the gradient. ``integrator``: None for paths as long as is asked for;
@@ -168,10 +182,10 @@ class Probe:
         base, loss, lanes = self.problem.integrator.mitsuba, self.loss, self.lanes
 
         def kernel(
-            scene, sensors, views, leaves, pixels, targets, mask, earlier, depth, seeds, share
+            scene, sensors, views, leaves, pixels, targets, mask, earlier, depths, seeds, share
         ):
             with dr.suspend_grad():
-                paths = Replayed(base, depth, (1, 1)) if integrator is None else integrator
+                paths = Replayed(base, Paths(*depths)) if integrator is None else integrator
                 view, column, row, probability = pixels.draw(lanes, seeds[0])
                 pixel = views.index(view, column, row)
                 dr.eval(view, column, row, pixel, probability)

@@ -13,19 +13,36 @@ _MOST_LIGHTS = 64
 @dataclass
 class Effects:
     """``probe``: measure what structure cannot tell. ``max_depth``: edges of the longest path.
-    ``light_samples``: of emitters at the first hit, for the residual and for the derivative. None:
-    as the probe finds best, else all that the scene has and one sample. ``tolerance``: share of an
-    unknown's gradient, see ``plan``. ``finish``: the last share of the budget with all effects."""
+    ``derivative_depth``: of the longest that is differentiated. ``light_samples``: of emitters at
+    the first hit, for the residual and for the derivative. None: as the probe finds best, else all
+    that the scene has and one sample. ``tolerance``, ``derivative_tolerance``: share of an
+    unknown's gradient, see ``plan``. ``finish``: the last share of the budget with all effects.
+
+    What residuals lack, the result lacks: at the truth they are not zero on average. A derivative
+    that lacks something only takes another way to where the residuals are zero. Hence two
+    tolerances.
+    """
 
     probe: bool = True
     max_depth: Optional[int] = None
+    derivative_depth: Optional[int] = None
     light_samples: Optional[List[int]] = None
     tolerance: float = 0.005
+    derivative_tolerance: float = 0.3
     finish: float = 0.0
 
+    @property
+    def cuts(self) -> bool:
+        """Whether paths are set to be others than the scene's."""
+        return any(
+            each is not None for each in (self.max_depth, self.derivative_depth, self.light_samples)
+        )
+
     def __post_init__(self) -> None:
-        if self.max_depth is not None and self.max_depth < 1:
-            raise InputError(f"effects.max_depth={self.max_depth}: at least 1, edges of a path")
+        for name in ("max_depth", "derivative_depth"):
+            edges = getattr(self, name)
+            if edges is not None and edges < 1:
+                raise InputError(f"effects.{name}={edges}: at least 1, edges of a path")
         lights = self.light_samples
         if lights is not None and not (
             len(lights) == 2 and all(1 <= n <= _MOST_LIGHTS for n in lights)
@@ -35,7 +52,8 @@ class Effects:
                 f"effects.light_samples=[{text}]: two numbers from 1 to {_MOST_LIGHTS}, for the "
                 "residual and for the derivative, such as [4,4]"
             )
-        if not 0 <= self.tolerance < 1:
-            raise InputError(f"effects.tolerance={self.tolerance}: a share, in [0, 1)")
+        for name in ("tolerance", "derivative_tolerance"):
+            if not 0 <= getattr(self, name) < 1:
+                raise InputError(f"effects.{name}={getattr(self, name)}: a share, in [0, 1)")
         if not 0 <= self.finish <= 1:
             raise InputError(f"effects.finish={self.finish}: a share of the budget, in [0, 1]")

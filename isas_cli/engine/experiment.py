@@ -182,7 +182,7 @@ def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
 def _tell(recorder: "Recorder") -> None:
     """What is simulated."""
     plan = recorder.loop.plan
-    for effect in ("paths", "light samples", "finish"):
+    for effect in ("paths", "differentiated", "light samples", "finish"):
         if effect in plan.statements:
             recorder.display.say(f"{effect}: {plan.statements[effect]}")
     if plan.seconds:

@@ -66,7 +66,7 @@ class Workshop:
             (simulated, named, how, str(budget), str(planned)),
             lambda: plan_of(self.problem, cfg, budget, planned),
         )
-        paths = plan.max_depth, plan.lights
+        paths = plan.paths
         problem = self._once("problem", (how, paths), lambda: settings.on(plan.on(self.problem)))
 
         def sampler():
@@ -75,12 +75,11 @@ class Workshop:
             return made
 
         def estimator(problem):
-            depth, lights = problem.integrator.max_depth, problem.integrator.lights
-            key = named, how, depth, lights
+            key = named, how, problem.integrator.paths
             return self._once("estimator", key, lambda: settings.made(problem, loss))
 
         gradients = estimator(problem)
-        if plan.finish and plan.max_depth != self.problem.integrator.max_depth:
+        if plan.staged(self.problem):
             finish = lambda: settings.on(plan.on(self.problem, finish=True))
             whole = self._once("problem", (how, paths, "finish"), finish)
             gradients = Staged(gradients, estimator(whole), 1 - plan.finish)

@@ -83,7 +83,7 @@ class DerivativeSampling(InOneGo):
                 f"emitters, not for {base.name}; leave it out"
             )
         super().__init__(base.mitsuba)
-        self.base, self.max_depth = base, base.max_depth
+        self.base, self.max_depth, self.paths = base, base.max_depth, base.paths
         # Materials that outlive their scene break recordings of kernels for other scenes.
         self._scene = scene
         self._bsdfs = {word: [] for word in _ALPHA}
@@ -185,10 +185,10 @@ class DerivativeSampling(InOneGo):
         active = mi.Bool(True)
         hit = scene.ray_intersect_preliminary(ray, coherent=True, reorder=False, active=active)
 
-        while dr.hint(active, max_iterations=self.max_depth, label="vertex"):
+        while dr.hint(active, max_iterations=self.paths.derivative, label="vertex"):
             si = hit.compute_surface_interaction(ray, ray_flags=mi.RayFlags.All, active=active)
             bsdf = si.bsdf(ray)
-            active &= si.is_valid() & (depth + 1 < self.max_depth)
+            active &= si.is_valid() & (depth + 1 < self.paths.derivative)
 
             # A reservoir of one, weighted by throughput.
             weight = dr.select(active & self._unknown(bsdf), dr.mean(β), 0)
@@ -205,7 +205,7 @@ class DerivativeSampling(InOneGo):
             ray = si.spawn_ray(si.to_world(sample.wo))
             β, alive = self._roulette(sampler, β, η, depth)
             # The vertices after the last one would be of no use.
-            active &= alive & (depth + 2 < self.max_depth)
+            active &= alive & (depth + 2 < self.paths.derivative)
             depth += 1
             hit = scene.ray_intersect_preliminary(ray, coherent=False, reorder=False, active=active)
 
@@ -238,7 +238,7 @@ class DerivativeSampling(InOneGo):
         previous = dr.detach(origin, True)
         hit = scene.ray_intersect_preliminary(ray, coherent=False, reorder=False, active=active)
 
-        while dr.hint(active, max_iterations=self.max_depth, label="incident"):
+        while dr.hint(active, max_iterations=self.paths.derivative, label="incident"):
             si = hit.compute_surface_interaction(ray, ray_flags=mi.RayFlags.All, active=active)
             bsdf = si.bsdf(ray)
             ds = mi.DirectionSample3f(scene, si=si, ref=previous)
@@ -249,7 +249,7 @@ class DerivativeSampling(InOneGo):
             mis = mis_weight(pdf, by_light)
             L += dr.select(active & ~first, β * mis * emission, 0)
 
-            active &= si.is_valid() & (depth + 1 < self.max_depth)
+            active &= si.is_valid() & (depth + 1 < self.paths.derivative)
             lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             ds, emitted = scene.sample_emitter_direction(si, sampler.next_2d(), True, lit)
             lit &= ds.pdf != 0

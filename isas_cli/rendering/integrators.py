@@ -6,7 +6,8 @@ Everything that traces goes through an ``Integrator`` of this module, which says
 - ``backward``: adds ⟨adjoint, dL/dθ⟩ to the gradients of the scene;
 - ``forward``: the derivative along a tangent, where ``has_forward``;
 - ``simulates``: the effects that its paths have: 'surfaces', 'media';
-- ``cut``: the same with shorter paths, or more light samples, where it can have them (``cuts``).
+- ``cut``: the same with other ``Paths``, shorter or with more light samples, where it can have
+  them (``cuts``).
 
 The order of events matters, so it is kept in one place: a replay must see the random numbers of
 the primal pass again (the sampler is cloned before it), nothing may track derivatives but the
@@ -15,6 +16,8 @@ reduction renders again).
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
@@ -38,13 +41,14 @@ class Integrator:
 
     paths_per_derivative = 1
     derivatives = "path replay backpropagation"
-    cuts, lights = False, (1, 1)
+    cuts = False
 
     def __init__(self, base: mi.Integrator):
         self.mitsuba = base
         self.simulates, self.has_forward = _REPLAYED[type(base).__name__]
         self.max_depth, self.rr_depth = base.max_depth, base.rr_depth
         self.hide_emitters = base.hide_emitters
+        self.paths = Paths(self.max_depth, self.max_depth)
 
     @property
     def name(self) -> str:
@@ -120,19 +124,29 @@ class InOneGo(Integrator):
         return derivative
 
 
+@dataclass(frozen=True)
+class Paths:
+    """``depth``: edges of the longest path that brings radiance; ``derivative``: of the longest
+    that is differentiated, at most ``depth``; ``lights``: samples of emitters at the first vertex,
+    in a primal pass and in one that differentiates (one at later vertices)."""
+
+    depth: int
+    derivative: int
+    lights: tuple[int, int] = (1, 1)
+
+
 class Surfaces(Integrator):
-    """Paths between surfaces that do not move, by isas's own estimators: what ``Unrolled`` and
-    ``Replayed`` share. ``lights``: samples of emitters at the first vertex, in a primal pass and in
-    one that differentiates; one at later vertices."""
+    """Paths between surfaces that do not move, by isas's own estimators, as ``paths`` says: what
+    ``Unrolled`` and ``Replayed`` share."""
 
     cuts = True
 
-    def __init__(self, base: mi.Integrator, max_depth: int, lights: tuple[int, int]):
+    def __init__(self, base: mi.Integrator, paths: Paths):
         super().__init__(base)
-        self.max_depth, self.lights = max_depth, lights
+        self.paths, self.max_depth = paths, paths.depth
 
-    def cut(self, max_depth: int, lights: tuple[int, int]) -> "Integrator":
-        return _surfaces(self.mitsuba, max_depth, lights)
+    def cut(self, paths: Paths) -> "Integrator":
+        return _surfaces(self.mitsuba, paths)
 
 
 class Unrolled(Surfaces, InOneGo):
@@ -141,18 +155,20 @@ class Unrolled(Surfaces, InOneGo):
     derivatives = "short paths unrolled and differentiated in one go"
 
     def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, None]:
-        lights, _ = self.lights
-        return attached.radiance(scene, sampler, ray, self.max_depth, lights, attach=False), None
+        depth, lights = self.paths.depth, self.paths.lights[0]
+        return attached.radiance(scene, sampler, ray, depth, lights, attach=False), None
 
     def radiance(self, scene, sampler, ray) -> mi.Spectrum:
-        return attached.radiance(scene, sampler, ray, self.max_depth, self.lights[1])
+        depth, lights = self.paths.derivative, self.paths.lights[1]
+        return attached.radiance(scene, sampler, ray, depth, lights)
 
 
 class Replayed(Surfaces):
     """Long paths, replayed (``replayed``)."""
 
     def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, None]:
-        return self._traced(dr.ADMode.Primal, scene, sampler, ray, self.lights[0]), None
+        depth, lights = self.paths.depth, self.paths.lights[0]
+        return self._traced(dr.ADMode.Primal, scene, sampler, ray, depth, lights), None
 
     def backward(self, scene, sampler, ray, adjoint: mi.Color3f) -> None:
         self._replayed(dr.ADMode.Backward, scene, sampler, ray, adjoint)
@@ -163,14 +179,25 @@ class Replayed(Surfaces):
         return derivative
 
     def _replayed(self, mode, scene, sampler, ray, adjoint=None):
-        lights, again = self.lights[1], sampler.clone()
-        radiance = self._traced(dr.ADMode.Primal, scene, sampler, ray, lights)
+        depth, lights, again = self.paths.derivative, self.paths.lights[1], sampler.clone()
+        radiance = self._traced(dr.ADMode.Primal, scene, sampler, ray, depth, lights)
         dr.eval(adjoint, radiance)
-        return self._traced(mode, scene, again, ray, lights, adjoint, radiance)
+        return self._traced(mode, scene, again, ray, depth, lights, adjoint, radiance)
 
-    def _traced(self, mode, scene, sampler, ray, lights, *more):
-        depths = self.max_depth, self.rr_depth
-        return replayed.trace(mode, scene, sampler, ray, *depths, lights, *more)
+    def _traced(self, mode, scene, sampler, ray, depth, lights, *more):
+        return replayed.trace(mode, scene, sampler, ray, depth, self.rr_depth, lights, *more)
+
+
+class Mixed(Surfaces):
+    """Long paths for the radiance, of which only a short beginning is differentiated."""
+
+    derivatives = Unrolled.derivatives
+
+    def __init__(self, base: mi.Integrator, paths: Paths):
+        super().__init__(base, paths)
+        self._long, self._short = Replayed(base, paths), Unrolled(base, paths)
+        self.primal = self._long.primal
+        self.backward, self.forward = self._short.backward, self._short.forward
 
 
 def adapt(base: mi.Integrator | None, where: str = "the scene") -> Integrator:
@@ -183,10 +210,12 @@ def adapt(base: mi.Integrator | None, where: str = "the scene") -> Integrator:
             "give it one of these"
         )
     if replayed.handles(base):
-        return _surfaces(base, base.max_depth, (1, 1))
+        return _surfaces(base, Paths(base.max_depth, base.max_depth))
     return Integrator(base)
 
 
-def _surfaces(base: mi.Integrator, max_depth: int, lights: tuple[int, int]) -> Surfaces:
-    unrolled = attached.handles(max_depth, base.rr_depth)
-    return (Unrolled if unrolled else Replayed)(base, max_depth, lights)
+def _surfaces(base: mi.Integrator, paths: Paths) -> Surfaces:
+    primal, derivative = (
+        attached.handles(depth, base.rr_depth) for depth in (paths.depth, paths.derivative)
+    )
+    return (Unrolled if primal else Mixed if derivative else Replayed)(base, paths)

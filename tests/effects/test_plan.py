@@ -1,11 +1,13 @@
 """The plan of effects: what decides it, what it changes, and what is refused."""
 
+import dataclasses
 import json
+import math
 
 import mitsuba as mi
 import numpy as np
 import pytest
-from gradient_estimates import configured
+from gradient_estimates import Gradients, configured
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem, without_targets
 
 from isas_cli import effects, records
@@ -13,11 +15,12 @@ from isas_cli.cli.app import main
 from isas_cli.config.compose import compose
 from isas_cli.effects import plan as planning
 from isas_cli.effects import probe
-from isas_cli.effects.plan import _depth, _lights
-from isas_cli.effects.probe import Depth, Lights, Probe, Share, gradient_share, noise_ratio
+from isas_cli.effects.plan import _depth, _derivative, _lights
+from isas_cli.effects.probe import Cut, Lights, Probe, Share, gradient_share, noise_ratio
 from isas_cli.effects.settings import Effects
 from isas_cli.estimators.staged import Staged
 from isas_cli.losses import L2
+from isas_cli.rendering.integrators import Paths
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime.errors import InputError
 
@@ -27,8 +30,10 @@ WALL = "wall.bsdf.reflectance.value"
 @pytest.fixture(autouse=True)
 def as_many_batches(monkeypatch):
     """However fast the machine is."""
-    for name in ("_BATCHES", "_LEAST_BATCHES", "_MOST_BATCHES"):
+    for name in ("_LEAST_BATCHES", "_MOST_BATCHES"):
         monkeypatch.setattr(probe, name, 64)
+    monkeypatch.setattr(planning, "_MOST", math.inf)
+    monkeypatch.setattr(planning, "_SHARE", math.inf)
 
 
 def decided(p, seconds=None, estimator="two_path", **settings):
@@ -72,20 +77,37 @@ def test_shares_of_depth_are_those_in_closed_form(depth):
     def radiance(d: int) -> float:
         return sum(start**i for i in range(d))
 
-    def gradient(d: int) -> float:
-        return (radiance(d) - target) * sum(i * start ** (i - 1) for i in range(1, d))
+    def gradient(d: int, derivative: int) -> float:
+        return (radiance(d) - target) * sum(i * start ** (i - 1) for i in range(1, derivative))
 
-    found = measured.depths([2, 3, depth])
-    assert measured.seconds > 0
-    for each in found[:-1]:
-        image = 1 - radiance(each.depth) / radiance(depth)
-        share = abs(1 - gradient(each.depth) / gradient(depth))
-        own = each.gradient[WALL]
-        print(each.depth, image, each.image, share, own)
-        assert each.image.value == pytest.approx(image, abs=3 * (each.image.bound - image) + 0.01)
+    for edges, derivative in ((2, False), (3, False), (2, True), (3, True)):
+        found = measured.cut(edges, derivative)
+        own = found.gradient[WALL]
+        longest = depth if derivative else edges
+        share = abs(1 - gradient(longest, edges) / gradient(depth, depth))
+        print(edges, derivative, share, own, found.image)
         assert own.value == pytest.approx(share, abs=0.1 * share + 0.02)
         assert share < own.bound < 1.5 * share + 0.05
-    assert found[-1].gradient[WALL].value == pytest.approx(0, abs=1e-4)
+        if derivative:
+            assert found.image is None
+        else:
+            image = 1 - radiance(edges) / radiance(depth)
+            bound = found.image.bound
+            assert found.image.value == pytest.approx(image, abs=3 * (bound - image) + 0.01)
+    assert measured.cut(depth, True).gradient[WALL].value == pytest.approx(0, abs=1e-4)
+    assert measured.seconds > 0
+
+
+def test_a_short_derivative_vanishes_where_the_whole_one_does():
+    """At the truth: what it lacks moves no result. Shorter paths do: they lack radiance."""
+    p, means = furnace(0.5, 0.5, 4), []
+    for paths in (Paths(4, 2), Paths(2, 2)):
+        kernel = Gradients(dataclasses.replace(p, integrator=p.integrator.cut(paths)), L2(), 1024)
+        rows = kernel.uniform(40, 3)
+        means.append(float(rows.mean()))
+    print(means)
+    # Rays that leave the wall a little above it lose some light on the way.
+    assert abs(means[0]) < 0.01 * abs(means[1])
 
 
 def test_bounds_hold_the_share_as_often_as_they_say(rng):
@@ -114,18 +136,26 @@ def test_noise_is_compared_entry_by_entry(rng):
     assert one == pytest.approx(1) and error == pytest.approx(0, abs=1e-9)
 
 
-def rung(depth: int, *bounds: float) -> Depth:
-    return Depth(depth, Share(0, 0), {str(i): Share(b / 2, b) for i, b in enumerate(bounds)}, 1)
+def rung(depth: int, *bounds: float, lost: float = 0.0) -> Cut:
+    shares = {str(i): Share(b / 2, b) for i, b in enumerate(bounds)}
+    return Cut(depth, Share(0, 0), shares, 1, lost)
 
 
 def test_depth_is_the_least_beyond_which_no_unknown_loses_its_share():
-    ladder = [rung(2, 0.001, 0.2), rung(3, 0.001, 0.004), rung(4, 0, 0), rung(6, 0, 0)]
+    ladder = [rung(2, 0.001, 0.2), rung(3, 0.001, 0.004), rung(4, 0, 0)]
     assert _depth(ladder, 0.01, 6)[0] == 3
     assert _depth(ladder, 0.002, 6)[0] == 4
     assert _depth(ladder, 0.5, 6)[0] == 2
     depth, why = _depth(ladder, 0.0, 6)
     assert depth == 6 and "%" in why
-    assert _depth([], 0.01, 6)[0] == 6
+
+
+def test_what_is_differentiated_is_the_least_that_loses_no_share_and_no_entry():
+    ladder = [rung(2, 0.1, 0.5), rung(3, 0.1, 0.2)]
+    assert _derivative(ladder, 0.3, 6)[0] == 3
+    assert _derivative(ladder, 0.15, 6) == (6, "longer than 3 are up to 20% of a gradient")
+    depth, why = _derivative([rung(2, 0.1, lost=0.4)], 0.3, 6)
+    assert depth == 6 and why.startswith("40% of the entries")
 
 
 def test_light_samples_are_more_only_where_that_surely_pays():
@@ -133,6 +163,9 @@ def test_light_samples_are_more_only_where_that_surely_pays():
     assert _lights([one, Lights((4, 4), 0.3, 0.02, 1.6)])[0] == (4, 4)
     assert _lights([one, Lights((4, 4), 0.6, 0.02, 1.8)])[0] == (1, 1)
     assert _lights([one, Lights((4, 4), 0.5, 0.3, 1.6)])[0] == (1, 1)
+    few, many = Lights((4, 1), 0.33, 0.03, 1.23), Lights((4, 4), 0.29, 0.03, 1.47)
+    assert _lights([one, few, many])[0] == (4, 4), "as good within the errors"
+    assert _lights([one, few, Lights((4, 4), 0.4, 0.03, 1.47)])[0] == (4, 1)
     assert _lights([])[0] == (1, 1)
 
 
@@ -140,45 +173,60 @@ def test_a_run_by_iterations_has_all_effects_and_no_probe():
     """A clock's decision would make it another run on another machine."""
     p = problem({TEXTURE: 0.5}, depth=4)
     plan = decided(p)
-    assert plan.on(p) is p and plan.seconds == 0 and not plan.depths
+    assert plan.on(p) is p and plan.seconds == 0 and not plan.cuts
     assert "up to 4 edges" in plan.statements["paths"]
 
 
 def test_a_timed_run_is_probed_once(monkeypatch, tmp_path):
     monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}, depth=4)
-    first = decided(p, 60.0, tolerance=0.99)
-    assert [each.depth for each in first.depths] == [2, 3, 4] and len(first.samples) == 3
-    assert first.seconds > 0 and first.max_depth == 2
-    assert {k: f"{v}" for k, v in first.depths[0].gradient.items()}.keys() == {TEXTURE, ROUGHNESS}
+    settings = {"tolerance": 0.99, "derivative_tolerance": 0.99}
+    first = decided(p, 60.0, **settings)
+    assert [each.depth for each in first.cuts] == [2, 3] and len(first.samples) == 3
+    assert [each.depth for each in first.derivatives] == [2]
+    assert first.seconds > 0 and first.paths.depth == first.paths.derivative == 2
+    assert first.cuts[0].gradient.keys() == {TEXTURE, ROUGHNESS}
     assert "bound" in first.statements["paths"]
-    planned = first.on(p).integrator
-    assert (planned.max_depth, planned.lights) == (first.max_depth, first.lights)
+    assert first.on(p).integrator.paths == first.paths
     monkeypatch.setattr(planning, "Probe", None)
-    assert decided(p, 60.0, tolerance=0.99) == first
+    assert decided(p, 60.0, **settings) == first
     short = decided(p, 5.0)
     assert short.seconds == 0 and short.on(p) is p
     again = effects.decide(
         p, Effects(), configured("estimator", "two_path"), L2(), 60.0, first.record()
     )
-    assert (again.max_depth, again.lights) == (first.max_depth, first.lights)
-    assert again.seconds == first.seconds
+    assert again.paths == first.paths and again.seconds == first.seconds
+    earlier = first.record()
+    del earlier["derivative_depth"]
+    again = effects.decide(p, Effects(), configured("estimator", "two_path"), L2(), 60.0, earlier)
+    assert again.paths == first.paths
+
+
+def test_a_probe_leaves_out_what_would_take_longer_than_its_share(monkeypatch, tmp_path):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(planning, "_MOST", 1e-6)
+    p = problem({TEXTURE: 0.5}, depth=4)
+    plan = decided(p, 60.0)
+    assert plan.on(p) is p and plan.seconds == 0
+    assert not (plan.cuts or plan.derivatives or plan.samples)
 
 
 def test_what_is_set_is_done():
     p = problem({TEXTURE: 0.5}, depth=4)
     plan = decided(p, max_depth=2, light_samples=[3, 2], finish=0.3)
     last = plan.on(p, finish=True).integrator
-    assert (last.max_depth, last.lights) == (4, (3, 2)) and "30%" in plan.statements["finish"]
+    assert last.paths == Paths(4, 4, (3, 2)) and "30%" in plan.statements["finish"]
     assert "finish" not in decided(p, light_samples=[3, 2], finish=0.3).statements
-    integrator = plan.on(p).integrator
-    assert (integrator.max_depth, integrator.lights) == (2, (3, 2))
+    assert plan.on(p).integrator.paths == Paths(2, 2, (3, 2))
+    assert decided(p, derivative_depth=2).on(p).integrator.paths == Paths(4, 2)
     assert (
         "as set" in plan.statements["paths"] and "4 edges in the scene" in plan.statements["paths"]
     )
     assert decided(p, max_depth=4).on(p) is p
     with pytest.raises(InputError, match="effects.max_depth=9: the scene's own paths .* 4 edges"):
         decided(p, max_depth=9)
+    with pytest.raises(InputError, match="derivative_depth=3: the paths to differentiate .* 2 edg"):
+        decided(p, max_depth=2, derivative_depth=3)
 
 
 def behind_a_mirror():
@@ -218,14 +266,17 @@ def test_a_plan_without_a_path_to_an_unknown_is_refused_or_not_made(monkeypatch,
     p = behind_a_mirror()
     with pytest.raises(InputError, match=rf"effects.max_depth=2: .*'{WALL}'.*the scene's 4"):
         decided(p, max_depth=2)
-    assert decided(p, max_depth=3).max_depth == 3
-    assert decided(p, 60.0, tolerance=0.9).max_depth == 3
+    with pytest.raises(InputError, match=rf"effects.derivative_depth=2: .*'{WALL}'"):
+        decided(p, derivative_depth=2)
+    assert decided(p, max_depth=3).paths.depth == 3
+    assert decided(p, 60.0, tolerance=0.9, derivative_tolerance=0.9).paths == Paths(3, 3)
 
 
 @pytest.mark.parametrize(
     "settings, words",
     [
         ({"max_depth": 0}, "effects.max_depth=0: at least 1"),
+        ({"derivative_depth": 0}, "effects.derivative_depth=0: at least 1"),
         ({"light_samples": [4]}, r"effects.light_samples=\[4\]: two numbers"),
         ({"light_samples": [0, 4]}, r"light_samples=\[0,4\]"),
         ({"tolerance": 1.0}, "effects.tolerance=1.0"),

@@ -1,5 +1,7 @@
 """Several light samples at the first hit, and isas's own replay of long paths: the same means as
-with one, the same values as Mitsuba's."""
+with one, the same values as Mitsuba's. Derivatives of a path's beginning alone."""
+
+import dataclasses
 
 import drjit as dr
 import mitsuba as mi
@@ -12,7 +14,7 @@ from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
 from isas_cli.losses import L2
 from isas_cli.rendering import light, rays
-from isas_cli.rendering.integrators import Integrator, Replayed, Unrolled
+from isas_cli.rendering.integrators import Integrator, Mixed, Paths, Replayed, Unrolled
 from isas_cli.unknowns.parameters import flat
 
 LEVEL = 1e-4
@@ -62,7 +64,7 @@ def primal(p, integrator) -> np.ndarray:
 def test_own_replay_agrees_with_mitsubas(what, depth):
     """Path by path; with roulette where paths are long enough for it."""
     p = problem(UNKNOWNS, depth=depth)
-    own = Replayed(p.integrator.mitsuba, depth, (1, 1))
+    own = Replayed(p.integrator.mitsuba, Paths(depth, depth))
     ours, stock = what(p, own), what(p, Integrator(p.integrator.mitsuba))
     assert np.abs(stock).max() > 0
     assert np.allclose(ours, stock, rtol=5e-4, atol=2e-5 * np.abs(stock).max())
@@ -71,10 +73,23 @@ def test_own_replay_agrees_with_mitsubas(what, depth):
 def test_one_kernel_does_for_all_depths():
     p = problem({TEXTURE: 0.5}, depth=6)
     for depth in (2, 4):
-        opaque = Replayed(p.integrator.mitsuba, dr.opaque(mi.UInt32, depth), (1, 1))
-        plain = p.integrator.cut(depth, (1, 1))
+        edges = dr.opaque(mi.UInt32, depth)
+        opaque = Replayed(p.integrator.mitsuba, Paths(edges, edges))
+        plain = p.integrator.cut(Paths(depth, depth))
         assert isinstance(plain, Unrolled)
         assert np.allclose(primal(p, opaque), primal(p, plain), rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("depth, kind", [(4, Unrolled), (7, Mixed)])
+def test_the_beginning_of_a_path_is_differentiated_as_a_short_path(depth, kind):
+    p = problem(UNKNOWNS, depth=depth)
+    whole, short = p.integrator, p.integrator.cut(Paths(2, 2))
+    mixed = whole.cut(Paths(depth, 2))
+    assert type(mixed) is kind
+    assert np.array_equal(primal(p, mixed), primal(p, whole))
+    for what in (backward, forward):
+        assert np.array_equal(what(p, mixed), what(p, short))
+        assert not np.allclose(what(p, mixed), what(p, whole), rtol=0.01)
 
 
 def test_parts_of_the_square_are_equal_and_disjoint():
@@ -100,7 +115,7 @@ class Bench:
 
     def outcome(self, lights: tuple[int, int], seed: int):
         whole = self.problem.integrator
-        self.problem.integrator = whole.cut(whole.max_depth, lights)
+        self.problem.integrator = whole.cut(dataclasses.replace(whole.paths, lights=lights))
         try:
             rows = Gradients(self.problem, L2(), 4096).uniform(120, seed)
         finally:
@@ -139,7 +154,7 @@ def test_light_samples_lower_the_noise_of_radiance_and_gradient(seed):
     p = problem({TEXTURE: 0.5}, depth=3)
     variances = []
     for lights in ((1, 1), (4, 4)):
-        integrator = p.integrator.cut(3, lights)
+        integrator = p.integrator.cut(Paths(3, 3, lights))
         with dr.suspend_grad():
             L = np.array(integrator.primal(*spawned(p, seed % 1000, 64))[0])
         variances.append(L.reshape(3, 64, -1).var(axis=1).mean())
