@@ -1,10 +1,12 @@
 """What leaving out effects saves in time and costs in accuracy: plans race at equal time.
 
 On each scene, with `sampler=progress`: everything (`full`), the plan that is made (`auto`), four
-light samples with all depths (`lights`), the same with the ladder's fewest edges until the last
-third of the budget (`staged`), and each depth of a ladder below the scene's own (`depth 2`, …).
-Each at its own best rate with the first seed; the other seeds alone are reported. Settings and
-budgets are those of `reproduce.py`. Writes results/effects.csv (a row per scene and plan),
+light samples with all depths (`lights`), the same where only the shortest beginning of a path that
+meets every unknown is differentiated (`derivative`), this with paths no longer than that until the
+last third of the budget (`staged`), and with `--ladder` each depth below the scene's own (`depth
+2`, …). Each at its own best rate with the first seed. `full` and `auto` run again at theirs with the
+other seeds, which alone are reported; the other plans are leads from one seed. Settings and budgets
+are those of `reproduce.py`. Writes results/effects.csv (a row per scene and plan),
 effects_rates.csv and effects_<scene>.png (error against billed time). Scenes that are not named
 keep their rows.
 
@@ -33,13 +35,19 @@ PLANS = {
     "auto": {"effects": "auto"},
     "lights": {"effects": "full", "effects.light_samples": "[4,4]"},
 }
-# The shallowest of the ladder, but for the last third.
-STAGED = {**PLANS["lights"], "effects.finish": 0.33}
+# What a plan leaves as it is.
+PLAIN = {
+    "effects.finish": 0.0,
+    "effects.max_depth": None,
+    "effects.derivative_depth": None,
+    "effects.light_samples": None,
+}
+REPEATED = ("full", "auto")
 LADDER = (2, 3, 4, 6, 8)
 RATES = (0.01, 0.02)
 
 
-def plans(scene: str) -> dict[str, dict]:
+def plans(scene: str, ladder: bool) -> dict[str, dict]:
     """Name → settings. Depths below the scene's own, which its module states."""
     from isas_cli.runtime import backend
 
@@ -52,14 +60,22 @@ def plans(scene: str) -> dict[str, dict]:
     module, _, build = cfg.builder.rpartition(".")
     scenery = getattr(importlib.import_module(module), build)(**cfg.arguments)
     whole = scenery["integrator"]["max_depth"]
-    reaching = [d for d in LADDER if d < whole and _reaches(scene, d)]
-    depths = {f"depth {d}": {"effects": "full", "effects.max_depth": d} for d in reaching}
-    staged = {"staged": STAGED | {"effects.max_depth": reaching[0]}} if reaching else {}
-    return PLANS | staged | depths
+    depths = [d for d in LADDER if d < whole]
+    # What is too short for an unknown is refused.
+    while depths and not _reaches(scene, depths[0]):
+        depths.pop(0)
+    found = dict(PLANS)
+    if depths:
+        short = PLANS["lights"] | {"effects.derivative_depth": depths[0]}
+        found["derivative"] = short
+        found["staged"] = short | {"effects.max_depth": depths[0], "effects.finish": 0.33}
+    if ladder:
+        found |= {f"depth {d}": {"effects": "full", "effects.max_depth": d} for d in depths}
+    return found
 
 
 def _reaches(scene: str, depth: int) -> bool:
-    """Whether paths of so many edges reach every unknown: other plans are refused."""
+    """Whether paths of so many edges reach every unknown."""
     command = [sys.executable, "-m", "isas_cli", "effects", f"scene={SCENES[scene].scene or scene}"]
     command += ["size=tiny", "effects=full", f"effects.max_depth={depth}"]
     return subprocess.run(command, capture_output=True).returncode == 0
@@ -80,10 +96,8 @@ def runs(folder: Path, named: dict[str, dict]) -> pandas.DataFrame:
     for path in sorted(folder.rglob("summary.json")):
         run = records.load(path.parent)
         own = run.config["effects"]
-        told = {"effects": own["name"], "effects.finish": own["finish"]}
-        told |= {"effects.max_depth": own["max_depth"]}
-        told["effects.light_samples"] = own["light_samples"]
-        plain = {"effects.finish": 0.0, "effects.max_depth": None, "effects.light_samples": None}
+        told = {"effects": own["name"]} | {key: own[key.partition(".")[2]] for key in PLAIN}
+        plain = PLAIN
         full = {name: plain | settings for name, settings in named.items()}
         (name,) = [n for n, settings in full.items() if _same(settings, told)]
         history = run.history
@@ -97,6 +111,7 @@ def runs(folder: Path, named: dict[str, dict]) -> pandas.DataFrame:
                 "image": history["image_rmse"].iloc[-1],
                 "left_out": run.summary.get("left_out_rmse"),
                 "depth": run.manifest["plan"]["max_depth"],
+                "derivative": run.manifest["plan"]["derivative_depth"],
                 "light_samples": " ".join(map(str, run.manifest["plan"]["light_samples"])),
                 "probe": run.manifest["plan"]["probe_seconds"],
             }
@@ -115,8 +130,9 @@ def table(scene: str, found: pandas.DataFrame, seconds: float) -> pandas.DataFra
     goal = found[found["plan"] == "full"]["final"].median()
     for name, own in found.groupby("plan", sort=False):
         row = {"scene": scene, "plan": name, "rate": own["rate"].iloc[0], "seeds": len(own)}
-        row |= {"seconds": seconds, "depth": own["depth"].iloc[0]}
-        row |= {"light_samples": own["light_samples"].iloc[0], "probe": own["probe"].iloc[0]}
+        row |= {"seconds": seconds} | {
+            key: own[key].iloc[0] for key in ("depth", "derivative", "light_samples", "probe")
+        }
         row |= reproduce._spread("parameter_rmse", own["final"].tolist())
         row |= reproduce._spread("image_rmse", own["image"].tolist())
         row["left_out"] = own["left_out"].median() if own["left_out"].notna().any() else None
@@ -132,7 +148,7 @@ def draw(scene: str, found: pandas.DataFrame) -> None:
     for number, (name, own) in enumerate(found.groupby("plan", sort=False)):
         for history in own["history"]:
             label = name if history is own["history"].iloc[0] else None
-            style = ":" if name.startswith("depth") else "-"
+            style = "-" if name in REPEATED else ":"
             ax.plot(history["seconds"], history[MEASURE], style, color=f"C{number}", label=label)
     ax.set(title=scene, yscale="log", xlabel="billed seconds", ylabel="parameter error")
     ax.legend(fontsize=7)
@@ -144,17 +160,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
+    parser.add_argument("--ladder", action="store_true", help="each depth below the scene's, too")
     chosen = parser.parse_args()
     root = Path(tempfile.mkdtemp(prefix="isas-effects-"))
+    print(f"runs: {root}", flush=True)
     for scene in chosen.scenes or SCENES:
-        seconds, named = SCENES[scene].seconds, plans(scene)
+        seconds, named = SCENES[scene].seconds, plans(scene, chosen.ladder)
         every = [{**p, "optimizer.lr": rate} for p in named.values() for rate in RATES]
         race(root / scene / "rates", scene, every, chosen.seeds[:1], seconds)
         first = runs(root / scene / "rates", named)
         best = first.loc[first.groupby("plan", sort=False)["final"].idxmin()]
-        pairs = [{**named[p], "optimizer.lr": r} for p, r in zip(best["plan"], best["rate"])]
+        again = best[best["plan"].isin(REPEATED)]
+        pairs = [{**named[p], "optimizer.lr": r} for p, r in zip(again["plan"], again["rate"])]
         race(root / scene / "seeds", scene, pairs, chosen.seeds[1:], seconds)
         found = runs(root / scene / "seeds", named)
+        found = pandas.concat([found, best[~best["plan"].isin(REPEATED)]])
         rates = first.drop(columns="history").assign(scene=scene)
         _merged("effects_rates.csv", rates, scene)
         print(_merged("effects.csv", table(scene, found, seconds), scene).to_string(), flush=True)

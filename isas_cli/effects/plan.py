@@ -36,6 +36,7 @@ _FORMAT = 6
 @dataclass(frozen=True)
 class Plan:
     """``paths``: as they are simulated; ``finish``: the last share of the budget with all effects;
+    ``views``: those that are drawn from (None: all);
     ``statements``: effect → what is done about it, and why; ``cuts`` (of paths), ``derivatives``
     (of what is differentiated), ``samples``: what the probe measured; ``seconds``: what it is
     billed."""
@@ -43,6 +44,7 @@ class Plan:
     paths: Paths
     finish: float
     statements: dict[str, str]
+    views: tuple[int, ...] | None = None
     cuts: tuple[Cut, ...] = ()
     derivatives: tuple[Cut, ...] = ()
     samples: tuple[Lights, ...] = ()
@@ -52,14 +54,16 @@ class Plan:
         """``problem``, its paths as planned; with all effects where it is the ``finish``."""
         whole = problem.integrator
         paths = dataclasses.replace(whole.paths, lights=self.paths.lights) if finish else self.paths
-        if paths == whole.paths:
-            return problem
-        return dataclasses.replace(problem, integrator=whole.cut(paths))
+        if paths != whole.paths:
+            problem = dataclasses.replace(problem, integrator=whole.cut(paths))
+        return problem if self.views is None else problem.only(self.views)
 
     def staged(self, problem: "Problem") -> bool:
         """Whether the last part of the budget differs from the first."""
-        first, last = (self.on(problem, end).integrator.paths for end in (False, True))
-        return self.finish > 0 and first != last
+        whole = problem.integrator.paths
+        return (
+            self.finish > 0 and dataclasses.replace(whole, lights=self.paths.lights) != self.paths
+        )
 
     def record(self) -> dict:
         """For the manifest."""
@@ -67,6 +71,7 @@ class Plan:
             "max_depth": _finite(self.paths.depth),
             "derivative_depth": _finite(self.paths.derivative),
             "light_samples": list(self.paths.lights),
+            "views": None if self.views is None else list(self.views),
             "finish": self.finish,
             "probe_seconds": self.seconds,
             "depths": [dataclasses.asdict(each) for each in self.cuts],
@@ -109,10 +114,13 @@ def decide(
         depth = earlier["max_depth"] or UNLIMITED
         derivative = earlier.get("derivative_depth") or depth
         paths = Paths(depth, derivative, tuple(earlier["light_samples"]))
-        plan, why = Plan(paths, settings.finish, {}, seconds=earlier["probe_seconds"]), {}
+        kept = earlier.get("views")
+        plan = Plan(paths, settings.finish, {}, kept and tuple(kept))
+        plan, why = dataclasses.replace(plan, seconds=earlier["probe_seconds"]), {}
     elif follows:
-        paths = _as_set(problem, settings)
-        found = Plan(paths, settings.finish, {})
+        found = Plan(_as_set(problem, settings), settings.finish, {})
+        if settings.drop_views and estimator.replays and not problem.unknowns.moving:
+            found = dataclasses.replace(found, views=_kept(problem))
         if settings.probe and estimator.replays and (seconds or 0) >= _WORTH:
             found = _probed(problem, settings, loss, min(_MOST, _SHARE * seconds), described, found)
         plan, why = _chosen(problem, settings, found)
@@ -122,6 +130,8 @@ def decide(
     told = statements(planned, estimator.derivatives(planned))
     if plan.paths.depth != whole.max_depth:
         told["paths"] += f"; {longest(whole.max_depth)} in the scene"
+    if plan.views is not None:
+        told["views"] = f"{len(plan.views)} of {problem.views.count}: the others see no unknown"
     lights = plan.paths.lights
     told["differentiated"] = f"what comes by paths {longest(plan.paths.derivative)}"
     told["light samples"] = f"{lights[0]} for a residual, {lights[1]} for a derivative"
@@ -130,6 +140,12 @@ def decide(
     if plan.staged(problem):
         told["finish"] = f"the last {plan.finish:.0%} of the budget with all effects"
     return dataclasses.replace(plan, statements=told)
+
+
+def _kept(problem: "Problem") -> tuple[int, ...] | None:
+    """The views that see an unknown, where some do not."""
+    seen = coverage.views(problem)
+    return None if seen.all() or not seen.any() else tuple(np.flatnonzero(seen).tolist())
 
 
 def _as_set(problem: "Problem", settings: Effects) -> Paths:

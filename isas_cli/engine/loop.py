@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -81,6 +81,11 @@ class Loop:
         self.warnings: list[str] = []
         self._weights = self._distribution = self._gradients = None
         self._counted = 0, 0
+
+    @property
+    def whole(self) -> Problem:
+        """The problem with all effects and views."""
+        return self.evaluator.problem
 
     @property
     def spent(self) -> float:
@@ -163,8 +168,10 @@ class Loop:
             with self.clock.billed("stage1"):
                 self._look(p.iteration)
             p.paths += self.sampler.paths_per_look
-            if p.iteration == 0:
+            if p.iteration == self.sampler.first:
                 p.paths += self.sampler.paths_before
+        elif self._distribution is None:
+            self._spread()
         if p.iteration == 0:
             p.before = self.clock.seconds, p.paths
         with self.clock.billed("step"):
@@ -254,10 +261,12 @@ class Loop:
     def left_out(self) -> float | None:
         """Root mean square of what the plan of effects leaves out of the images at the present
         values, in units of radiance; None where it leaves out nothing."""
-        if self.problem.integrator.max_depth == self.evaluator.problem.integrator.max_depth:
+        integrator = self.problem.integrator
+        if integrator.max_depth == self.whole.integrator.max_depth:
             return None
+        planned = replace(self.whole, integrator=integrator)
         with self.clock.unbilled("evaluation"):
-            return self.evaluator.apart(self.problem, self.stepper.values)
+            return self.evaluator.apart(planned, self.stepper.values)
 
     def export(self) -> tuple[dict[str, np.ndarray], dict]:
         """Everything that a continuation needs, as arrays and JSON state. Random streams are
@@ -301,4 +310,9 @@ class Loop:
             return None
         views = self.problem.views
         pixel = views.locate(dr.arange(mi.UInt32, views.total))
-        return np.array(self._distribution.probability(*pixel) * views.total)
+        found = np.array(self._distribution.probability(*pixel) * self.whole.views.total)
+        if self.problem.kept is None:
+            return found
+        density = np.zeros(self.whole.views.total, found.dtype)
+        density[self.whole.pixels(self.problem.kept)] = found
+        return density

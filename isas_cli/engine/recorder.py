@@ -60,7 +60,7 @@ class Recorder:
             self.writer.manifest(
                 manifest.describe(
                     machine,
-                    loop.problem,
+                    loop.whole,
                     typed.seed,
                     typed.target.seed,
                     loop.plan.statements,
@@ -102,7 +102,7 @@ class Recorder:
         text = OmegaConf.to_yaml(self.cfg, resolve=True)
         self.tracker = trackers.open(typed.tracker, self.folder, text, purge_step)
         self.pictures = Pictures(
-            self.loop.problem,
+            self.loop.whole,
             writer,
             typed.frames.views,
             typed.frames.spp,

@@ -66,7 +66,7 @@ class Workshop:
             (simulated, named, how, str(budget), str(planned)),
             lambda: plan_of(self.problem, cfg, budget, planned),
         )
-        paths = plan.paths
+        paths = plan.paths, plan.views
         problem = self._once("problem", (how, paths), lambda: settings.on(plan.on(self.problem)))
 
         def sampler():
@@ -75,7 +75,7 @@ class Workshop:
             return made
 
         def estimator(problem):
-            key = named, how, problem.integrator.paths
+            key = named, how, problem.integrator.paths, problem.kept
             return self._once("estimator", key, lambda: settings.made(problem, loss))
 
         gradients = estimator(problem)

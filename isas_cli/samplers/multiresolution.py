@@ -89,6 +89,10 @@ class Multiresolution(Sampler):
     def resolution(self, problem, batch: int) -> int:
         return self.base.resolution(problem, batch)
 
+    @property
+    def first(self) -> int:
+        return self.base.first
+
     def due(self, iteration: int) -> bool:
         return self.base.due(iteration)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -23,7 +23,8 @@ class Problem:
     ``targets``: ``(3 n,) float32``, linear radiance, pixel after pixel of all views;
     ``mask``: ``(n,) float32`` weights of the pixels, or None for all ones;
     ``share``: 1 / (3 Σ_j w_j), the factor between a pixel's ∂ℓ/∂I and ∂ℒ/∂I (opaque, one entry);
-    ``film_sizes``: ``[(width, height), …]`` per view; ``content_hash``: of scene and cameras.
+    ``film_sizes``: ``[(width, height), …]`` per view; ``content_hash``: of scene and cameras;
+    ``kept``: where some views are left out (``only``), the numbers of the others.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Problem:
     share: mi.Float | None = None
     target_hash: str = ""
     warnings: list[str] = field(default_factory=list)
+    kept: tuple[int, ...] | None = None
 
     @property
     def truth_known(self) -> bool:
@@ -49,6 +51,26 @@ class Problem:
         self.targets, self.mask, self.target_hash = images, mask, digest
         weight = float(self.views.total) if mask is None else float(dr.sum(mask)[0])
         self.share = dr.opaque(mi.Float, 1.0 / (3.0 * weight))
+
+    def pixels(self, views: tuple[int, ...]) -> np.ndarray:
+        """The pixels of some views, ``uint32``, view after view."""
+        ends = np.cumsum([0, *(width * height for width, height in self.film_sizes)])
+        return np.concatenate([np.arange(ends[v], ends[v + 1], dtype=np.uint32) for v in views])
+
+    def only(self, views: tuple[int, ...]) -> "Problem":
+        """The same with some of the views: losses and gradients are still those of all, to which
+        the others are taken to add nothing that depends on an unknown."""
+        pixels = mi.UInt32(self.pixels(views))
+        sizes = [self.film_sizes[view] for view in views]
+        return replace(
+            self,
+            sensors=dr.gather(mi.SensorPtr, self.sensors, mi.UInt32(views)),
+            film_sizes=sizes,
+            views=Views.of(sizes),
+            targets=dr.ravel(dr.gather(mi.Color3f, self.targets, pixels)),
+            mask=None if self.mask is None else dr.gather(mi.Float, self.mask, pixels),
+            kept=tuple(views),
+        )
 
     def target_image(self, view: int) -> np.ndarray:
         """Target of one view, ``(H, W, 3) float32``, linear."""

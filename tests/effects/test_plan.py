@@ -229,9 +229,10 @@ def test_what_is_set_is_done():
         decided(p, max_depth=2, derivative_depth=3)
 
 
-def behind_a_mirror():
-    """A wall that only a mirror shows, lit by a sky."""
+def behind_a_mirror(*more):
+    """A wall that only a mirror shows, lit by a sky. ``more``: where other cameras look at."""
     to = mi.ScalarTransform4f
+    film = {"type": "hdrfilm", "width": 8, "height": 8}
     scene = {
         "type": "scene",
         "integrator": {"type": "prb", "max_depth": 4},
@@ -250,9 +251,12 @@ def behind_a_mirror():
             "type": "perspective",
             "fov": 20,
             "to_world": to().look_at([0, 0, 1], [0, 0, -1], [0, 1, 0]),
-            "film": {"type": "hdrfilm", "width": 8, "height": 8},
+            "film": film,
         },
     }
+    for number, at in enumerate(more, 1):
+        to_world = to().look_at([0, 0, 1], at, [0, 1, 0])
+        scene[f"sensor_{number:03d}"] = {**scene["sensor_000"], "to_world": to_world}
     p = without_targets(scene, {WALL: 0.2})
     p.unknowns.write(p.unknowns.truths())
     pixels = Renderer(p).range(0, p.views.total, 16, int)
@@ -270,6 +274,29 @@ def test_a_plan_without_a_path_to_an_unknown_is_refused_or_not_made(monkeypatch,
         decided(p, derivative_depth=2)
     assert decided(p, max_depth=3).paths.depth == 3
     assert decided(p, 60.0, tolerance=0.9, derivative_tolerance=0.9).paths == Paths(3, 3)
+
+
+def test_views_that_see_no_unknown_are_not_drawn_from(monkeypatch, tmp_path):
+    """One looks past the mirror at the sky; one sees the wall in the mirror only, and stays."""
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    p = behind_a_mirror([9, 0, 0], [0.2, 0, -1])
+    plan = decided(p)
+    assert plan.views == (0, 2) and plan.statements["views"].startswith("2 of 3")
+    assert decided(p, drop_views=False).views is None
+    few = plan.on(p)
+    assert few.film_sizes == [(8, 8)] * 2 and few.views.total == 2 * 64
+    for view, origin in enumerate(few.kept):
+        assert np.array_equal(few.target_image(view), p.target_image(origin))
+    means, errors = [], []
+    for problem_ in (p, few):
+        rows = Gradients(problem_, L2(), 1024).uniform(60, 3)
+        means.append(rows.mean())
+        errors.append(rows.std() / len(rows) ** 0.5)
+    print(means, errors)
+    assert abs(means[0] - means[1]) < 4 * np.hypot(*errors) < 0.1 * abs(means[0])
+    assert errors[1] < errors[0]
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path / "other"))
+    assert decided(behind_a_mirror([0.2, 0, -1])).views is None
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,142 @@
+"""Where effects may be left out and where they must not: scenes with one way to an unknown."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from gradient_estimates import Gradients, configured
+from scenes_for_tests import without_targets
+
+from isas_cli import effects
+from isas_cli.effects import plan as planning
+from isas_cli.effects import probe
+from isas_cli.effects.settings import Effects
+from isas_cli.losses import L2
+from isas_cli.rendering.integrators import Paths
+from isas_cli.rendering.renderer import Renderer
+from isas_cli.runtime.errors import InputError
+
+KEY = "thing.bsdf.reflectance.value"
+DEPTH = 6
+
+
+@pytest.fixture(autouse=True)
+def measured_alike_everywhere(monkeypatch, tmp_path):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    for name in ("_LEAST_BATCHES", "_MOST_BATCHES"):
+        monkeypatch.setattr(probe, name, 24)
+    for name in ("_MOST", "_SHARE"):
+        monkeypatch.setattr(planning, name, np.inf)
+
+
+def to():
+    return mi.ScalarTransform4f()
+
+
+def grey(value: float) -> dict:
+    return {"type": "diffuse", "reflectance": {"type": "uniform", "value": value}}
+
+
+def ball(radius: float, bsdf: dict) -> dict:
+    return {"type": "sphere", "radius": radius, "bsdf": bsdf}
+
+
+def square(place, bsdf: dict) -> dict:
+    return {"type": "rectangle", "to_world": place, "bsdf": bsdf}
+
+
+GLASS = {"type": "dielectric"}
+
+
+def alone():
+    """Convex, under a sky."""
+    return {"thing": ball(1.0, grey(0.5))}, [0, 0, 4]
+
+
+def behind_glass():
+    """In a ball of glass: light comes and goes through it."""
+    return {"thing": ball(0.4, grey(0.5)), "shell": ball(1.0, GLASS)}, [0, 0, 4]
+
+
+def in_a_caustic():
+    """A floor under a dome of glass, where the camera is too: no shadow ray reaches the sky."""
+    floor = square(to().translate([0, -0.5, 0]).rotate([1, 0, 0], -90).scale(0.6), grey(0.5))
+    return {"thing": floor, "dome": ball(2.0, GLASS)}, [0, 1, 1]
+
+
+def out_of_sight():
+    """Behind the camera, which sees the floor that it lights."""
+    thing = square(to().translate([0, 1, 4]).rotate([0, 1, 0], 180).scale(3), grey(0.9))
+    floor = square(to().translate([0, -1, 0]).rotate([1, 0, 0], -90).scale(9), grey(0.8))
+    return {"thing": thing, "floor": floor}, [0, 1, 3]
+
+
+def problem(build):
+    """``build`` gives shapes and where the camera is, which looks at the origin."""
+    shapes, origin = build()
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": DEPTH, "rr_depth": 100},
+        "sky": {"type": "constant"},
+        **shapes,
+        "sensor_000": {
+            "type": "perspective",
+            "fov": 25,
+            "to_world": to().look_at(origin, [0, -0.1, 0], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 16, "height": 16},
+        },
+    }
+    p = without_targets(scene, {KEY: 0.2})
+    p.unknowns.write(p.unknowns.truths())
+    pixels = Renderer(p).range(0, p.views.total, 64, int)
+    p.set_targets(mi.Float(pixels.reshape(-1)), None, "test")
+    p.unknowns.write(p.unknowns.starts())
+    return p
+
+
+def decided(p, seconds=None, **settings) -> effects.Plan:
+    return effects.decide(
+        p, Effects(**settings), configured("estimator", "two_path"), L2(), seconds
+    )
+
+
+@pytest.mark.parametrize(
+    "build, least",
+    [(behind_glass, 4), (in_a_caustic, 3), (out_of_sight, 3)],
+    ids=["glass", "caustic", "out of sight"],
+)
+def test_the_only_way_to_an_unknown_stays(build, least):
+    """However wide the tolerances, and though no shorter path would be noticed in the images."""
+    p = problem(build)
+    for name in ("max_depth", "derivative_depth"):
+        with pytest.raises(InputError, match=f"effects.{name}={least - 1}: .*'{KEY}'"):
+            decided(p, **{name: least - 1})
+        decided(p, **{name: least})
+    plan = decided(p, 60.0, tolerance=0.99, derivative_tolerance=0.99)
+    print(plan.paths, plan.cuts, plan.derivatives)
+    assert plan.views is None
+    assert plan.paths.depth >= least and plan.paths.derivative >= least
+
+
+def test_a_convex_object_alone_is_done_with_two_edges():
+    """Nothing is lost: the same gradient, batch by batch."""
+    p = problem(alone)
+    plan = decided(p, 60.0)
+    assert (plan.paths.depth, plan.paths.derivative) == (2, 2)
+    rows = []
+    for paths in (p.integrator.paths, Paths(2, 2)):
+        p.integrator = p.integrator.cut(paths)
+        rows.append(Gradients(p, L2(), 1024).uniform(4, 3))
+    assert np.allclose(*rows, rtol=1e-4)
+
+
+def test_a_concave_object_keeps_its_interreflection():
+    """Parallel plates: of the light that a diffuse plate sends, the other gets nearly all."""
+
+    def plates():
+        lower = square(to().translate([0, -0.1, 0]).rotate([1, 0, 0], -90).scale(4), grey(0.9))
+        upper = square(to().translate([0, 0.5, 0]).rotate([1, 0, 0], 90).scale(4), grey(0.9))
+        return {"thing": lower, "upper": upper}, [0, 0.4, 5]
+
+    plan = decided(problem(plates), 60.0)
+    print(plan.cuts)
+    assert plan.paths.depth == DEPTH
