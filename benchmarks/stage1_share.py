@@ -92,7 +92,7 @@ class Side:
         spent, looks, iteration = 0.0, 0.0, 0
         while spent < budget:
             if self.sampler.due(iteration):
-                more = look if iteration > self.sampler.first else first
+                more = look if iteration else first
                 looks, spent = looks + more, spent + more
             spent += step
             iteration += 1

@@ -168,10 +168,8 @@ class Loop:
             with self.clock.billed("stage1"):
                 self._look(p.iteration)
             p.paths += self.sampler.paths_per_look
-            if p.iteration == self.sampler.first:
+            if p.iteration == 0:
                 p.paths += self.sampler.paths_before
-        elif self._distribution is None:
-            self._spread()
         if p.iteration == 0:
             p.before = self.clock.seconds, p.paths
         with self.clock.billed("step"):

@@ -89,10 +89,6 @@ class Multiresolution(Sampler):
     def resolution(self, problem, batch: int) -> int:
         return self.base.resolution(problem, batch)
 
-    @property
-    def first(self) -> int:
-        return self.base.first
-
     def due(self, iteration: int) -> bool:
         return self.base.due(iteration)
 

@@ -64,9 +64,8 @@ class Progress(Sampler):
     from one along P_k/C_k. Per unknown, by backward passes with these images as adjoints: C_k, and
     h_k = Σ_j ℓ''_j J_j J_jk with J_j = Σ_k J_jk, the curvature along an error that all entries of a
     key share. Curvature and costs (``PathCost``; a path that meets nothing costs ``overhead``
-    vertices) are taken once, at the start values. A run's first look comes when as many paths as
-    it traces have been spent on steps with uniform pixels; it takes everything ``passes`` times and
-    x_k ≪ 1. Later looks, after ``refresh``, 2 ``refresh``, 4 ``refresh`` … iterations as
+    vertices) are taken once, at the start values. A run's first look takes everything ``passes``
+    times and x_k ≪ 1. Later looks, after ``refresh``, 2 ``refresh``, 4 ``refresh`` … iterations as
     the unknowns slow down, take it once, with x_k from Adam's moments, and are averaged with the
     earlier ones. Derivatives of one sign are assumed within a pixel and key (reflectances,
     roughness, radiances have them); of others the absolute value of their sum is used.
@@ -101,7 +100,7 @@ class Progress(Sampler):
     def due(self, iteration: int) -> bool:
         times = iteration // self.refresh if self.refresh else 0
         doubled = times * self.refresh == iteration and times & (times - 1) == 0
-        return iteration == self.first or (iteration > self.first and times > 0 and doubled)
+        return iteration == 0 or (times > 0 and doubled)
 
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
         super().prepare(problem, loss, batch, freeze)
@@ -111,20 +110,15 @@ class Progress(Sampler):
         denoise = self.stage1.denoise
         self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
         self._surveys: dict = {}  # by base seed
-        # Early on any pixel tells much: a look that took the time of the first steps would not pay.
-        step = (1 + self.paths_per_derivative) * batch
-        self.first = math.ceil((self.paths_before + self.paths_per_look) / step)
 
     def look(
         self, values: dict, seed: int, iteration: int, moments: Moments | None = None
     ) -> mi.Float:
         # Anew at a run's first look, where it is billed. A continued run has none and finds the
         # same numbers again.
-        if iteration <= self.first or seed not in self._surveys:
+        if iteration == 0 or seed not in self._surveys:
             self._surveys[seed] = self._survey(seed)
         curvature, cost = self._surveys[seed]
-        if iteration <= self.first:
-            moments = None
         # As many in a rehearsal, so that nothing is left to compile in a run's first look.
         passes = self.passes if moments is None else 1
         first = iteration * self.passes

@@ -87,8 +87,6 @@ class Sampler:
     needs: ClassVar[frozenset[str]] = frozenset()
     # Progress of the schedules at the next look, told by the loop.
     scheduled: ClassVar[float] = 0.0
-    # Iteration of a run's first look; until then all pixels are alike.
-    first: ClassVar[int] = 0
 
     floor: float = 0.05
     refresh: int = 50
@@ -141,7 +139,7 @@ class Sampler:
         return max(32, round(math.sqrt(per_view)))
 
     def due(self, iteration: int) -> bool:
-        """Whether iteration ``iteration`` (0-based) starts with a look; ``first`` does."""
+        """Whether iteration ``iteration`` (0-based) starts with a look."""
         return iteration == 0 or (self.refresh > 0 and iteration % self.refresh == 0)
 
     def look(
@@ -177,10 +175,8 @@ class Sampler:
         dr.eval(weights)
         return weights
 
-    def distribution(self, weights: mi.Float | None) -> PixelDistribution:
-        """The pmf over all pixels that the cells' weights stand for; None: all alike."""
-        if weights is None:
-            weights = dr.opaque(mi.Float, 1, self.cells.count)
+    def distribution(self, weights: mi.Float) -> PixelDistribution:
+        """The pmf over all pixels that the cells' weights stand for."""
         return self._expand(weights, self.cells, self.tiles, dr.opaque(mi.Float64, self.floor))
 
     @property

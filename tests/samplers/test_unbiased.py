@@ -29,7 +29,7 @@ from isas_cli.unknowns.parameters import flat
 
 LEVEL = 1e-4
 BATCH = 4096
-REPEATS = 100
+REPEATS = 120
 LOSSES = unbiased_losses()
 # Cells of two pixels' side, with enough paths that the pmf follows the image and not the noise.
 LOOKS = {"stage1.resolution": 6, "stage1.spp": 4}

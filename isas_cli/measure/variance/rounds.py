@@ -51,11 +51,10 @@ class Contestant:
 
     @property
     def looks_per_estimate(self) -> float:
-        """Of a run of 1,000 iterations; the first look does not count."""
+        """Of a run of 1,000 iterations; the look at its start does not count."""
         if self.sampler is None:
             return 0.0
-        first = self.sampler.first + 1
-        return sum(self.sampler.due(i) for i in range(first, first + _COURSE)) / _COURSE
+        return sum(self.sampler.due(i) for i in range(1, _COURSE + 1)) / _COURSE
 
     @property
     def paths_per_look(self) -> int:
