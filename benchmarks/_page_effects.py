@@ -18,7 +18,6 @@ def facts(results: Path) -> dict:
             {
                 "name": scene,
                 "seconds": full["seconds"],
-                "seeds": full["seeds"],
                 "rows": [_row(row, full) for row in of.values()],
                 "auto": of["auto"],
                 "verdict": {name: _verdict(row, full) for name, row in of.items()},
@@ -30,10 +29,11 @@ def facts(results: Path) -> dict:
             words: [s["name"] for s in scenes if s["verdict"].get(plan) == words]
             for words in ("better", "worse", "alike")
         }
-        for plan in ("auto", "lights", "staged")
+        for plan in ("auto",)
     }
     return {
         "scenes": scenes,
+        "seeds": int(table.loc[table["plan"] == "auto", "seeds"].max()),
         "median": float(pandas.Series(times).median()),
         "verdicts": verdicts,
     }

@@ -20,6 +20,7 @@ def pytest_configure(config: pytest.Config) -> None:
     matplotlib.use("Agg")
     os.environ["MPLBACKEND"] = "Agg"  # for the commands that tests start
     os.environ["ISAS_CACHE_DIR"] = tempfile.mkdtemp(prefix="isas-cache-")
+    os.environ["ISAS_ALLOW"] = "flaky_scene"  # a builder of tests' own
     # Workers side by side have a core each.
     threads = 1 if "PYTEST_XDIST_WORKER" in os.environ else 0
     config.stash[_STARTED] = backend.start(threads=threads)

@@ -79,8 +79,9 @@ the images, of the gradient and of the time, with 95 % bounds. Nothing is optimi
   isas effects scene=earth effects.tolerance=0.02
   isas effects scene=bowl effects.max_depth=2
 
-Settings: effects=auto (default), effects=full, effects.max_depth, effects.light_samples,
-effects.tolerance, effects.finish. Everything else is as in isas run --help.
+Settings: effects=auto (default), effects=full, effects.max_depth, effects.derivative_depth,
+effects.light_samples, effects.tolerance, effects.derivative_tolerance, effects.finish.
+Everything else is as in isas run --help.
 Status: 0 done, 2 bad configuration or input, 130 interrupted."""
 
 # Commands whose arguments are Hydra's, passed on as they are, and their helps.
@@ -99,6 +100,7 @@ _SUMMARIES = {
     "watch": "show how a run is going on",
     "scenes": "list the scenes, samplers and losses",
     "doctor": "say whether this machine can run it",
+    "replay": "one iteration of a run again: what is not finite in it, and where",
     "landscape": "the loss along a run's unknowns, hard and blurred, and the way it took",
     "report": "write a run's plots and page anew",
 }
@@ -133,6 +135,11 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("scenes", help=_SUMMARIES["scenes"])
     doctor = commands.add_parser("doctor", help=_SUMMARIES["doctor"])
     doctor.add_argument("--variant", default="auto", help="Mitsuba variant (default: auto)")
+    replay = commands.add_parser("replay", help=_SUMMARIES["replay"])
+    replay.add_argument("folder", metavar="DIR", help="a run's folder")
+    replay.add_argument(
+        "iteration", nargs="?", metavar="iteration=N", help="which (default: the checkpoint's last)"
+    )
     landscape = commands.add_parser("landscape", help=_SUMMARIES["landscape"])
     landscape.add_argument("folder", metavar="DIR", help="a run's folder")
     landscape.add_argument(
@@ -171,6 +178,10 @@ def _dispatch(arguments: list[str]) -> int:
         from .watch import main as watch
 
         return watch(Path(parsed.folder), parsed.once)
+    if parsed.command == "replay":
+        from .replay import main as replay
+
+        return replay(Path(parsed.folder), parsed.iteration)
     if parsed.command == "landscape":
         from .landscape import main as landscape
 

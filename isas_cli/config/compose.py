@@ -14,6 +14,7 @@ from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from ..runtime import allowed
 from ..runtime.errors import InputError, nearest
 from . import schema
 from .schema import PRESETS
@@ -268,12 +269,11 @@ def instantiate(node: DictConfig, where: str):
     again. Raises InputError naming the field for a value of the wrong type; the dataclass itself
     checks ranges.
     """
-    import importlib
-
     plain = OmegaConf.to_container(node, resolve=True)
-    module, _, name = plain.pop("_target_").rpartition(".")
+    target = allowed.named(plain.pop("_target_", ""), "isas_cli", f"{where}._target_")
+    if not (isinstance(target, type) and dataclasses.is_dataclass(target)):
+        raise InputError(f"{where}._target_={node._target_}: is no choice of settings")
     plain.pop("name", None)
-    target = getattr(importlib.import_module(module), name)
     inner = [key for key, value in plain.items() if isinstance(value, dict) and "_target_" in value]
     parts = {key: instantiate(OmegaConf.create(plain.pop(key)), f"{where}.{key}") for key in inner}
     try:

@@ -44,7 +44,6 @@ _ALL_EFFECTS = {
     "name": "full",
     "_target_": "isas_cli.effects.settings.Effects",
     "probe": False,
-    "drop_views": False,
     "max_depth": None,
     "derivative_depth": None,
     "light_samples": None,

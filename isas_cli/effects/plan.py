@@ -110,6 +110,11 @@ def decide(
             else f"the scene's integrator {whole.name} is Mitsuba's and"
         )
         raise InputError(f"effects.…: {who} traces them as the scene says: take effects=full")
+    if settings.derivative_depth is not None and not estimator.replays:
+        raise InputError(
+            f"effects.derivative_depth={settings.derivative_depth}: estimator={estimator.name} "
+            "differentiates no paths: leave it out"
+        )
     if earlier is not None:
         depth = earlier["max_depth"] or UNLIMITED
         derivative = earlier.get("derivative_depth") or depth
@@ -119,8 +124,6 @@ def decide(
         plan, why = dataclasses.replace(plan, seconds=earlier["probe_seconds"]), {}
     elif follows:
         found = Plan(_as_set(problem, settings), settings.finish, {})
-        if settings.drop_views and estimator.replays and not problem.unknowns.moving:
-            found = dataclasses.replace(found, views=_kept(problem))
         if settings.probe and estimator.replays and (seconds or 0) >= _WORTH:
             found = _probed(problem, settings, loss, min(_MOST, _SHARE * seconds), described, found)
         plan, why = _chosen(problem, settings, found)
@@ -133,19 +136,14 @@ def decide(
     if plan.views is not None:
         told["views"] = f"{len(plan.views)} of {problem.views.count}: the others see no unknown"
     lights = plan.paths.lights
-    told["differentiated"] = f"what comes by paths {longest(plan.paths.derivative)}"
+    if estimator.replays:
+        told["differentiated"] = f"what comes by paths {longest(plan.paths.derivative)}"
     told["light samples"] = f"{lights[0]} for a residual, {lights[1]} for a derivative"
     for effect, reason in why.items():
         told[effect] += f": {reason}"
     if plan.staged(problem):
         told["finish"] = f"the last {plan.finish:.0%} of the budget with all effects"
     return dataclasses.replace(plan, statements=told)
-
-
-def _kept(problem: "Problem") -> tuple[int, ...] | None:
-    """The views that see an unknown, where some do not."""
-    seen = coverage.views(problem)
-    return None if seen.all() or not seen.any() else tuple(np.flatnonzero(seen).tolist())
 
 
 def _as_set(problem: "Problem", settings: Effects) -> Paths:
@@ -231,8 +229,10 @@ def _probed(
         return {"json": np.array(json.dumps(found.record()))}
 
     found = json.loads(str(cached(key, compute)["json"]))
+    kept = found["views"]
     return dataclasses.replace(
         plan,
+        views=kept and tuple(kept),
         cuts=tuple(_cut(row) for row in found["depths"]),
         derivatives=tuple(_cut(row) for row in found["derivatives"]),
         samples=tuple(
@@ -252,6 +252,7 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
     """What pays most first: a short budget ends before the rest. The derivative's depth from the
     shortest up to one that does; the paths' own from the longest down to one that does not."""
     paths, cuts, derivatives, samples = plan.paths, [], [], []
+    views = probe.views()
     ladder = [depth for depth in _LADDER if depth < paths.depth]
     if settings.derivative_depth is None:
         for depth in ladder:
@@ -277,6 +278,7 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
                 break
     return dataclasses.replace(
         plan,
+        views=views,
         cuts=tuple(cuts),
         derivatives=tuple(derivatives),
         samples=tuple(samples),

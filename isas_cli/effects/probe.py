@@ -30,6 +30,7 @@ _LANES = 1 << 13
 # kinds as are usual), by estimates of the gradient between these numbers.
 _SECONDS, _PARTS = 0.25, 8
 _LEAST_BATCHES, _MOST_BATCHES = 8, 64
+_PATHS_A_VIEW = 1 << 12
 # Numbers of the probe's streams, which no iteration of a run reaches.
 _FAR = (1 << 27) - (1 << 18)
 _WARM_UP = 4  # recordings are steady from the fourth call on
@@ -84,6 +85,37 @@ class Probe:
         self.seconds = 0.0
         self._any_depth = self._kernel(None, True)
         self._whole = None
+
+    def views(self) -> tuple[int, ...] | None:
+        """The views that see an unknown, where some do not: of so many paths through random pixels
+        of a view none has a derivative, along random signs of all entries."""
+        views, rng = self.problem.views, np.random.default_rng(0)
+        if views.count == 1:
+            return None
+        unknowns = self.problem.unknowns
+        signs = {u.key: rng.choice([-1.0, 1.0], u.start.shape).astype(np.float32) for u in unknowns}
+        for compiled in (False, True):
+            begun = time.perf_counter()
+            unknowns.push_tangent(self.values, unknowns.values_of(signs))
+            seen = self._met()
+            if compiled:
+                self.seconds += time.perf_counter() - begun
+        unknowns.write(self.values)
+        return None if seen.all() or not seen.any() else tuple(np.flatnonzero(seen).tolist())
+
+    def _met(self) -> np.ndarray:
+        """Whether any path of each view has a derivative along the pushed tangent, ``(V,)``."""
+        p, views = self.problem, self.problem.views
+        with dr.suspend_grad():
+            view = dr.arange(mi.UInt32, views.count * _PATHS_A_VIEW) // _PATHS_A_VIEW
+            stream = rays.stream(streams.seed(self.seed, _FAR, "offset"), dr.width(view))
+            column, row = (
+                mi.UInt32(stream.next_1d() * mi.Float(dr.gather(mi.UInt32, size, view)))
+                for size in (views.width, views.height)
+            )
+            ray, _ = rays.spawn(p.sensors, views, view, column, row, stream)
+            found = np.array(p.integrator.forward(p.scene, stream, ray))
+        return np.any(found.reshape(3, views.count, -1) != 0, axis=(0, 2))
 
     def cut(self, depth: int, derivative: bool) -> Cut | None:
         """What is lost where paths (``derivative``: what is differentiated of them) have at most

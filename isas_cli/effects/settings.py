@@ -12,8 +12,7 @@ _MOST_LIGHTS = 64
 
 @dataclass
 class Effects:
-    """``probe``: measure what structure cannot tell. ``drop_views``: draw no pixel of views that
-    see no unknown.``max_depth``: edges of the longest path.
+    """``probe``: measure what structure cannot tell. ``max_depth``: edges of the longest path.
     ``derivative_depth``: of the longest that is differentiated. ``light_samples``: of emitters at
     the first hit, for the residual and for the derivative. None: as the probe finds best, else all
     that the scene has and one sample. ``tolerance``, ``derivative_tolerance``: share of an
@@ -25,7 +24,6 @@ class Effects:
     """
 
     probe: bool = True
-    drop_views: bool = True
     max_depth: Optional[int] = None
     derivative_depth: Optional[int] = None
     light_samples: Optional[List[int]] = None

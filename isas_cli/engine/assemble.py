@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import hashlib
-import importlib
 import inspect
 import typing
 from collections.abc import Callable
@@ -15,7 +14,7 @@ import numpy as np
 
 from ..config.schema import SceneConfig, TargetConfig
 from ..rendering import coverage, integrators, targets
-from ..runtime import backend
+from ..runtime import allowed, backend
 from ..runtime.errors import InputError, nearest
 from ..scene import mesh_checks, scene_file
 from ..scene.problem import Problem
@@ -94,11 +93,7 @@ def _where(scene: SceneConfig) -> str:
 
 
 def _from_builder(scene: SceneConfig) -> mi.Scene:
-    module, _, function = scene.builder.rpartition(".")
-    try:
-        build = getattr(importlib.import_module(module), function)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise InputError(f"scene.builder={scene.builder}: cannot be imported ({error})") from error
+    build = allowed.named(scene.builder, "isas_cli.scenes", "scene.builder")
     _check_arguments(scene, build)
     dictionary = build(**scene.arguments)
     if scene.max_depth is not None:

@@ -166,10 +166,14 @@ def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
         display.phase(str(recorder.cfg.sampler.name))
         try:
             status = loop.run(recorder.hooks(stop))
-        except NumericalError:
+        except NumericalError as error:
             recorder.close("numerical failure")
+            # Mitsuba's types exist only once the backend has started.
+            from . import replay
+
+            found = replay.again(loop, loop.position.iteration - 1)
             _announce(recorder, "numerical failure", recorder.illustrate())
-            raise
+            raise NumericalError(f"{error}; {found}; isas replay {recorder.folder}") from error
         recorder.close(status)
         # Stopped once, a run has its pictures made; stopped while they are made, it does not.
         given_up = stop if status == "done" else lambda: False

@@ -13,6 +13,7 @@ import numpy as np
 from ..effects import Plan
 from ..estimators.estimator import Gradients
 from ..losses.priors import OnUnknowns
+from ..rendering.pixels import PixelDistribution
 from ..runtime.budget import Budget
 from ..runtime.clock import Clock
 from ..runtime.errors import NumericalError
@@ -187,6 +188,18 @@ class Loop:
         found = self.sampler.look(self.stepper.values, self.seed, iteration, moments)
         self._weights = self.sampler.blended(self._weights, found)
         self._spread()
+
+    @property
+    def distribution(self) -> PixelDistribution | None:
+        """The pmf that draws follow at present."""
+        return self._distribution
+
+    def gradient(self, iteration: int) -> dict:
+        """What an iteration estimates at the present values, by key; after a look where there was
+        none."""
+        if self._distribution is None:
+            self._look(iteration)
+        return self._estimate(iteration)
 
     def _spread(self) -> None:
         """From the cells' weights to the distribution that draws follow."""

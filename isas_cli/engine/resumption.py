@@ -82,6 +82,9 @@ def prepare(folder: Path, changes: dict) -> Continuation:
     spent = (sum(state["billed"].values()), state["iteration"], state["paths"])
     if run.complete and budget.spent(*spent) >= 1:
         raise Spent(f"{folder}: its budget is spent: {_larger(budget, *spent)}")
+    if changes and budget.spent(*spent) >= 1 > before.spent(*spent):
+        # Going on would drop the rows after the checkpoint and make none of them again.
+        raise InputError(f"{folder}: more than that is spent: {_larger(budget, *spent)}")
     earlier = None if before == budget else str(before)
     return Continuation(folder, cfg, run.manifest, earlier, arrays, state)
 

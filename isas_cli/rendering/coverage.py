@@ -18,7 +18,6 @@ from ..unknowns.unknowns import Unknown
 from . import rays
 
 _LANES = 1 << 20
-_PATHS_A_VIEW = 1 << 14
 _MOST = 1 << 24  # pixels visited; above this a stratified subset of them
 
 
@@ -82,32 +81,6 @@ def _judge(problem: Problem, judged: list[Unknown], seed: int) -> dict[str, np.n
             arrays[name] = arrays[name] | seen if name in arrays else seen
     unknowns.write(unknowns.starts())
     return arrays
-
-
-def views(problem: Problem) -> np.ndarray:
-    """Which views see an unknown, ``(V,) bool``: of so many paths through random pixels of a view
-    at least one has a derivative, along random signs of all entries, at the start values. From the
-    cache where possible. Needs an integrator that differentiates in forward mode."""
-    key = _key(problem, 0).replace("coverage-", "views-")
-    return cached(key, lambda: {"seen": _views(problem)})["seen"]
-
-
-def _views(problem: Problem) -> np.ndarray:
-    unknowns, integrator, count = problem.unknowns, problem.integrator, problem.views.count
-    starts, rng = unknowns.starts(), np.random.default_rng(0)
-    signs = {u.key: rng.choice([-1.0, 1.0], u.start.shape).astype(np.float32) for u in unknowns}
-    unknowns.push_tangent(starts, unknowns.values_of(signs))
-    with dr.suspend_grad():
-        view = dr.arange(mi.UInt32, count * _PATHS_A_VIEW) // _PATHS_A_VIEW
-        stream = rays.stream(streams.seed(0, 0, "coverage"), dr.width(view))
-        column, row = (
-            mi.UInt32(stream.next_1d() * dr.gather(mi.Float, mi.Float(size), view))
-            for size in (problem.views.width, problem.views.height)
-        )
-        ray, _ = rays.spawn(problem.sensors, problem.views, view, column, row, stream)
-        found = np.array(integrator.forward(problem.scene, stream, ray))
-    unknowns.write(starts)
-    return np.any(found.reshape(3, count, -1) != 0, axis=(0, 2))
 
 
 def measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[str, np.ndarray]:

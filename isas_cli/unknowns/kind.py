@@ -127,7 +127,10 @@ class Kind:
 
 
 def well_seen(sensitivity: np.ndarray) -> np.ndarray:
-    """Which entries reach ``THRESHOLD`` of a well seen one's sensitivity."""
+    """Which entries reach ``THRESHOLD`` of a well seen one's sensitivity. Where no sensitivity is a
+    number, all: something is seen, and the run will say what is wrong with it."""
+    if not np.isfinite(sensitivity).any():
+        return np.ones(sensitivity.shape, bool)
     finite = np.where(np.isfinite(sensitivity), sensitivity, 0)
     positive = finite[finite > 0]
     if positive.size == 0:

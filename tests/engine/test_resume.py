@@ -84,6 +84,9 @@ def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(tmp_path, chosen, 
     assert broken.returncode == (130 if number == signal.SIGINT else -signal.SIGKILL)
     _, state = records.load_checkpoint(cut)
     assert 0 < state["iteration"] < 300, "stopped in the middle"
+    rows = (cut / "history.csv").read_text()
+    assert app.main(["run", f"resume={cut}", "budget.iterations=1"]) == 2
+    assert (cut / "history.csv").read_text() == rows, "a smaller budget costs no row"
     again = start("run", f"resume={cut}")
     errors = finish(again)
     assert again.returncode == 0, errors

@@ -1,0 +1,148 @@
+"""One iteration again: which unknowns get a gradient that is not finite, and from which pixels.
+
+Random numbers are functions of the base seed and the iteration, so any iteration can be had again;
+values are those of the checkpoint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import records
+from ..estimators.two_path import TwoPath
+from ..runtime import streams
+from ..runtime.errors import InputError
+from ..unknowns.parameters import as_numpy, flat, unflat
+from . import experiment, resumption
+from .display import Display
+from .loop import Loop
+
+# Pixels that are told apart, of as many as there are.
+_MOST = 5
+
+
+@dataclass(frozen=True)
+class Place:
+    """A path whose part in the gradient is not finite: where it begins, and what of it is not: the
+    residual, or its product with the derivative by a key."""
+
+    view: int
+    column: int
+    row: int
+    what: str
+
+    def __str__(self) -> str:
+        return f"view {self.view}, column {self.column}, row {self.row}: {self.what}"
+
+
+@dataclass(frozen=True)
+class Replay:
+    """``entries``: by key, how many of the gradient's are not finite, and of how many; ``paths``:
+    how many paths are to blame; ``places``: some of them."""
+
+    iteration: int
+    entries: dict[str, tuple[int, int]]
+    paths: int
+    places: list[Place]
+
+    def __str__(self) -> str:
+        keys = [
+            f"{bad} of {all_} entries of '{key}'"
+            for key, (bad, all_) in self.entries.items()
+            if bad
+        ]
+        told = f"iteration {self.iteration} again: {', '.join(keys) or 'all entries are finite'}"
+        return f"{told}; first {self.places[0]}" if self.places else told
+
+
+def of(folder: Path, iteration: int | None = None) -> Replay:
+    """The iteration of the run in ``folder`` at the values of its checkpoint, by default the last.
+    Raises InputError where there is no such run or its scene has changed since."""
+    run = records.load(folder)
+    arrays, state = records.load_checkpoint(folder)
+    cfg, _ = resumption.configuration(folder, run.config, {})
+    typed, budget = experiment.checked(cfg)
+    machine = experiment.started([cfg], typed)
+    with Display(budget) as display:
+        phases = experiment.Phases(display)
+        problem = experiment.built(typed, phases, [cfg])
+        resumption.check_same(problem, machine, run.manifest, folder)
+        phases.begin("replay")
+        # Mitsuba's types exist only once the backend has started.
+        from .workshop import Workshop
+
+        loop = Workshop(problem).loop(cfg, typed, budget, run.manifest.get("plan"))
+        try:
+            loop.restore(arrays, state)
+        except (KeyError, ValueError, TypeError) as error:
+            raise InputError(f"{folder}/checkpoint does not fit this run: {error!r}") from error
+        found = again(loop, max(0, state["iteration"] - 1) if iteration is None else iteration)
+        phases.begin(None)
+    return found
+
+
+def again(loop: Loop, iteration: int) -> Replay:
+    """The iteration's estimate at the loop's present values; changes nothing of the loop."""
+    entries = {}
+    for key, gradient in loop.gradient(iteration).items():
+        found = as_numpy(gradient)
+        entries[key] = int(np.sum(~np.isfinite(found))), found.size
+    paths, places = 0, []
+    # What compares renderings has no path of its own for each entry.
+    if isinstance(loop.estimator, TwoPath):
+        lanes = {}
+        for what, bad in _bad_paths(loop, iteration):
+            for lane in np.flatnonzero(bad):
+                lanes.setdefault(int(lane), what)
+        paths = len(lanes)
+        chosen = sorted(lanes)[:_MOST]
+        where = _drawn(loop, iteration)
+        places = [Place(*(int(each[lane]) for each in where), lanes[lane]) for lane in chosen]
+    return Replay(iteration, entries, paths, places)
+
+
+def _drawn(loop: Loop, iteration: int) -> list[np.ndarray]:
+    """View, column and row of every pixel that the iteration draws."""
+    seed = mi.UInt32(streams.seed(loop.seed, iteration, "draw"))
+    view, column, row, _ = loop.distribution.draw(loop.estimator.batch, seed)
+    # Of a single view its number is one entry.
+    view, column, row = (
+        np.broadcast_to(np.array(each), loop.estimator.batch) for each in (view, column, row)
+    )
+    kept = loop.problem.kept
+    return [view if kept is None else np.array(kept)[view], column, row]
+
+
+def _bad_paths(loop: Loop, iteration: int) -> Iterator[tuple[str, np.ndarray]]:
+    """What is not finite, and along which paths, ``(N,) bool``."""
+    problem, values = loop.problem, loop.stepper.values
+    for key in [None, *problem.unknowns.keys]:
+        found: list[np.ndarray] = []
+
+        def look(integrator, scene, stream, ray, adjoint, key=key, found=found):
+            part = adjoint
+            if key is not None:
+                part = adjoint * integrator.forward(scene, stream, ray)
+            found.append(np.array(part))
+
+        estimator = TwoPath(problem, loop.estimator.loss, loop.estimator.batch, False, look)
+        if key is None:
+            problem.unknowns.attach(values)
+        elif problem.integrator.has_forward:
+            tangents = {
+                other: unflat(value, dr.full(mi.Float, float(other == key), dr.width(flat(value))))
+                for other, value in values.items()
+            }
+            problem.unknowns.push_tangent(values, tangents)
+        else:
+            continue
+        estimator.accumulate(loop.distribution, loop.seed, iteration)
+        what = "residual" if key is None else f"gradient by {key}"
+        yield what, ~np.all(np.isfinite(found[0]), axis=0)
+    problem.unknowns.write(values)

@@ -1,0 +1,36 @@
+"""Which code a configuration may name. Importing a module runs it, so a configuration that somebody
+else wrote, or a record, must not choose what is imported."""
+
+from __future__ import annotations
+
+import importlib
+import os
+
+from .errors import InputError
+
+VARIABLE = "ISAS_ALLOW"
+
+
+def named(path: str, own: str, where: str):
+    """The object at the dotted ``path``, defined in a module below the package ``own``, or in one
+    that the environment variable ISAS_ALLOW lists (names, with commas between). ``where``: the
+    setting. Raises InputError."""
+    module, _, name = str(path).rpartition(".")
+    others = [each.strip() for each in os.environ.get(VARIABLE, "").split(",")]
+    if not _below(module, [own, *others]):
+        raise InputError(
+            f"{where}={path}: would import code that is not isas's own: set {VARIABLE}="
+            f"{module or path} in the environment if you trust it"
+        )
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(f"{where}={path}: cannot be imported ({error})") from error
+    # What a module imports is not its own: `os.system` by way of any module that uses it.
+    if not _below(getattr(found, "__module__", ""), [own, *others]):
+        raise InputError(f"{where}={path}: names what another module defines; name that one")
+    return found
+
+
+def _below(module: str, packages: list[str]) -> bool:
+    return any(each and f"{module}.".startswith(f"{each}.") for each in packages)
