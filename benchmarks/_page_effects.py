@@ -31,7 +31,15 @@ def facts(results: Path) -> dict:
         }
         for plan in ("auto",)
     }
+    across = pandas.read_csv(results / "effects_across.csv")
+    (auto,) = (
+        row
+        for row in across.to_dict("records")
+        if row["measure"] == "parameter_rmse" and "auto" in row["method"]
+    )
     return {
+        "across": auto,
+        "unprobed": [s["name"] for s in scenes if s["seconds"] < 10],
         "scenes": scenes,
         "seeds": int(table.loc[table["plan"] == "auto", "seeds"].max()),
         "median": float(pandas.Series(times).median()),

@@ -7,8 +7,8 @@ last third of the budget (`staged`), and with `--ladder` each depth below the sc
 2`, …). Each at its own best rate with the first seed. `full` and `auto` run again at theirs with
 the other seeds, which alone are reported; the other plans are leads from one seed. Settings and
 budgets are those of `reproduce.py`. Writes results/effects.csv (a row per scene and plan),
-effects_rates.csv and effects_<scene>.png (error against billed time). Scenes that are not named
-keep their rows.
+effects_rates.csv and effects_<scene>.png (error against billed time); of several scenes together
+effects_across.csv and effects_arrivals.png. Scenes that are not named keep their rows.
 
     .venv/bin/python benchmarks/effects.py pottery bowl
 """
@@ -16,6 +16,7 @@ keep their rows.
 from __future__ import annotations
 
 import argparse
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -181,6 +182,20 @@ def main() -> None:
         draw(scene, found)
         # After each scene: what is measured survives what follows.
         pages.write()
+    # Below 10 s there is no probe.
+    probed = [s for s in chosen.scenes or SCENES if SCENES[s].seconds >= 10]
+    if len(probed) > 1:
+        together([root / scene / "seeds" for scene in probed], root / "together")
+        pages.write()
+
+
+def together(folders: list[Path], output: Path) -> None:
+    """`full` and `auto` on all these scenes: effects_across.csv and effects_arrivals.png."""
+    command = [sys.executable, "-m", "isas_cli", "compare", *map(str, folders)]
+    command += ["--baseline", "progress effects=full", "--output", str(output)]
+    subprocess.run(command, check=True)
+    shutil.copy(output / "across.csv", RESULTS / "effects_across.csv")
+    shutil.copy(output / "plots" / "all_arrivals.png", RESULTS / "effects_arrivals.png")
 
 
 def _merged(name: str, rows: pandas.DataFrame, scene: str) -> pandas.DataFrame:

@@ -73,7 +73,8 @@ def rendered(results: Path = RESULTS) -> dict[Path, str]:
     }
     before, rest = README.read_text(encoding="utf-8").split(BEGIN)
     after = rest.split(END)[1]
-    table = environment.get_template("readme.md.j2").render(found["adaptive_sampling"])
+    template = environment.get_template("readme.md.j2")
+    table = template.render(found["adaptive_sampling"], effects=found["effects"])
     texts[README] = f"{before}{BEGIN}\n{table}{END}{after}"
     return texts
 

@@ -225,7 +225,7 @@ def _probed(
     key = "effects-" + digest("effects", _FORMAT, *what, *asked)
 
     def compute() -> dict[str, np.ndarray]:
-        found = _measured(problem, settings, Probe(problem, loss, 0, allowed), plan)
+        found = _measured(problem, settings, Probe(plan.on(problem), loss, 0, allowed), plan)
         return {"json": np.array(json.dumps(found.record()))}
 
     found = json.loads(str(cached(key, compute)["json"]))

@@ -179,7 +179,8 @@ class _Lanes:
         except NumericalError as error:
             ends[number] = "numerical failure"
             failures.append(error)
-            self.display.say(f"{self.entries[number].name}: {error}")
+            folder = self.recorders[number].folder
+            self.display.say(f"{self.entries[number].name}: {error}; isas replay {folder}")
         finally:
             self._detach(self.recorders[number])
 

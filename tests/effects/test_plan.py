@@ -207,7 +207,7 @@ def test_a_probe_leaves_out_what_would_take_longer_than_its_share(monkeypatch, t
     monkeypatch.setattr(planning, "_MOST", 1e-6)
     p = problem({TEXTURE: 0.5}, depth=4)
     plan = decided(p, 60.0)
-    assert plan.on(p) is p and plan.seconds == 0
+    assert plan.on(p) is p
     assert not (plan.cuts or plan.derivatives or plan.samples)
 
 

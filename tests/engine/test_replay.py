@@ -3,12 +3,12 @@
 import re
 from pathlib import Path
 
-import mitsuba as mi
 import numpy as np
 import pytest
 
 from isas_cli import records
 from isas_cli.cli.app import main
+from isas_cli.runtime import images
 
 SCENE = """<scene version="3.0.0">
   <integrator type="path"><integer name="max_depth" value="3"/></integrator>
@@ -31,7 +31,7 @@ SKY = "sky.radiance.value"
 
 
 def run(folder: Path, wall: np.ndarray, *settings: str) -> int:
-    mi.Bitmap(wall.astype(np.float32)).write(str(folder / "wall.exr"))
+    images.write_exr(folder / "wall.exr", wall.astype(np.float32), [*"RGB"], {})
     (folder / "scene.xml").write_text(SCENE)
     unknown = f'scene.unknowns={{"{SKY}": {{"start": 0.5}}}}'
     common = ["scene=file", f"scene.path={folder / 'scene.xml'}", unknown, "sampler=uniform"]

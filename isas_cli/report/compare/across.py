@@ -14,13 +14,11 @@ import numpy as np
 import pandas
 from scipy import stats
 
-from .gather import Method, by_scene
+from .gather import Method, by_scene, names
 from .series import MEASURES, Series, known
 
 # Of the baseline's budget.
 SHARES = (0.125, 0.25, 0.5, 1.0)
-# The rate is each method's own business: methods that differ in nothing else are one.
-_OWN = "optimizer.lr="
 _RESAMPLES = 999
 _SEED = 20260102
 
@@ -66,12 +64,6 @@ def problems(methods: list[Method], baseline: dict[str, str]) -> list[Problems]:
         if all(runs for of in found.values() for runs in of.values()):
             made.append(_reached(measure, base, found))
     return made
-
-
-def names(group: list[Method]) -> dict[str, str]:
-    """Label → name without the rate, where that still tells the methods of a scene apart."""
-    plain = {m.label: " ".join(w for w in m.label.split() if not w.startswith(_OWN)) for m in group}
-    return plain if len(set(plain.values())) == len(plain) else {m.label: m.label for m in group}
 
 
 def _reached(measure: str, base: str, found: dict[str, dict[str, list[Series]]]) -> Problems:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 # Any of these makes a folder one that somebody would miss in a comparison.
 _MARKS = {"manifest.json", "history.csv", "summary.json"}
+# The rate is each method's own business: methods that differ in nothing else are one.
+_OWN = "optimizer.lr="
 _DEFAULT_BASELINE = "uniform"
 
 
@@ -291,9 +293,16 @@ def _baselines(methods: list[Method], wanted: str | None, warnings: list[str]) -
 
 
 def _named(group: list[Method], name: str) -> list[str]:
-    """The labels that ``name`` means: the one that it is, else those of the sampler."""
-    exact = [m.label for m in group if m.label == name]
+    """The labels that ``name`` means: the one that it is, with the rate or without, else those of
+    the sampler."""
+    exact = [label for label, plain in names(group).items() if name in (label, plain)]
     return exact or [m.label for m in group if m.sampler == name]
+
+
+def names(group: list[Method]) -> dict[str, str]:
+    """Label → name without the rate, where that still tells the methods of a scene apart."""
+    plain = {m.label: " ".join(w for w in m.label.split() if not w.startswith(_OWN)) for m in group}
+    return plain if len(set(plain.values())) == len(plain) else {m.label: m.label for m in group}
 
 
 def _of_runs(methods: list[Method]) -> list[str]:

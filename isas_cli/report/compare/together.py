@@ -10,7 +10,7 @@ from ..chart import Axis, Chart, Panel, Points, Style, log_axis
 from . import across, content
 from .across import SHARES, Problems
 from .facts import Cell, Heading, Table, number, times
-from .gather import Comparison, by_scene
+from .gather import Comparison, by_scene, names
 
 _HEADS = {
     "reached": ("reached", "share of (scene, seed, level) that it reached"),
@@ -32,7 +32,7 @@ def styled(comparison: Comparison, styles: dict[str, Style]) -> dict[str, Style]
     method that it stands for."""
     made = {}
     for group in by_scene(comparison.methods).values():
-        for label, name in across.names(group).items():
+        for label, name in names(group).items():
             made.setdefault(name, styles[label])
     return made
 

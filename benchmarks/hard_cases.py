@@ -1,0 +1,102 @@
+"""Hard cases, by isas and by Mitsuba's own derivative of whole images with the same Adam.
+
+Runs every case of tests/support/hard_cases.py both ways, a process each, and writes
+results/hard_cases.csv and results/hard_cases.md.
+
+    .venv/bin/python benchmarks/hard_cases.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pandas
+
+RESULTS = Path(__file__).parent / "results"
+SUPPORT = Path(__file__).parents[1] / "tests" / "support"
+WAYS = {"isas": (), "Mitsuba": ("sampler=mitsuba",)}
+
+
+def one(name: str, way: str) -> dict:
+    """What became of a case, in this process."""
+    from isas_cli.runtime import backend
+
+    backend.start()
+    sys.path.insert(0, str(SUPPORT))
+    import hard_cases
+
+    from isas_cli.runtime.errors import IsasError
+
+    (case,) = (case for case in hard_cases.CASES if case.name == name)
+    row = {"case": name, "provokes": case.provokes, "way": way, "within": case.within}
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            run = case.run(Path(folder), *WAYS[way])
+        except IsasError as error:
+            words = {2: "refused", 3: "stopped: not finite"}
+            return row | {"status": words[error.status]}
+    last, first = run.history.iloc[-1], run.history.iloc[0]
+    return row | {
+        "status": run.summary["status"],
+        "error": float(last["parameter_rmse"]),
+        "loss": float(last["loss"] / first["loss"]) if first["loss"] else 0.0,
+        "nonfinite": int(last["nonfinite"]),
+    }
+
+
+def page(table: pandas.DataFrame) -> str:
+    rows = [
+        "# Hard cases",
+        "",
+        "<!-- Written by benchmarks/hard_cases.py from tests/support/hard_cases.py. -->",
+        "Each case is a run of 120 steps on a tiny scene. `error`: of the parameters, in their own "
+        "unit, and the most that the tests allow. `loss`: at the end over that at the start. "
+        "`non-finite`: entries of gradients, counted and left out. *Mitsuba*: its derivative of "
+        "whole images (`sampler=mitsuba`), with the same Adam and as many steps.",
+        "",
+        "| case | provokes | allowed | error | loss | non-finite | Mitsuba: error | loss | "
+        "non-finite |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for name, own in table.groupby("case", sort=False):
+        of = {row["way"]: row for row in own.to_dict("records")}
+        cells = [name, of["isas"]["provokes"], f"{of['isas']['within']:g}"]
+        for way in WAYS:
+            row = of[way]
+            if pandas.isna(row["error"]):
+                cells += [row["status"], "–", "–"]
+            else:
+                cells += [f"{row['error']:.2g}", f"{row['loss']:.2g}", f"{row['nonfinite']:g}"]
+        rows.append("| " + " | ".join(cells) + " |")
+    return "\n".join(rows) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--one", nargs=2, metavar=("CASE", "WAY"), help=argparse.SUPPRESS)
+    chosen = parser.parse_args()
+    if chosen.one:
+        print(json.dumps(one(*chosen.one)))
+        return
+    sys.path.insert(0, str(SUPPORT))
+    import hard_cases
+
+    rows = []
+    for case in hard_cases.CASES:
+        for way in WAYS:
+            command = [sys.executable, __file__, "--one", case.name, way]
+            done = subprocess.run(command, capture_output=True, text=True, check=True)
+            rows.append(json.loads(done.stdout.splitlines()[-1]))
+            print(rows[-1], flush=True)
+    table = pandas.DataFrame(rows)
+    table.to_csv(RESULTS / "hard_cases.csv", index=False, float_format="%.4g")
+    (RESULTS / "hard_cases.md").write_text(page(table), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,228 @@
+"""Hard cases as runs: a small scene that provokes something, and what must hold at its end.
+
+A case is a scene file, its unknowns and what is close enough; every run of it must end with numbers
+that are finite and within their ranges, with a loss no larger than at the start, and with every
+value that was not finite counted. To add one, add a line to ``CASES``.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+import isas_cli
+from isas_cli.records import Run
+from isas_cli.runtime import images
+
+REFLECTANCE = "thing.bsdf.reflectance.value"
+SKY = '<emitter type="constant" id="sky"><rgb name="radiance" value="1"/></emitter>'
+MAP = """<emitter type="envmap" id="sky"><string name="filename" value="sky.exr"/></emitter>"""
+GREY = '<bsdf type="diffuse"><rgb name="reflectance" value="0.5"/></bsdf>'
+BALL = '<shape type="sphere" id="thing"><float name="radius" value="0.8"/>{bsdf}</shape>'
+SCENE = """<scene version="3.0.0">
+  <integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>
+  <sensor type="perspective" id="camera">
+    <float name="fov" value="30"/>
+    <transform name="to_world"><lookat origin="{origin}" target="0,0,0" up="0,1,0"/></transform>
+    <film type="hdrfilm">
+      <integer name="width" value="16"/><integer name="height" value="16"/>
+      <rfilter type="box"/>
+    </film>
+  </sensor>
+  {emitter}{shapes}
+</scene>"""
+# The cheapest run that finds a number: what is hard is the case.
+SETTINGS = [
+    *("scene=file", "sampler=uniform", "estimator.batch=1024", "budget.iterations=120"),
+    *("optimizer.lr=0.05", "target.spp=256", "evaluation.pixels=256", "evaluation.spp=16"),
+    *("evaluation.count=4", "frames.views=0", "frames.snapshots=0", "report=false", "effects=full"),
+]
+
+
+@dataclass(frozen=True)
+class Case:
+    """``provokes``: what is hard about it; ``unknowns``: as in scene.unknowns; ``within``: the
+    largest final parameter error, in the unknowns' own unit; ``sky``: pixels of an environment map,
+    ``(H, W, 3)``; ``ends``: whether it is a numerical failure, since nothing can be found;
+    ``settings``: beyond SETTINGS. The figures seen: benchmarks/results/hard_cases.md."""
+
+    name: str
+    provokes: str
+    unknowns: dict
+    within: float
+    emitter: str = SKY
+    shapes: str = BALL
+    bsdf: str = GREY
+    origin: str = "0,0,4"
+    depth: int = 3
+    sky: np.ndarray | None = None
+    ends: bool = False
+    settings: tuple[str, ...] = field(default=())
+
+    def run(self, folder: Path, *settings: str) -> Run:
+        """Runs it in ``folder``, with ``settings`` beyond its own."""
+        folder.mkdir(parents=True, exist_ok=True)
+        if self.sky is not None:
+            images.write_exr(folder / "sky.exr", self.sky.astype(np.float32), [*"RGB"], {})
+        shapes = self.shapes.format(bsdf=self.bsdf)
+        text = SCENE.format(
+            depth=self.depth, origin=self.origin, emitter=self.emitter, shapes=shapes
+        )
+        (folder / "scene.xml").write_text(text)
+        own = [f"scene.path={folder / 'scene.xml'}", f"hydra.run.dir={folder / 'run'}"]
+        own.append(f"scene.unknowns={json.dumps(self.unknowns)}")
+        return isas_cli.run(*SETTINGS, *own, *self.settings, *settings)
+
+
+def _sky(value: float = 1.0, **texels: float) -> np.ndarray:
+    """A map of one value, with others at some texels: ``bright=1e6``."""
+    sky = np.full((16, 32, 3), value)
+    for row, texel in enumerate(texels.values()):
+        sky[4, 6 + 4 * row] = texel
+    return sky
+
+
+def _principled(**values) -> str:
+    numbers = "".join(f'<float name="{k}" value="{v}"/>' for k, v in values.items())
+    return f'<bsdf type="principled"><rgb name="base_color" value="0.5"/>{numbers}</bsdf>'
+
+
+def _start(key: str, value: float, **more) -> dict:
+    return {key: {"start": value, **more}}
+
+
+GREY_FROM = _start(REFLECTANCE, 0.2)
+BASE_FROM = _start("thing.bsdf.base_color.value", 0.2)
+FLOOR = """<shape type="rectangle" id="thing"><transform name="to_world">
+  <scale value="4"/><rotate x="1" angle="-90"/></transform>{bsdf}</shape>"""
+
+CASES = [
+    Case("plain", "nothing: what the others are measured against", GREY_FROM, 0.01),
+    Case(
+        *("one-texel sun", "a texel of 1e6 among ones", GREY_FROM, 0.01),
+        emitter=MAP,
+        sky=_sky(bright=1e6),
+    ),
+    Case(
+        *("Inf texel", "a light without bound", GREY_FROM, 0.5),
+        emitter=MAP,
+        sky=_sky(bright=np.inf),
+        ends=True,
+    ),
+    Case(
+        *("negative texels", "light below zero", GREY_FROM, 0.02),
+        emitter=MAP,
+        sky=_sky(one=-0.5, two=-1.0),
+    ),
+    Case(
+        *("dim", "radiances of 1e-6, losses of 1e-12", GREY_FROM, 0.01),
+        emitter=SKY.replace('value="1"', 'value="1e-6"'),
+    ),
+    Case(
+        *("dazzling", "radiances of 1e6, losses of 1e12", GREY_FROM, 0.01),
+        emitter=SKY.replace('value="1"', 'value="1e6"'),
+    ),
+    Case(
+        *("light goes out", "a sky that is black in truth"),
+        _start("sky.radiance.value", 0.5),
+        *(0.01,),
+        emitter=SKY.replace('value="1"', 'value="0"')
+        + '<emitter type="point"><point name="position" x="2" y="2" z="3"/>'
+        + '<rgb name="intensity" value="10"/></emitter>',
+    ),
+    Case(
+        "white",
+        "base colour 1, the end of its range",
+        BASE_FROM,
+        0.02,
+        bsdf=_principled().replace('"0.5"', '"1"'),
+    ),
+    Case(
+        "black",
+        "base colour 0, the end of its range",
+        BASE_FROM,
+        0.02,
+        bsdf=_principled().replace('"0.5"', '"0"'),
+    ),
+    Case(
+        "polished",
+        "roughness 0.001, below what is legal",
+        BASE_FROM,
+        0.03,
+        bsdf=_principled(roughness=0.001),
+    ),
+    Case("rough", "roughness 1", BASE_FROM, 0.02, bsdf=_principled(roughness=1)),
+    Case(
+        "metal",
+        "metallic 1: no diffuse lobe",
+        BASE_FROM,
+        0.03,
+        bsdf=_principled(metallic=1, roughness=0.5),
+    ),
+    Case(
+        "no lobes",
+        "clearcoat and sheen of 0",
+        BASE_FROM,
+        0.02,
+        bsdf=_principled(clearcoat=0, sheen=0),
+    ),
+    Case(
+        *("grazing", "a floor seen at one degree", GREY_FROM, 0.02),
+        shapes=FLOOR,
+        origin="0,0.07,4",
+    ),
+    Case(
+        *(
+            "inside out",
+            "a two-sided ball with its normals inwards",
+            {"thing.bsdf.brdf_0.reflectance.value": {"start": 0.2}},
+            0.01,
+        ),
+        shapes=BALL.replace("{bsdf}", '<boolean name="flip_normals" value="true"/>{bsdf}'),
+        bsdf=f'<bsdf type="twosided">{GREY}</bsdf>',
+    ),
+    Case(
+        *(
+            "index near 1",
+            "glass that hardly refracts, before what is unknown",
+            GREY_FROM,
+            0.03,
+        ),
+        shapes=BALL + '<shape type="sphere" id="shell"><bsdf type="dielectric">'
+        '<float name="int_ior" value="1.0001"/><float name="ext_ior" value="1"/></bsdf></shape>',
+        depth=8,
+    ),
+    Case(
+        *("fireflies", "a lamp seen by a diffuse ball through glass only", GREY_FROM, 0.1),
+        emitter='<shape type="sphere"><point name="center" x="3" y="3" z="3"/>'
+        '<float name="radius" value="1.5"/><emitter type="area"><rgb name="radiance" value="20"/>'
+        "</emitter></shape>",
+        shapes=BALL + '<shape type="sphere" id="shell"><bsdf type="dielectric"/></shape>',
+        depth=8,
+        settings=("loss=relative_l2", "estimator.batch=4096"),
+    ),
+    Case(
+        "rate 100",
+        "steps a hundred ranges long",
+        GREY_FROM,
+        0.05,
+        settings=("optimizer.lr=100",),
+    ),
+    Case(
+        "rate 1e-12",
+        "steps that a float cannot take",
+        GREY_FROM,
+        0.31,
+        settings=("optimizer.lr=1e-12",),
+    ),
+    Case(
+        "memory of Adam",
+        "β₂ = 0.999999",
+        GREY_FROM,
+        0.01,
+        settings=("optimizer.beta_2=0.999999",),
+    ),
+]
