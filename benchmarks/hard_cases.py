@@ -55,7 +55,8 @@ def page(table: pandas.DataFrame) -> str:
         "",
         "<!-- Written by benchmarks/hard_cases.py from tests/support/hard_cases.py. -->",
         "Each case is a run of 120 steps on a tiny scene. `error`: of the parameters, in their own "
-        "unit, and the most that the tests allow. `loss`: at the end over that at the start. "
+        "unit, and the most that the tests allow. `loss`: at the end over that at the start; an "
+        "estimate without bias, which noise may bring below 0. "
         "`non-finite`: entries of gradients, counted and left out. *Mitsuba*: its derivative of "
         "whole images (`sampler=mitsuba`), with the same Adam and as many steps.",
         "",

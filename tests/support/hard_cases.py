@@ -196,7 +196,7 @@ CASES = [
         depth=8,
     ),
     Case(
-        *("fireflies", "a lamp seen by a diffuse ball through glass only", GREY_FROM, 0.1),
+        *("fireflies", "a lamp seen by a diffuse ball through glass only", GREY_FROM, 0.15),
         emitter='<shape type="sphere"><point name="center" x="3" y="3" z="3"/>'
         '<float name="radius" value="1.5"/><emitter type="area"><rgb name="radiance" value="20"/>'
         "</emitter></shape>",
