@@ -108,7 +108,7 @@ class Probe:
         p, views = self.problem, self.problem.views
         with dr.suspend_grad():
             view = dr.arange(mi.UInt32, views.count * _PATHS_A_VIEW) // _PATHS_A_VIEW
-            stream = rays.stream(streams.seed(self.seed, _FAR, "offset"), dr.width(view))
+            stream = rays.stream(streams.seed(self.seed, _FAR, "coverage"), dr.width(view))
             column, row = (
                 mi.UInt32(stream.next_1d() * mi.Float(dr.gather(mi.UInt32, size, view)))
                 for size in (views.width, views.height)
