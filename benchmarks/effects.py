@@ -4,11 +4,11 @@ On each scene, with `sampler=progress`: everything (`full`), the plan that is ma
 light samples with all depths (`lights`), the same where only the shortest beginning of a path that
 meets every unknown is differentiated (`derivative`), this with paths no longer than that until the
 last third of the budget (`staged`), and with `--ladder` each depth below the scene's own (`depth
-2`, …). Each at its own best rate with the first seed. `full` and `auto` run again at theirs with
+2`, …); with `--plans` those alone. Each at its own best rate with the first seed. `full` and `auto` run again at theirs with
 the other seeds, which alone are reported; the other plans are leads from one seed. Settings and
 budgets are those of `reproduce.py`. Writes results/effects.csv (a row per scene and plan),
 effects_rates.csv and effects_<scene>.png (error against billed time); of several scenes together
-effects_across.csv and effects_arrivals.png. Scenes that are not named keep their rows.
+effects_across.csv and effects_arrivals.png. Scenes and plans that are not named keep their rows.
 
     .venv/bin/python benchmarks/effects.py pottery bowl
 """
@@ -45,7 +45,6 @@ PLAIN = {
 }
 REPEATED = ("full", "auto")
 LADDER = (2, 3, 4, 6, 8)
-RATES = (0.01, 0.02)
 
 
 def plans(scene: str, ladder: bool) -> dict[str, dict]:
@@ -162,12 +161,16 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
     parser.add_argument("--ladder", action="store_true", help="each depth below the scene's, too")
+    parser.add_argument("--plans", nargs="+", help="these alone; `full` is among them")
     chosen = parser.parse_args()
     root = Path(tempfile.mkdtemp(prefix="isas-effects-"))
     print(f"runs: {root}", flush=True)
     for scene in chosen.scenes or SCENES:
         seconds, named = SCENES[scene].seconds, plans(scene, chosen.ladder)
-        every = [{**p, "optimizer.lr": rate} for p in named.values() for rate in RATES]
+        if chosen.plans:
+            named = {name: named[name] for name in dict.fromkeys(["full", *chosen.plans])}
+        rates = SCENES[scene].rates
+        every = [{**p, "optimizer.lr": rate} for p in named.values() for rate in rates]
         race(root / scene / "rates", scene, every, chosen.seeds[:1], seconds)
         first = runs(root / scene / "rates", named)
         best = first.loc[first.groupby("plan", sort=False)["final"].idxmin()]
@@ -176,8 +179,7 @@ def main() -> None:
         race(root / scene / "seeds", scene, pairs, chosen.seeds[1:], seconds)
         found = runs(root / scene / "seeds", named)
         found = pandas.concat([found, best[~best["plan"].isin(REPEATED)]])
-        rates = first.drop(columns="history").assign(scene=scene)
-        _merged("effects_rates.csv", rates, scene)
+        _merged("effects_rates.csv", first.drop(columns="history").assign(scene=scene), scene)
         print(_merged("effects.csv", table(scene, found, seconds), scene).to_string(), flush=True)
         draw(scene, found)
         # After each scene: what is measured survives what follows.
@@ -199,11 +201,12 @@ def together(folders: list[Path], output: Path) -> None:
 
 
 def _merged(name: str, rows: pandas.DataFrame, scene: str) -> pandas.DataFrame:
-    """Write ``rows`` in place of the scene's earlier ones. Returns them."""
+    """Write ``rows`` in place of the earlier ones of the scene and these plans. Returns them."""
     path = RESULTS / name
     if path.exists():
         earlier = pandas.read_csv(path)
-        whole = pandas.concat([earlier[earlier["scene"] != scene], rows])
+        same = (earlier["scene"] == scene) & earlier["plan"].isin(rows["plan"])
+        whole = pandas.concat([rows, earlier[~same]]).sort_values("scene", kind="stable")
     else:
         whole = rows
     whole.to_csv(path, index=False, float_format="%.4g")

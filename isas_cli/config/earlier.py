@@ -47,6 +47,7 @@ _ALL_EFFECTS = {
     "max_depth": None,
     "derivative_depth": None,
     "light_samples": None,
+    "roulette": None,
     "tolerance": 0.005,
     "derivative_tolerance": 0.3,
     "finish": 0.0,

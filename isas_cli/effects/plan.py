@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -31,7 +30,7 @@ _LIGHTS = ((1, 1), (4, 1), (4, 4))
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
 # Of the entries that any view sees, the share that may lose all of their derivative.
 _LOST = 0.01
-_FORMAT = 7
+_FORMAT = 8
 
 
 @dataclass(frozen=True)
@@ -54,17 +53,18 @@ class Plan:
     def on(self, problem: "Problem", finish: bool = False) -> "Problem":
         """``problem``, its paths as planned; with all effects where it is the ``finish``."""
         whole = problem.integrator
-        paths = dataclasses.replace(whole.paths, lights=self.paths.lights) if finish else self.paths
+        paths = self._finish(whole.paths) if finish else self.paths
         if paths != whole.paths:
             problem = dataclasses.replace(problem, integrator=whole.cut(paths))
         return problem if self.views is None else problem.only(self.views)
 
     def staged(self, problem: "Problem") -> bool:
         """Whether the last part of the budget differs from the first."""
-        whole = problem.integrator.paths
-        return (
-            self.finish > 0 and dataclasses.replace(whole, lights=self.paths.lights) != self.paths
-        )
+        return self.finish > 0 and self._finish(problem.integrator.paths) != self.paths
+
+    def _finish(self, whole: Paths) -> Paths:
+        """All that ``whole`` has, by as many samples as before."""
+        return dataclasses.replace(whole, lights=self.paths.lights, roulette=self.paths.roulette)
 
     def record(self) -> dict:
         """For the manifest."""
@@ -72,6 +72,7 @@ class Plan:
             "max_depth": _finite(self.paths.depth),
             "derivative_depth": _finite(self.paths.derivative),
             "light_samples": list(self.paths.lights),
+            "roulette": self.paths.roulette,
             "views": None if self.views is None else list(self.views),
             "finish": self.finish,
             "probe_seconds": self.seconds,
@@ -119,7 +120,8 @@ def decide(
     if earlier is not None:
         depth = earlier["max_depth"] or UNLIMITED
         derivative = earlier.get("derivative_depth") or depth
-        paths = Paths(depth, derivative, tuple(earlier["light_samples"]))
+        lights, roulette = tuple(earlier["light_samples"]), earlier.get("roulette")
+        paths = Paths(depth, derivative, lights, roulette)
         kept = earlier.get("views")
         plan = Plan(paths, settings.finish, {}, kept and tuple(kept))
         plan, why = dataclasses.replace(plan, seconds=earlier["probe_seconds"]), {}
@@ -139,6 +141,8 @@ def decide(
     lights = plan.paths.lights
     if estimator.replays:
         told["differentiated"] = f"what comes by paths {longest(plan.paths.derivative)}"
+    if plan.paths.roulette is not None:
+        told["roulette"] = f"from vertex {plan.paths.roulette} on, as set"
     told["light samples"] = f"{lights[0]} for a residual, {lights[1]} for a derivative"
     for effect, reason in why.items():
         told[effect] += f": {reason}"
@@ -155,10 +159,10 @@ def _as_set(problem: "Problem", settings: Effects) -> Paths:
         depth, settings.derivative_depth, "derivative_depth", "the paths to differentiate have"
     )
     lights = tuple(settings.light_samples or (1, 1))
-    paths = Paths(depth, derivative, lights)
+    paths = Paths(depth, derivative, lights, settings.roulette)
     for name, edges in (("max_depth", depth), ("derivative_depth", derivative)):
         if getattr(settings, name) is not None and edges < whole.max_depth:
-            for key, lost in _lost(problem, edges).items():
+            for key, lost in _lost(problem, edges, 0.5)[0].items():
                 if lost == 1:
                     raise InputError(
                         f"effects.{name}={edges}: no path of so few edges meets '{key}': give "
@@ -199,18 +203,15 @@ def _chosen(problem: "Problem", settings: Effects, found: Plan) -> tuple[Plan, d
     return dataclasses.replace(found, paths=paths), why
 
 
-def _lost(problem: "Problem", edges: int) -> dict[str, float]:
-    """By key: of the entries that a view sees, the share that no path of so few ``edges`` meets."""
-    whole = problem.integrator
+def _lost(problem: "Problem", edges: int, enough: float) -> tuple[dict[str, float], float]:
+    """By key: of the entries that a view sees, the share that no path of so few ``edges`` meets, no
+    more exactly than whether it is above ``enough``; seconds spent."""
     judged = [u for u in problem.unknowns if not u.kind.moves_geometry]
-    cut = dataclasses.replace(problem, integrator=whole.cut(Paths(edges, edges)))
-    found = coverage.measure(cut, {u.key: u.start for u in judged}, 0)
+    cut = dataclasses.replace(problem, integrator=problem.integrator.cut(Paths(edges, edges)))
+    starts, seen = ({u.key: getattr(u, name) for u in judged} for name in ("start", "seen"))
+    found = coverage.missed(cut, starts, seen, enough) if judged else ({}, 0.0)
     problem.unknowns.write(problem.unknowns.starts())
-    lost = {}
-    for unknown in judged:
-        missed = found[unknown.key][unknown.seen] == 0
-        lost[unknown.key] = float(missed.mean()) if missed.size else 0.0
-    return lost
+    return found
 
 
 def _probed(
@@ -262,10 +263,10 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
                 break
             derivatives.append(found)
             if _worst(found) < settings.derivative_tolerance:
-                begun = time.perf_counter()
-                lost = max(_lost(problem, depth).values())
+                shares, seconds = _lost(problem, depth, _LOST)
+                lost = max(shares.values())
                 # Part of what the plan costs, and no part of the probe's share of the budget.
-                checks += time.perf_counter() - begun
+                checks += seconds
                 if lost <= _LOST:
                     paths = dataclasses.replace(paths, derivative=depth)
                     break

@@ -9,6 +9,7 @@ the end is noise, so the residual here is the difference of two renderings of th
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from dataclasses import dataclass
@@ -143,7 +144,7 @@ class Probe:
         there is time."""
         found = []
         for samples in candidates:
-            own = Paths(paths.depth, paths.derivative, samples)
+            own = dataclasses.replace(paths, lights=samples)
             kernel = self._kernel(self.problem.integrator.cut(own), False)
             measured = self._repeated(kernel, own, fixed=True)
             if not measured:
@@ -212,12 +213,13 @@ class Probe:
         """One estimate of the gradient. ``integrator``: None for paths as long as is asked for;
         ``of_targets``: the residual is towards the targets, else towards an earlier rendering."""
         base, loss, lanes = self.problem.integrator.mitsuba, self.loss, self.lanes
+        roulette = self.problem.integrator.paths.roulette
 
         def kernel(
             scene, sensors, views, leaves, pixels, targets, mask, earlier, depths, seeds, share
         ):
             with dr.suspend_grad():
-                paths = Replayed(base, Paths(*depths)) if integrator is None else integrator
+                paths = integrator or Replayed(base, Paths(*depths, roulette=roulette))
                 view, column, row, probability = pixels.draw(lanes, seeds[0])
                 pixel = views.index(view, column, row)
                 dr.eval(view, column, row, pixel, probability)

@@ -15,7 +15,8 @@ class Effects:
     """``probe``: measure what structure cannot tell. ``max_depth``: edges of the longest path.
     ``derivative_depth``: of the longest that is differentiated. ``light_samples``: of emitters at
     the first hit, for the residual and for the derivative. None: as the probe finds best, else all
-    that the scene has and one sample. ``tolerance``, ``derivative_tolerance``: share of an
+    that the scene has and one sample. ``roulette``: vertices after which Russian roulette ends
+    paths; None: as the scene has it. ``tolerance``, ``derivative_tolerance``: share of an
     unknown's gradient, see ``plan``. ``finish``: the last share of the budget with all effects.
 
     What residuals lack, the result lacks: at the truth they are not zero on average. A derivative
@@ -27,6 +28,7 @@ class Effects:
     max_depth: Optional[int] = None
     derivative_depth: Optional[int] = None
     light_samples: Optional[List[int]] = None
+    roulette: Optional[int] = None
     tolerance: float = 0.005
     derivative_tolerance: float = 0.3
     finish: float = 0.0
@@ -34,15 +36,16 @@ class Effects:
     @property
     def cuts(self) -> bool:
         """Whether paths are set to be others than the scene's."""
-        return any(
-            each is not None for each in (self.max_depth, self.derivative_depth, self.light_samples)
-        )
+        own = self.max_depth, self.derivative_depth, self.light_samples, self.roulette
+        return any(each is not None for each in own)
 
     def __post_init__(self) -> None:
         for name in ("max_depth", "derivative_depth"):
             edges = getattr(self, name)
             if edges is not None and edges < 1:
                 raise InputError(f"effects.{name}={edges}: at least 1, edges of a path")
+        if self.roulette is not None and self.roulette < 1:
+            raise InputError(f"effects.roulette={self.roulette}: at least 1, vertices of a path")
         lights = self.light_samples
         if lights is not None and not (
             len(lights) == 2 and all(1 <= n <= _MOST_LIGHTS for n in lights)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import time
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ..runtime import streams
+from ..runtime.backend import sync
 from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
@@ -19,6 +21,10 @@ from . import rays
 
 _LANES = 1 << 20
 _MOST = 1 << 24  # pixels visited; above this a stratified subset of them
+_SAMPLES = 4  # paths a pixel, where all fit into one pass
+# ``missed`` asks by so many paths first, each time by twice as many, until twice as many show less
+# than this share of what was missed.
+_FIRST, _WORTH = 1 << 16, 0.1
 
 
 def fill_in(problem: Problem, seed: int) -> None:
@@ -90,30 +96,13 @@ def measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[
     Two backward passes over all pixels: one with unit adjoint, which is strong for reflectances,
     and one with random signs, which does not vanish where derivatives of both signs meet.
     """
-    unknowns, integrator = problem.unknowns, problem.integrator
-
-    def kernel(scene, sensors, views, leaves, mask, first, stride, seed, signed):
-        with dr.suspend_grad():
-            count = lanes
-            chosen = first + mi.UInt32(mi.Float64(dr.arange(mi.UInt32, count)) * stride)
-            inside = chosen < views.total  # the last pass may reach beyond
-            pixel = dr.minimum(chosen, views.total - 1)
-            view, column, row = views.locate(pixel)
-            stream = rays.stream(seed, count)
-            ray, weight = rays.spawn(sensors, views, view, column, row, stream)
-            sign = dr.select(stream.next_1d() < 0.5, mi.Float(-1), 1)
-            counts = dr.select(inside, mi.Float(1), 0)
-            if mask is not None:
-                counts *= dr.gather(mi.Float, mask, pixel)
-            adjoint = mi.Color3f(dr.select(signed, sign, 1) * counts) * weight
-            integrator.backward(scene, stream, ray, adjoint)
-
+    unknowns = problem.unknowns
     total = problem.views.total
     visited = min(total, _MOST)
     lanes = min(visited, _LANES)
     passes = -(-visited // lanes)
-    samples = 4 if visited <= _LANES else 1
-    run = dr.freeze(kernel)
+    samples = _SAMPLES if visited <= _LANES else 1
+    run = dr.freeze(_pass(problem, lanes))
     largest: dict[str, np.ndarray] = {}
     for signed in (False, True):
         unknowns.attach(unknowns.values_of(values))
@@ -136,3 +125,72 @@ def measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[
             found = np.abs(as_numpy(gradients[key]))
             largest[key] = np.fmax(largest[key], found) if key in largest else found
     return largest
+
+
+def missed(
+    problem: Problem, values: dict[str, np.ndarray], seen: dict[str, np.ndarray], enough: float
+) -> tuple[dict[str, float], float]:
+    """By key of ``values``: of the entries that count as ``seen``, the share without a derivative
+    by the paths of ``problem``; an upper bound, as long as it is above ``enough``. Seconds spent,
+    without compiling.
+
+    Every path's derivative has a random sign, so that no sums vanish.
+    """
+    unknowns, total, spent = problem.unknowns, problem.views.total, 0.0
+    left = {key: np.flatnonzero(seen[key].ravel()) for key in values}  # those not met so far
+    counts = {key: max(entries.size, 1) for key, entries in left.items()}
+    worst, paths, number = 1.0, 0, 0
+
+    def trace(lanes: int) -> None:
+        stride = total / lanes
+        unknowns.attach(unknowns.values_of(values))
+        _pass(problem, lanes)(
+            problem.scene,
+            problem.sensors,
+            problem.views,
+            unknowns.leaves,
+            problem.mask,
+            dr.opaque(mi.UInt32, int(np.random.default_rng(number).random() * stride)),
+            dr.opaque(mi.Float64, stride),
+            dr.opaque(mi.UInt32, streams.seed(0, number, "coverage")),
+            dr.opaque(mi.Bool, True),
+        )
+        sync()
+
+    trace(64)  # compiles
+    while True:
+        begun, number, lanes = time.perf_counter(), number + 1, min(paths or _FIRST, _LANES)
+        trace(lanes)
+        paths += lanes
+        for key, gradient in unknowns.gradients().items():
+            if key in left:
+                left[key] = left[key][as_numpy(gradient).ravel()[left[key]] == 0]
+        spent += time.perf_counter() - begun
+        shares = {key: entries.size / counts[key] for key, entries in left.items()}
+        earlier, worst = worst, max(shares.values())
+        hopeless = worst > (1 - _WORTH) * earlier and number > 1
+        if worst <= enough or hopeless or paths >= _SAMPLES * min(total, _MOST):
+            return shares, spent
+
+
+def _pass(problem: Problem, lanes: int):
+    """A function that adds derivatives of ``lanes`` pixels, ``stride`` apart, to the leaves'
+    gradients: all with weight 1, or ``signed``, each with a random sign."""
+    integrator = problem.integrator
+
+    def kernel(scene, sensors, views, leaves, mask, first, stride, seed, signed):
+        with dr.suspend_grad():
+            chosen = first + mi.UInt32(mi.Float64(dr.arange(mi.UInt32, lanes)) * stride)
+            inside = chosen < views.total  # the last pass may reach beyond
+            pixel = dr.minimum(chosen, views.total - 1)
+            view, column, row = views.locate(pixel)
+            stream = rays.stream(seed, lanes)
+            ray, weight = rays.spawn(sensors, views, view, column, row, stream)
+            sign = dr.select(stream.next_1d() < 0.5, mi.Float(-1), 1)
+            counts = dr.select(inside, mi.Float(1), 0)
+            if mask is not None:
+                counts *= dr.gather(mi.Float, mask, pixel)
+            adjoint = mi.Color3f(dr.select(signed, sign, 1) * counts) * weight
+            integrator.backward(scene, stream, ray, adjoint)
+
+    return kernel

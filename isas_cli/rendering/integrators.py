@@ -128,11 +128,13 @@ class InOneGo(Integrator):
 class Paths:
     """``depth``: edges of the longest path that brings radiance; ``derivative``: of the longest
     that is differentiated, at most ``depth``; ``lights``: samples of emitters at the first vertex,
-    in a primal pass and in one that differentiates (one at later vertices)."""
+    in a primal pass and in one that differentiates (one at later vertices); ``roulette``: vertices
+    after which Russian roulette ends paths (None: as the scene's integrator has it)."""
 
     depth: int
     derivative: int
     lights: tuple[int, int] = (1, 1)
+    roulette: int | None = None
 
 
 class Surfaces(Integrator):
@@ -144,6 +146,7 @@ class Surfaces(Integrator):
     def __init__(self, base: mi.Integrator, paths: Paths):
         super().__init__(base)
         self.paths, self.max_depth = paths, paths.depth
+        self.rr_depth = _roulette(base, paths)
 
     def cut(self, paths: Paths) -> "Integrator":
         return _surfaces(self.mitsuba, paths)
@@ -214,8 +217,13 @@ def adapt(base: mi.Integrator | None, where: str = "the scene") -> Integrator:
     return Integrator(base)
 
 
+def _roulette(base: mi.Integrator, paths: Paths) -> int:
+    return base.rr_depth if paths.roulette is None else paths.roulette
+
+
 def _surfaces(base: mi.Integrator, paths: Paths) -> Surfaces:
+    rr_depth = _roulette(base, paths)
     primal, derivative = (
-        attached.handles(depth, base.rr_depth) for depth in (paths.depth, paths.derivative)
+        attached.handles(depth, rr_depth) for depth in (paths.depth, paths.derivative)
     )
     return (Unrolled if primal else Mixed if derivative else Replayed)(base, paths)

@@ -219,6 +219,13 @@ def test_what_is_set_is_done():
     assert "finish" not in decided(p, light_samples=[3, 2], finish=0.3).statements
     assert plan.on(p).integrator.paths == Paths(2, 2, (3, 2))
     assert decided(p, derivative_depth=2).on(p).integrator.paths == Paths(4, 2)
+    ended = decided(p, roulette=2, max_depth=3, finish=0.3)
+    assert ended.on(p).integrator.paths == Paths(3, 3, (1, 1), 2)
+    assert ended.on(p, finish=True).integrator.paths == Paths(4, 4, (1, 1), 2)
+    assert "as set" in ended.statements["roulette"]
+    again = Effects(roulette=2, max_depth=3)
+    again = effects.decide(p, again, configured("estimator", "two_path"), L2(), 9, ended.record())
+    assert again.paths == ended.paths
     assert (
         "as set" in plan.statements["paths"] and "4 edges in the scene" in plan.statements["paths"]
     )
@@ -304,6 +311,7 @@ def test_views_that_see_no_unknown_are_not_drawn_from(monkeypatch, tmp_path):
     [
         ({"max_depth": 0}, "effects.max_depth=0: at least 1"),
         ({"derivative_depth": 0}, "effects.derivative_depth=0: at least 1"),
+        ({"roulette": 0}, "effects.roulette=0: at least 1"),
         ({"light_samples": [4]}, r"effects.light_samples=\[4\]: two numbers"),
         ({"light_samples": [0, 4]}, r"light_samples=\[0,4\]"),
         ({"tolerance": 1.0}, "effects.tolerance=1.0"),

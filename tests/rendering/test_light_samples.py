@@ -70,6 +70,18 @@ def test_own_replay_agrees_with_mitsubas(what, depth):
     assert np.allclose(ours, stock, rtol=5e-4, atol=2e-5 * np.abs(stock).max())
 
 
+@pytest.mark.parametrize("what", [backward, primal])
+def test_roulette_as_set_is_that_of_a_scene_that_has_it(what):
+    """Path by path, and other paths than without."""
+    p = problem(UNKNOWNS, depth=4)
+    own = p.integrator.cut(Paths(4, 4, roulette=1))
+    assert isinstance(p.integrator, Unrolled) and isinstance(own, Replayed)
+    early = mi.load_dict({"type": "prb", "max_depth": 4, "rr_depth": 1})
+    ours, stock = what(p, own), what(p, Integrator(early))
+    assert np.allclose(ours, stock, rtol=5e-4, atol=2e-5 * np.abs(stock).max())
+    assert not np.allclose(ours, what(p, p.integrator), rtol=1e-3)
+
+
 def test_one_kernel_does_for_all_depths():
     p = problem({TEXTURE: 0.5}, depth=6)
     for depth in (2, 4):
