@@ -80,7 +80,8 @@ the images, of the gradient and of the time, with 95 % bounds. Nothing is optimi
   isas effects scene=bowl effects.max_depth=2
 
 Settings: effects=auto (default), effects=full, effects.max_depth, effects.derivative_depth,
-effects.light_samples, effects.tolerance, effects.derivative_tolerance, effects.finish.
+effects.light_samples, effects.roulette, effects.tolerance, effects.derivative_tolerance,
+effects.finish.
 Everything else is as in isas run --help.
 Status: 0 done, 2 bad configuration or input, 130 interrupted."""
 

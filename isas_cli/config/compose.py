@@ -38,6 +38,8 @@ _OF_ESTIMATORS = tuple(
         *("silhouettes", "step"),
     )
 )
+_LONGEST = 2000  # of a message, which may quote what was typed
+_NO_WORDS = ("null", "true", "false", "nan", "inf")
 _LABELS = tuple(f"{choice}.{label}" for choice in _CHOICES for label in ("name", "_target_"))
 
 
@@ -95,10 +97,15 @@ def _translate(override: str) -> str:
         raise InputError(
             f"{bare}: names a choice and makes none: say {key.rpartition('.')[0]}=NAME"
         )
-    if key in (*_GROUPS, _BASE) and (not value or value[0] in "[{"):
+    if key in (*_GROUPS, _BASE) and not all(map(_may_be_a_name, value.split(","))):
         names = options(key.partition(".")[0])
         raise InputError(f"{bare}: give one name; valid: {', '.join(names)}")
     return f"{_BASE_OF_HYDRA}={value}" if key == _BASE else bare
+
+
+def _may_be_a_name(word: str) -> bool:
+    """Whether Hydra reads it as a word: not as a number, a list, or what stands for nothing."""
+    return bool(re.fullmatch(r"[A-Za-z_][\w.()*-]{0,99}", word)) and word.lower() not in _NO_WORDS
 
 
 def _translate_named(override: str, setting: str, entry_type: type) -> str:
@@ -175,9 +182,9 @@ def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
         with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
             cfg = hydra_compose("config", overrides, return_hydra_config=hydra)
             OmegaConf.resolve(cfg.scene)
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, OSError, ValueError) as error:
         text = explain(error, overrides).replace(_BASE_OF_HYDRA, _BASE)
-        raise InputError(text) from error
+        raise InputError(text[:_LONGEST]) from error
     return cfg
 
 

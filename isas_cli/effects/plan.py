@@ -162,7 +162,8 @@ def _as_set(problem: "Problem", settings: Effects) -> Paths:
     paths = Paths(depth, derivative, lights, settings.roulette)
     for name, edges in (("max_depth", depth), ("derivative_depth", derivative)):
         if getattr(settings, name) is not None and edges < whole.max_depth:
-            for key, lost in _lost(problem, edges, 0.5)[0].items():
+            # One entry that is met is enough, and none must be overlooked.
+            for key, lost in _lost(problem, edges, np.nextafter(1, 0), persist=True)[0].items():
                 if lost == 1:
                     raise InputError(
                         f"effects.{name}={edges}: no path of so few edges meets '{key}': give "
@@ -203,13 +204,15 @@ def _chosen(problem: "Problem", settings: Effects, found: Plan) -> tuple[Plan, d
     return dataclasses.replace(found, paths=paths), why
 
 
-def _lost(problem: "Problem", edges: int, enough: float) -> tuple[dict[str, float], float]:
+def _lost(
+    problem: "Problem", edges: int, enough: float, persist: bool = False
+) -> tuple[dict[str, float], float]:
     """By key: of the entries that a view sees, the share that no path of so few ``edges`` meets, no
-    more exactly than whether it is above ``enough``; seconds spent."""
+    more exactly than whether it is above ``enough``; seconds spent. See ``coverage.missed``."""
     judged = [u for u in problem.unknowns if not u.kind.moves_geometry]
     cut = dataclasses.replace(problem, integrator=problem.integrator.cut(Paths(edges, edges)))
     starts, seen = ({u.key: getattr(u, name) for u in judged} for name in ("start", "seen"))
-    found = coverage.missed(cut, starts, seen, enough) if judged else ({}, 0.0)
+    found = coverage.missed(cut, starts, seen, enough, persist) if judged else ({}, 0.0)
     problem.unknowns.write(problem.unknowns.starts())
     return found
 

@@ -24,7 +24,7 @@ def statements(problem: "Problem", derivatives: str) -> dict[str, str]:
     ``derivatives``: how the estimator gets them, in words."""
     shapes = problem.scene.shapes()
     depth = problem.integrator.max_depth
-    return {
+    told = {
         "light": _counted([e.class_name() for e in problem.scene.emitters()]),
         "paths": _depth(depth),
         "refraction": _transmission(shapes),
@@ -33,12 +33,19 @@ def statements(problem: "Problem", derivatives: str) -> dict[str, str]:
         "colour": "linear RGB, no spectra, no polarisation",
         "derivatives": derivatives,
     }
+    if problem.flat:
+        told["pictures of one colour"] = _flat(problem.flat)
+    return told
 
 
 def _moving(keys: list[str]) -> str:
     if keys:
         return f"{', '.join(keys)} move objects: compared at several places, or sampled"
     return "not differentiated: no unknown moves geometry"
+
+
+def _flat(keys: list[str]) -> str:
+    return f"{', '.join(keys)}: held as few texels"
 
 
 def longest(depth: int) -> str:

@@ -16,7 +16,7 @@ from ..config.schema import SceneConfig, TargetConfig
 from ..rendering import coverage, integrators, targets
 from ..runtime import allowed, backend
 from ..runtime.errors import InputError, nearest
-from ..scene import mesh_checks, scene_file
+from ..scene import flat, mesh_checks, scene_file
 from ..scene.problem import Problem
 from ..scene.views import Views
 from ..unknowns.specs import narrow_blurs, parse
@@ -58,6 +58,7 @@ def problem(
     content = _content_hash(loaded, integrator, params, description)
     photographs = scene.targets is not None
     found = parse(params, scene.unknowns, not photographs, scene.poses)
+    single = flat.reduce(mi.traverse(loaded), {k for u in found for k in u.kind.writes})
     unknowns = Unknowns(mi.traverse(loaded), found)
     result = Problem(
         scene.name,
@@ -72,6 +73,7 @@ def problem(
             *mesh_checks.check_scene(loaded, unknowns.textures),
             *narrow_blurs(found),
         ],
+        flat=single,
     )
     check(result)
     if photographs:

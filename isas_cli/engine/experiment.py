@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
 
 from ..config import schema
 from ..config.compose import instantiate
@@ -58,7 +59,10 @@ def resume(folder: Path, changes: dict | None = None) -> int:
 def checked(cfg: DictConfig) -> tuple[Config, Budget]:
     """The typed configuration and its budget. Raises InputError for what can be told without
     Mitsuba."""
-    typed = schema.typed(cfg)
+    try:
+        typed = schema.typed(cfg)
+    except OmegaConfBaseException as error:  # of ${…}, which compose leaves as it stands
+        raise InputError(f"{error.full_key}: {str(error).splitlines()[0]}") from error
     budget = Budget(typed.budget.seconds, typed.budget.iterations, typed.budget.paths)
     trackers.check(typed.tracker)
     return typed, budget
@@ -118,12 +122,13 @@ def built(typed: Config, phases: Phases, cfgs: Iterable[DictConfig] = ()) -> "Pr
     """The problem of a configuration, its phases timed. Raises InputError before there are targets
     where the sampler of one of ``cfgs``, which are to run on it, cannot."""
     # Mitsuba's types exist only once the backend has started.
-    from . import assemble
+    from . import assemble, footprint
 
     def check(problem: "Problem") -> None:
         for cfg in cfgs:
             loss, sampler, estimator = (instantiate(cfg[name], name) for name in _CHOSEN)
             estimator.check(problem, sampler, loss)
+            footprint.check(problem, estimator.batch)
             instantiate(cfg.prior, "prior").on(problem.unknowns)
 
     return assemble.problem(typed.scene, typed.target, phases.rendered, phases.begin, check)
@@ -186,7 +191,7 @@ def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
 def _tell(recorder: "Recorder") -> None:
     """What is simulated."""
     plan = recorder.loop.plan
-    for effect in ("paths", "differentiated", "light samples", "finish"):
+    for effect in ("paths", "differentiated", "roulette", "light samples", "finish"):
         if effect in plan.statements:
             recorder.display.say(f"{effect}: {plan.statements[effect]}")
     if plan.seconds:

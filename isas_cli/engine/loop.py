@@ -78,6 +78,8 @@ class Loop:
         self.position = Position()
         self.last: dict | None = None
         self.lost = 0  # paths of evaluations that came out non-finite
+        # And of steps, where the estimator counts them: so far, and by the estimator when counted.
+        self.lost_in_steps = self._lost_before = 0
         self.estimator, self.prior, self.plan = estimator, prior, plan
         self.warnings: list[str] = []
         self._weights = self._distribution = self._gradients = None
@@ -133,6 +135,7 @@ class Loop:
 
     def begin(self, hooks: Hooks) -> None:
         """Evaluate the start, which a continued run has behind it."""
+        self._begin_counting()
         if self.last is None:
             self._evaluate(hooks)
         self._count_evaluations()
@@ -145,6 +148,7 @@ class Loop:
         Raises NumericalError like ``run``.
         """
         until = self.clock.seconds + seconds
+        self._begin_counting()
         while self.spent < 1:
             if hooks.stop():
                 return False
@@ -155,7 +159,17 @@ class Loop:
             hooks.stepped(self, spent)
             if self.clock.seconds >= until:
                 break
+        self._count_lost()
         return self.spent >= 1
+
+    def _begin_counting(self) -> None:
+        # Loops that take turns may share an estimator, and a rehearsal was there before.
+        self._lost_before = getattr(self.estimator, "nonfinite", 0)
+
+    def _count_lost(self) -> None:
+        before = self._lost_before
+        self._begin_counting()
+        self.lost_in_steps += self._lost_before - before
 
     def halt(self, hooks: Hooks) -> str:
         """Stop before the budget is spent, with a row that says where. Returns 'interrupted'."""
@@ -232,6 +246,7 @@ class Loop:
             if self.prior is not None:
                 row["prior"] = self.prior.value(self.stepper.values)
             self.lost += self.evaluator.renderer.nonfinite - before
+            self._count_lost()
             nonfinite = int(self.stepper.nonfinite[0])
             norm = self._gradient_norm()
             noise = self._gradients and self.stepper.noise(self._gradients)
@@ -293,6 +308,7 @@ class Loop:
             "before": p.before,
             "counted": self._counted,
             "lost": self.lost,
+            "lost_in_steps": self.lost_in_steps,
             "billed": dict(self.clock.billed_seconds),
             "unbilled": dict(self.clock.unbilled_seconds),
         }
@@ -310,6 +326,7 @@ class Loop:
         self.position = Position(int(state["iteration"]), int(state["paths"]))
         self.position.before = float(seconds), int(paths)
         self._counted, self.lost = tuple(state["counted"]), state["lost"]
+        self.lost_in_steps = state.get("lost_in_steps", 0)
         self.clock.billed_seconds.update(state["billed"])
         for phase, seconds in state["unbilled"].items():
             self.clock.unbilled_seconds[phase] += seconds

@@ -12,13 +12,17 @@ from ..samplers.sampler import Moments
 from ..unknowns.parameters import as_numpy, flat, unflat
 from ..unknowns.unknowns import Unknowns
 
+# Of a gradient's entry in units of ``Stepper.scale``: the square of a larger one is infinite, and a
+# second moment that was infinite once holds its entry still for good.
+_LARGEST = 1e18
+
 
 class Stepper:
     """Dr.Jit's Adam with what an inverse problem needs around it.
 
-    - Non-finite gradient entries are counted (``nonfinite``; ``touched`` counts these and all that
-      are not zero) and replaced by zero before they
-      reach a moment: one NaN would poison its entry for good.
+    - Gradient entries that are not finite, or whose squares are not, are counted (``nonfinite``;
+      ``touched`` counts these and all that are not zero) and replaced by zero before they reach a
+      moment: one NaN would poison its entry for good.
     - Adam divides by √v̂ + ε with ε = 1e-8. A loss that is a mean over millions of pixels has
       gradients of that size, and ε would slow it silently. ``scale`` (per unknown, fixed for the
       run, from a rehearsal's root mean square) brings them to order 1; Adam is invariant to it
@@ -56,6 +60,11 @@ class Stepper:
         """Steps since the start."""
         return int(self.adam.state[self.unknowns.keys[0]][3][0][0])
 
+    @property
+    def untouched(self) -> list[str]:
+        """Keys of the unknowns none of whose entries has had a gradient so far."""
+        return [key for key, visits in self.visits.items() if not dr.any(visits > 0)]
+
     def rate(self, spent: float) -> float:
         """The learning rate of unknowns without their own, at this share of the budget."""
         return self.settings.lr * self.factor(spent)
@@ -67,13 +76,12 @@ class Stepper:
         for unknown in self.unknowns:
             key = unknown.key
             rates[key] = (unknown.lr or self.settings.lr) * factor
-            entries = flat(gradients[key])
-            finite = dr.isfinite(entries)
+            # Opaque, because the factor differs from run to run and would compile anew.
+            entries = flat(gradients[key]) * dr.opaque(mi.Float, self.scale[key])
+            finite = dr.abs(entries) < _LARGEST  # NaN is not
             bad += mi.UInt64(dr.count(~finite))
             touched += mi.UInt64(dr.count(~finite | (entries != 0)))
-            # Opaque, because the factor differs from run to run and would compile anew.
-            scale = dr.opaque(mi.Float, self.scale[key])
-            clean = dr.select(finite, entries * scale, 0)
+            clean = dr.select(finite, entries, 0)
             took_part = (clean != 0) | (not self.settings.mask_updates)
             self.visits[key] += dr.select(took_part, mi.Float(1), 0)
             dr.set_grad(self.adam[key], unflat(gradients[key], clean))

@@ -222,6 +222,14 @@ class Recorder:
         lost = self.loop.lost + self.pictures.renderer.nonfinite
         if lost:
             warnings.append(f"{lost} paths of evaluations and pictures were not finite: left out")
+        if self.loop.lost_in_steps:
+            paths = self.loop.lost_in_steps
+            warnings.append(f"{paths} residuals of steps were not finite: left out of gradients")
+        if self.loop.position.iteration:
+            warnings += [
+                f"'{key}' had no gradient in any step: the images do not depend on it where it is"
+                for key in self.loop.stepper.untouched
+            ]
         if not self.loop.evaluator.loss.linear:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
         for entry in self._resumed:

@@ -26,6 +26,11 @@ class Staged:
         """Light paths of the latest estimate."""
         return self._present.paths_per_step
 
+    @property
+    def nonfinite(self) -> int:
+        """Paths so far whose residual was not finite."""
+        return self.first.nonfinite + self.second.nonfinite
+
     def estimate(
         self,
         values: dict,

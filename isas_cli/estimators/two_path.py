@@ -82,7 +82,11 @@ class TwoPath:
         self.problem, self.loss, self.batch = problem, loss, batch
         integrator = problem.integrator
 
-        def kernel(scene, sensors, views, leaves, distribution, targets, mask, seeds, share):
+        # Paths whose residual was not finite so far. Dr.Jit leaves them out of the sums that
+        # gradients are: without a count nobody would know.
+        self._lost = [dr.opaque(mi.UInt32, 0)]
+
+        def kernel(scene, sensors, views, leaves, distribution, targets, mask, seeds, share, lost):
             with dr.suspend_grad():
                 view, column, row, probability = distribution.draw(batch, seeds[0])
                 pixel = views.index(view, column, row)
@@ -96,6 +100,7 @@ class TwoPath:
                 residual = loss.derivative(radiance * weight, target)
                 if mask is not None:
                     residual *= dr.gather(mi.Float, mask, pixel)
+                dr.scatter_add(lost[0], mi.UInt32(1), 0, ~dr.all(dr.isfinite(residual)))
 
                 second = rays.stream(seeds[2], batch)
                 ray, weight = rays.spawn(sensors, views, view, column, row, second)
@@ -111,6 +116,11 @@ class TwoPath:
     def paths_per_step(self) -> int:
         """Light paths of one estimate."""
         return (1 + self.problem.integrator.paths_per_derivative) * self.batch
+
+    @property
+    def nonfinite(self) -> int:
+        """Paths so far whose residual was not finite. Waits for what was launched."""
+        return int(self._lost[0][0])
 
     def estimate(
         self,
@@ -142,4 +152,5 @@ class TwoPath:
             p.mask,
             seeds,
             p.share,
+            self._lost,
         )

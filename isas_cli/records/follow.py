@@ -43,17 +43,18 @@ def alive(manifest: dict[str, Any]) -> bool | None:
     if not pid or not started or latest.get("host") != platform.node():
         return None
     try:
+        since = datetime.datetime.fromisoformat(started).timestamp()
         process = psutil.Process(pid)
         if process.status() == psutil.STATUS_ZOMBIE:
             return False
         begun = process.create_time()
     except psutil.NoSuchProcess:
         return False
-    except psutil.Error:  # there is one, and more is not known
+    except (psutil.Error, TypeError, ValueError):  # there is one, or the record is damaged
         return None
     # A number is given again: a process that began after the run is another. The manifest's time
     # is cut to seconds, and a process's is only known to within a clock tick.
-    return begun <= datetime.datetime.fromisoformat(started).timestamp() + 1
+    return begun <= since + 1
 
 
 class Follower:

@@ -128,11 +128,15 @@ def measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[
 
 
 def missed(
-    problem: Problem, values: dict[str, np.ndarray], seen: dict[str, np.ndarray], enough: float
+    problem: Problem,
+    values: dict[str, np.ndarray],
+    seen: dict[str, np.ndarray],
+    enough: float,
+    persist: bool = False,
 ) -> tuple[dict[str, float], float]:
     """By key of ``values``: of the entries that count as ``seen``, the share without a derivative
     by the paths of ``problem``; an upper bound, as long as it is above ``enough``. Seconds spent,
-    without compiling.
+    without compiling. ``persist``: ask by four paths a pixel however little the last ones showed.
 
     Every path's derivative has a random sign, so that no sums vanish.
     """
@@ -168,7 +172,7 @@ def missed(
         spent += time.perf_counter() - begun
         shares = {key: entries.size / counts[key] for key, entries in left.items()}
         earlier, worst = worst, max(shares.values())
-        hopeless = worst > (1 - _WORTH) * earlier and number > 1
+        hopeless = worst > (1 - _WORTH) * earlier and number > 1 and not persist
         if worst <= enough or hopeless or paths >= _SAMPLES * min(total, _MOST):
             return shares, spent
 

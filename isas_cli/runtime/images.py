@@ -14,6 +14,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from .. import __version__
+from . import memory
 from .errors import InputError
 from .files import write_atomically
 
@@ -197,7 +198,7 @@ def _read_colours(path: Path) -> tuple[np.ndarray, bool]:
     config.attribute("oiio:UnassociatedAlpha", 1)  # a product with alpha could not be decoded
     source = oiio.ImageInput.open(str(path), config)
     if source is None:
-        raise InputError(f"{path}: cannot be read as a picture: {_first_line(oiio.geterror())}")
+        raise InputError(f"{path}: cannot be read as a picture: {_reason(oiio)}")
     try:
         spec = source.spec()
         if spec.format.basetype in _INTEGER_FORMATS:
@@ -206,9 +207,16 @@ def _read_colours(path: Path) -> tuple[np.ndarray, bool]:
             scale, linear = 1.0, True
         else:
             raise InputError(f"{path}: pixels of type {spec.format}; 8 or 16 bit or float expected")
+        # As stored and in floating point: what a damaged header asks for may be anything.
+        needed, most = 8.0 * spec.image_pixels() * spec.nchannels, memory.available()
+        if needed > most:
+            raise InputError(
+                f"{path}: {spec.width} × {spec.height} pixels need {memory.gib(needed)} of memory, "
+                f"and {memory.gib(most)} are free"
+            )
         pixels = source.read_image(oiio.UNKNOWN)
         if pixels is None:
-            raise InputError(f"{path}: cannot be read: {_first_line(source.geterror())}")
+            raise InputError(f"{path}: cannot be read: {_reason(source)}")
     finally:
         source.close()
     colours = pixels[..., _colour_channels(path, spec)].astype(np.float32) / np.float32(scale)
@@ -250,6 +258,14 @@ def _write(path: Path, format_name: str, spec: oiio.ImageSpec, pixels: np.ndarra
             raise OSError(_first_line(message or output.geterror()))
 
     write_atomically(path, write)
+
+
+def _reason(source) -> str:
+    """Why ``source``, a file or OpenImageIO itself, failed, in one line."""
+    try:
+        return _first_line(source.geterror())
+    except UnicodeDecodeError:  # it quotes the damaged file
+        return "damaged"
 
 
 def _first_line(message: str) -> str:

@@ -24,7 +24,8 @@ class Problem:
     ``mask``: ``(n,) float32`` weights of the pixels, or None for all ones;
     ``share``: 1 / (3 Σ_j w_j), the factor between a pixel's ∂ℓ/∂I and ∂ℒ/∂I (opaque, one entry);
     ``film_sizes``: ``[(width, height), …]`` per view; ``content_hash``: of scene and cameras;
-    ``kept``: where some views are left out (``only``), the numbers of the others.
+    ``kept``: where some views are left out (``only``), the numbers of the others;
+    ``flat``: parameters that held pictures of one colour and now hold few texels.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Problem:
     target_hash: str = ""
     warnings: list[str] = field(default_factory=list)
     kept: tuple[int, ...] | None = None
+    flat: list[str] = field(default_factory=list)
 
     @property
     def truth_known(self) -> bool:

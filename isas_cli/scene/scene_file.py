@@ -9,7 +9,7 @@ import mitsuba as mi
 
 from ..runtime.errors import InputError
 
-# Which replaying integrator stands for which of the file's: those that trace surfaces only.
+# Which replaying integrator stands for which of the file's.
 _REPLAY = {
     "path": "prb",
     "direct": "prb",
@@ -17,6 +17,9 @@ _REPLAY = {
     "prb_basic": "prb",
     "direct_projective": "prb",
     "prb_projective": "prb",
+    "volpath": "prbvolpath",
+    "volpathmis": "prbvolpath",
+    "prbvolpath": "prbvolpath",
 }
 # `direct` traces one bounce: camera, surface, light.
 _DIRECT_DEPTH = 2
@@ -40,7 +43,12 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str
         state = mi.parser.parse_file(settings, str(file))
         integrator = _integrator(state, path, max_depth)
         for node in state.nodes:
-            if node.props.plugin_name() == "bitmap" and "format" not in node.props:
+            if node.props.plugin_name() != "bitmap":
+                continue
+            # Mitsuba would not survive it.
+            if not {"filename", "bitmap", "data"} & set(node.props.keys()):
+                raise InputError(f"scene.path={path}: a bitmap texture has no filename")
+            if "format" not in node.props:
                 node.props["format"] = "variant"
         description = "".join(str(node.props) for node in state.nodes)
         mi.parser.transform_all(settings, state)
@@ -80,6 +88,9 @@ def _integrator(state, path: str, max_depth: int | None) -> mi.Integrator:
                 f"valid: {', '.join(_REPLAY)}"
             )
         described["type"] = _REPLAY[kind]
+        # Without a medium the radiance is the same, and paths between surfaces can be planned.
+        if not any(other.type == mi.ObjectType.Medium for other in state.nodes):
+            described["type"] = "prb"
         for name in ("max_depth", "rr_depth", "hide_emitters"):
             if name in node.props:
                 described[name] = node.props[name]

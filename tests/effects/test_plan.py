@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from gradient_estimates import Gradients, configured
-from scenes_for_tests import ROUGHNESS, TEXTURE, problem, without_targets
+from scenes_for_tests import ROUGHNESS, TEXTURE, problem, render_targets, without_targets
 
 from isas_cli import effects, records
 from isas_cli.cli.app import main
@@ -21,7 +21,6 @@ from isas_cli.effects.settings import Effects
 from isas_cli.estimators.staged import Staged
 from isas_cli.losses import L2
 from isas_cli.rendering.integrators import Paths
-from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime.errors import InputError
 
 WALL = "wall.bsdf.reflectance.value"
@@ -265,10 +264,7 @@ def behind_a_mirror(*more):
         to_world = to().look_at([0, 0, 1], at, [0, 1, 0])
         scene[f"sensor_{number:03d}"] = {**scene["sensor_000"], "to_world": to_world}
     p = without_targets(scene, {WALL: 0.2})
-    p.unknowns.write(p.unknowns.truths())
-    pixels = Renderer(p).range(0, p.views.total, 16, int)
-    p.set_targets(mi.Float(pixels.reshape(-1)), None, "test")
-    p.unknowns.write(p.unknowns.starts())
+    render_targets(p, 16)
     return p
 
 

@@ -4,7 +4,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from gradient_estimates import Gradients, configured
-from scenes_for_tests import without_targets
+from scenes_for_tests import render_targets, without_targets
 
 from isas_cli import effects
 from isas_cli.effects import plan as planning
@@ -12,7 +12,6 @@ from isas_cli.effects import probe
 from isas_cli.effects.settings import Effects
 from isas_cli.losses import L2
 from isas_cli.rendering.integrators import Paths
-from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime.errors import InputError
 
 KEY = "thing.bsdf.reflectance.value"
@@ -86,10 +85,7 @@ def problem(build):
         },
     }
     p = without_targets(scene, {KEY: 0.2})
-    p.unknowns.write(p.unknowns.truths())
-    pixels = Renderer(p).range(0, p.views.total, 64, int)
-    p.set_targets(mi.Float(pixels.reshape(-1)), None, "test")
-    p.unknowns.write(p.unknowns.starts())
+    render_targets(p, 64)
     return p
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from crosses import some
 from isas_cli.scenes import meshes, stage
-from scenes_for_tests import without_targets
+from scenes_for_tests import render_targets, without_targets
 from scipy import stats
 
 from isas_cli import losses
@@ -18,7 +18,6 @@ from isas_cli.config.schema import BlurConfig, PoseConfig, UnknownConfig
 from isas_cli.estimators.locality import Locality
 from isas_cli.estimators.plateau import Plateau
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
-from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns.blur import Blur
 from isas_cli.unknowns.parameters import as_numpy
@@ -57,10 +56,7 @@ def cards(reach: float | None, pose: dict | None = None, objects: tuple = ("card
         moved = UnknownConfig(start=0.0, blur=blur)
     sky = UnknownConfig(start=[0.25] * 3, blur=BlurConfig(start=0.02, end=0.02))
     p = without_targets(scene, {SKY: sky, KEY: moved}, poses)
-    p.unknowns.write(p.unknowns.truths())
-    pixels = Renderer(p).range(0, p.views.total, 64, lambda i: 1000 + i)
-    p.set_targets(mi.Float(np.ascontiguousarray(pixels.reshape(-1))), None, "test")
-    p.unknowns.write(p.unknowns.starts())
+    render_targets(p, 64)
     return p
 
 

@@ -246,6 +246,20 @@ def test_the_depth_is_the_files_unless_given(folder):
     assert "max_depth = 5" in str(scene_file.load("own/deep.xml", 5)[1])
 
 
+FOG = '<medium type="homogeneous" id="fog"><float name="sigma_t" value="0.1"/></medium>'
+
+
+@pytest.mark.parametrize("kind", ["volpath", "volpathmis", "prbvolpath"])
+def test_a_volumetric_integrator_is_one_where_there_is_a_medium(folder, kind):
+    """Anywhere: what surrounds a camera is in no shape."""
+    for text, found in (
+        (xml(integrator=kind), "PRBIntegrator"),
+        (xml(integrator=kind, extra=FOG), "PRBVolpathIntegrator"),
+    ):
+        (folder / "own" / "it.xml").write_text(text)
+        assert type(scene_file.load("own/it.xml", 4)[1]).__name__ == found
+
+
 BAD_FILES = {
     "broken": (xml()[:300], ["cannot load", "own/bad.xml"]),
     "empty": ("", ["cannot load"]),
@@ -253,7 +267,7 @@ BAD_FILES = {
     "no texture": (xml(picture="nowhere.png"), ["nowhere.png", "line"]),
     "no sensor": (xml(sensors=""), ["own/bad.xml", "sensor"]),
     "no emitter": (xml(emitter=""), ["own/bad.xml", "emitter"]),
-    "volumes": (xml(integrator="volpath"), ["volpath", "valid: path"]),
+    "light tracer": (xml(integrator="ptracer"), ["ptracer", "valid: path"]),
     "plugin": (xml(extra='<shape type="sfere"/>'), ["sfere", "line"]),
     "property": (xml(extra='<bsdf type="diffuse"><float name="rgh" value="1"/></bsdf>'), ["rgh"]),
     "reference": (xml(extra='<shape type="sphere"><ref id="nope"/></shape>'), ["nope"]),

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import mitsuba as mi
-import numpy as np
 from isas_cli.scenes import stage
-from scenes_for_tests import without_targets
+from scenes_for_tests import render_targets, without_targets
 
 from isas_cli.config.schema import BlurConfig, PoseConfig, UnknownConfig
-from isas_cli.rendering.renderer import Renderer
 
 PLACE, COLOUR, RADIANCE = "ball.x", "ball.bsdf.reflectance.value", "ball.emitter.radiance.value"
 # Where the gradient is taken: both slopes of both objectives are well off 0.
@@ -85,8 +83,5 @@ def blurred_problem(
             scene["sensor_000"],
         )
     p = without_targets(scene, unknowns, poses)
-    p.unknowns.write(p.unknowns.truths())
-    pixels = Renderer(p).range(0, p.views.total, 256, lambda i: 1000 + i)
-    p.set_targets(mi.Float(np.ascontiguousarray(pixels.reshape(-1))), None, "test")
-    p.unknowns.write(p.unknowns.starts())
+    render_targets(p, 256)
     return p

@@ -111,16 +111,22 @@ def without_targets(
     return result
 
 
+def render_targets(result: Problem, spp: int) -> None:
+    """The truth as the target; the unknowns are at their starts afterwards."""
+    from isas_cli.rendering.renderer import Renderer
+
+    result.unknowns.write(result.unknowns.truths())
+    pixels = Renderer(result).range(0, result.views.total, spp, lambda i: 1000 + i)
+    result.set_targets(mi.Float(pixels.reshape(-1)), None, "test")
+    result.unknowns.write(result.unknowns.starts())
+
+
 def problem(unknowns: dict[str, float], constant_target: float | None = 0.25, **sizes) -> Problem:
     """The scene above as a problem. ``unknowns``: key → start. The target is a constant, or the
     truth rendered coarsely where ``constant_target`` is None."""
     result = without_targets(dictionary(**sizes), unknowns)
     if constant_target is None:
-        from isas_cli.rendering.renderer import Renderer
-
-        result.unknowns.write(result.unknowns.truths())
-        pixels = Renderer(result).range(0, result.views.total, 256, lambda i: 1000 + i)
-        result.set_targets(mi.Float(pixels.reshape(-1)), None, "test")
+        render_targets(result, 256)
     else:
         count = result.views.total * 3
         # Varies from pixel to pixel, so that residuals do.

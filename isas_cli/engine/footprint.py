@@ -1,0 +1,41 @@
+"""Whether a problem fits into memory, said before anything is rendered."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import mitsuba as mi
+
+from ..runtime import memory
+from ..runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from ..scene.problem import Problem
+
+# Bytes that are surely needed at the same time. A pixel's target: as it is compared with, and as it
+# was read or rendered. An unknown's entry: value, gradient, Adam's two moments and its count of
+# steps; start, truth and whether it is seen. A drawn pixel: which it is, its probability, two
+# random streams, radiance and adjoint.
+_TARGET, _ENTRY, _LANE = 24, 29, 90
+
+
+def check(problem: "Problem", lanes: int) -> None:
+    """Raises InputError where ``problem`` with ``lanes`` pixels a step needs more memory than is
+    free, with an estimate from below and what to reduce. On a CPU: what a GPU has free is not
+    known."""
+    if not mi.variant().startswith("llvm"):
+        return
+    entries = sum(u.start.size for u in problem.unknowns)
+    parts = {
+        "targets": (problem.views.total * _TARGET, "the resolution of the views"),
+        "unknowns": (entries * _ENTRY, "the size of the textures"),
+        "a step": (lanes * _LANE, "estimator.batch"),
+    }
+    needed, most = sum(size for size, _ in parts.values()), memory.available()
+    if needed <= most:
+        return
+    told = ", ".join(f"{name} {memory.gib(size)}" for name, (size, _) in parts.items())
+    raise InputError(
+        f"needs at least {memory.gib(needed)} of memory ({told}), and {memory.gib(most)} are free: "
+        f"lower {max(parts.values())[1]}"
+    )

@@ -1,0 +1,35 @@
+"""How much memory there is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import psutil
+
+# Control groups of both kinds: folder, limit, what is used, what of that only caches files.
+_GROUPS = (
+    (Path("/sys/fs/cgroup"), "memory.max", "memory.current", "inactive_file"),
+    (
+        Path("/sys/fs/cgroup/memory"),
+        *("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+    ),
+)
+
+
+def gib(size: float) -> str:
+    """Bytes in words."""
+    return f"{size / 2**30:.3g} GiB"
+
+
+def available() -> float:
+    """Bytes that this process may still take: of the machine, or of its control group."""
+    free = [float(psutil.virtual_memory().available)]
+    for folder, limit, used, cached in _GROUPS:
+        try:
+            most, taken = (int((folder / name).read_text()) for name in (limit, used))
+            stat = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
+            # What only caches files goes when memory is asked for.
+            free.append(most - taken + int(stat[cached]))
+        except (OSError, ValueError, KeyError):
+            pass  # not of this kind, or without a limit
+    return min(free)
