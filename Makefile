@@ -3,7 +3,7 @@
 .DEFAULT_GOAL := help
 .ONESHELL:
 .SHELLFLAGS := -ec
-.PHONY: help setup demo test test-all bench reproduce clean
+.PHONY: help setup demo test test-all fuzz soak bench reproduce clean
 
 VENV := .venv
 CANDIDATES := python3.12 python3.11 python3.13 python3.10 python3
@@ -11,7 +11,7 @@ STAMP := $(VENV)/.installed
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check --quiet
 # Neighbouring tests share problems, so each worker gets a run of them.
 WORKERS := -n auto --dist worksteal
-BENCHMARKS := $(filter-out benchmarks/_% benchmarks/effects.py benchmarks/pages.py benchmarks/reproduce.py,$(sort $(wildcard benchmarks/*.py)))
+BENCHMARKS := $(filter-out benchmarks/_% benchmarks/effects.py benchmarks/pages.py benchmarks/reproduce.py benchmarks/soak.py benchmarks/steps_or_paths.py,$(sort $(wildcard benchmarks/*.py)))
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -26,6 +26,12 @@ test: setup ## run the tests, a worker a core: about ten minutes on two
 
 test-all: setup ## run the slow tests as well
 	@$(VENV)/bin/python -m pytest $(WORKERS) -m ''
+
+fuzz: setup ## read 100,000 damaged and hostile inputs
+	@$(VENV)/bin/python tests/hard/fuzz.py
+
+soak: setup ## run all kinds of problem for an hour, and watch memory and the time of a step
+	@$(VENV)/bin/python benchmarks/soak.py
 
 bench: setup ## run the measurements under benchmarks/, one after the other
 	@for script in $(BENCHMARKS); do

@@ -28,7 +28,7 @@ SCENE = """<scene version="3.0.0">
     <float name="fov" value="30"/>
     <transform name="to_world"><lookat origin="{origin}" target="0,0,0" up="0,1,0"/></transform>
     <film type="hdrfilm">
-      <integer name="width" value="16"/><integer name="height" value="16"/>
+      <integer name="width" value="{side}"/><integer name="height" value="{side}"/>
       <rfilter type="box"/>
     </film>
   </sensor>
@@ -46,8 +46,9 @@ SETTINGS = [
 class Case:
     """``provokes``: what is hard about it; ``unknowns``: as in scene.unknowns; ``within``: the
     largest final parameter error, in the unknowns' own unit; ``sky``: pixels of an environment map,
-    ``(H, W, 3)``; ``ends``: whether it is a numerical failure, since nothing can be found;
-    ``settings``: beyond SETTINGS. The figures seen: benchmarks/results/hard_cases.md."""
+    ``(H, W, 3)``; ``side``: of the film, pixels; ``poses``: as in scene.poses; ``ends``: whether it
+    is a numerical failure, since nothing can be found; ``warns``: what it warns of; ``settings``:
+    beyond SETTINGS. The figures seen: benchmarks/results/hard_cases.md."""
 
     name: str
     provokes: str
@@ -59,7 +60,10 @@ class Case:
     origin: str = "0,0,4"
     depth: int = 3
     sky: np.ndarray | None = None
+    side: int = 16
+    poses: dict = field(default_factory=dict)
     ends: bool = False
+    warns: str = ""
     settings: tuple[str, ...] = field(default=())
 
     def run(self, folder: Path, *settings: str) -> Run:
@@ -68,12 +72,12 @@ class Case:
         if self.sky is not None:
             images.write_exr(folder / "sky.exr", self.sky.astype(np.float32), [*"RGB"], {})
         shapes = self.shapes.format(bsdf=self.bsdf)
-        text = SCENE.format(
-            depth=self.depth, origin=self.origin, emitter=self.emitter, shapes=shapes
-        )
+        places = {"depth": self.depth, "origin": self.origin, "side": self.side}
+        text = SCENE.format(emitter=self.emitter, shapes=shapes, **places)
         (folder / "scene.xml").write_text(text)
         own = [f"scene.path={folder / 'scene.xml'}", f"hydra.run.dir={folder / 'run'}"]
         own.append(f"scene.unknowns={json.dumps(self.unknowns)}")
+        own += [f"scene.poses={json.dumps(self.poses)}"] if self.poses else []
         return isas_cli.run(*SETTINGS, *own, *self.settings, *settings)
 
 
@@ -98,6 +102,15 @@ GREY_FROM = _start(REFLECTANCE, 0.2)
 BASE_FROM = _start("thing.bsdf.base_color.value", 0.2)
 FLOOR = """<shape type="rectangle" id="thing"><transform name="to_world">
   <scale value="4"/><rotate x="1" angle="-90"/></transform>{bsdf}</shape>"""
+
+PLATE = """<shape type="rectangle" id="thing"><transform name="to_world">
+  <scale x="0.5" y="0.15"/><translate x="0.4"/></transform>{bsdf}</shape>"""
+BLURRED = ("sampler=plateau", "estimator.batch=512", "estimator.spp=4", "optimizer.schedule=cosine")
+
+
+def _turn(degrees: float, **blur) -> dict:
+    return _start("turn", degrees, lr=2.0, blur=blur)
+
 
 CASES = [
     Case("plain", "nothing: what the others are measured against", GREY_FROM, 0.01),
@@ -212,17 +225,74 @@ CASES = [
         settings=("optimizer.lr=100",),
     ),
     Case(
-        "rate 1e-12",
-        "steps that a float cannot take",
-        GREY_FROM,
-        0.31,
-        settings=("optimizer.lr=1e-12",),
-    ),
-    Case(
         "memory of Adam",
         "β₂ = 0.999999",
         GREY_FROM,
         0.01,
         settings=("optimizer.beta_2=0.999999",),
+    ),
+    Case(
+        *("one pixel", "a view of 1 × 1", GREY_FROM, 0.02),
+        side=1,
+        settings=("evaluation.spp=1024",),
+    ),
+    Case(
+        *("solved", "residuals that are noise alone, to a sampler that looks at them"),
+        _start(REFLECTANCE, 0.5),
+        *(0.02,),
+        settings=("sampler=progress",),
+    ),
+    Case(
+        *("looks without end", "a look before every step", GREY_FROM, 0.02),
+        settings=("sampler=ours", "sampler.refresh=1"),
+    ),
+    Case(
+        *("mirror in truth", "a roughness whose truth is the lowest that is legal"),
+        _start("thing.bsdf.roughness.value", 0.5),
+        *(0.05,),
+        bsdf=_principled(roughness=0.03, metallic=1),
+        emitter=MAP,
+        sky=_sky(one=100, two=100),
+        settings=("estimator.batch=4096",),
+    ),
+    Case(
+        *("all metal", "metallic at its end, from far away"),
+        _start("thing.bsdf.metallic.value", 0.2),
+        *(0.1,),
+        bsdf=_principled(roughness=0.5, metallic=1),
+        emitter=MAP,
+        sky=_sky(one=100, two=100),
+        settings=("estimator.batch=4096",),
+    ),
+    Case(
+        *("across 180°", "an angle of 175° from one of -175°", _turn(-175.0, start=10, end=1), 2),
+        shapes=PLATE,
+        poses={"turn": {"kind": "rotation", "objects": ["thing"], "axis": [0, 0, 1], "at": [175]}},
+        settings=BLURRED,
+    ),
+    Case(
+        *("a blur of nearly nothing", "σ of 1e-4 degrees, differences of rounding's size"),
+        _turn(3.0, start=5, end=1e-4),
+        *(1.0,),
+        shapes=PLATE,
+        poses={"turn": {"kind": "rotation", "objects": ["thing"], "axis": [0, 0, 1]}},
+        warns="single precision resolves no less",
+        settings=BLURRED,
+    ),
+    Case(
+        *("unlike units", "an angle of some degrees beside a shift of some thousandths"),
+        _turn(20.0, start=10, end=1)
+        | _start("shift", 5e-3, lr=4e-4, blur={"start": 3e-3, "end": 4e-4}),
+        *(0.2,),
+        shapes=PLATE,
+        poses={
+            "turn": {"kind": "rotation", "objects": ["thing"], "axis": [0, 0, 1]},
+            "shift": {
+                "kind": "translation",
+                "objects": ["thing"],
+                "directions": [[0, 100, 0]],
+            },
+        },
+        settings=BLURRED,
     ),
 ]

@@ -1,0 +1,45 @@
+"""One thread gives the same bits; several add in another order each time, and differ by little."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import isas_cli
+
+TINY = [
+    *("scene=pottery", "size=tiny", "sampler=progress", "target.spp=4", "estimator.batch=1024"),
+    *("frames.views=0", "frames.snapshots=0", "evaluation.pixels=256", "report=false"),
+    "budget.iterations=40",
+]
+
+
+@pytest.fixture(scope="module")
+def values(tmp_path_factory):
+    """By number of threads: the texture at the end of each of two runs."""
+    folder, found = tmp_path_factory.mktemp("runs"), {}
+    for threads in (1, 2):
+        for number in range(2):
+            where = folder / f"{threads}_{number}"
+            command = [sys.executable, "-m", "isas_cli", "run", *TINY, f"threads={threads}"]
+            command += [f"hydra.run.dir={where}"]
+            subprocess.run(command, check=True, capture_output=True, env=os.environ)
+            (texture,) = isas_cli.load(where).parameters().values()
+            found.setdefault(threads, []).append(texture)
+    return found
+
+
+def test_one_thread_gives_the_same_bits(values):
+    a, b = values[1]
+    assert np.array_equal(a, b)
+
+
+def test_several_threads_differ_by_rounding(values):
+    """Sums in another order: 1e-3 of the range after 40 steps of 0.02, which amplify it; a step
+    taken twice or not at all would be 2e-2."""
+    (a, _), (c, d) = values[1], values[2]
+    print("largest differences", np.abs(c - d).max(), np.abs(c - a).max())
+    assert np.abs(c - d).max() < 5e-3 and np.abs(c - a).max() < 5e-3
+    assert np.abs(c - a).mean() < 1e-4

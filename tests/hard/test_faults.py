@@ -1,0 +1,193 @@
+"""What may happen to a run from outside: after it the record reads, and it goes on or says why."""
+
+import os
+import random
+import resource
+import signal
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import isas_cli
+from isas_cli import records
+from isas_cli.cli.app import main
+from isas_cli.engine import footprint
+from isas_cli.runtime import images, memory
+from isas_cli.runtime.errors import InputError
+
+TINY = [
+    *("scene=pottery", "size=tiny", "sampler=uniform", "target.spp=4", "estimator.batch=256"),
+    *("frames.views=0", "frames.snapshots=0", "evaluation.pixels=256", "report=false"),
+]
+
+
+def started(folder: Path, *settings: str, **environment) -> subprocess.Popen:
+    command = [sys.executable, "-m", "isas_cli", "run", *settings, "threads=1"]
+    return subprocess.Popen(
+        [*command, f"hydra.run.dir={folder}"],
+        env=os.environ | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def rows(folder: Path) -> list[tuple]:
+    """What the record has of each evaluation, as numbers that are equal or not."""
+    history = records.load(folder).history
+    return [tuple(row) for row in history[["iteration", "seconds", "parameter_rmse"]].to_numpy()]
+
+
+@pytest.mark.parametrize("kills", [3, pytest.param(50, marks=pytest.mark.slow)])
+def test_killed_at_any_moment(kills, tmp_path):
+    """Before its folder is there, while it is made, in the loop, at its end."""
+    rng, settings = random.Random(kills), [*TINY, "budget.seconds=1.5", "evaluation.count=40"]
+    begun = time.monotonic()
+    assert started(tmp_path / "whole", *settings).wait() == 0
+    whole, stopped, resumed = time.monotonic() - begun, 0, 0
+    for number in range(kills):
+        folder = tmp_path / f"killed{number}"
+        process = started(folder, *settings)
+        # Most of a run's life here is its beginning.
+        time.sleep(whole * rng.uniform(0.5, 1.0))
+        process.send_signal(signal.SIGKILL)
+        stopped += process.wait() == -signal.SIGKILL
+        if not (folder / "checkpoint").exists():
+            # Nothing was promised yet; the folder can be used.
+            assert started(folder, *settings, "budget.seconds=0.1", "overwrite=true").wait() == 0
+            continue
+        before, (_, state) = rows(folder), records.load_checkpoint(folder)
+        again = subprocess.run(
+            [sys.executable, "-m", "isas_cli", "run", f"resume={folder}"],
+            capture_output=True,
+            text=True,
+        )
+        assert again.returncode in (0, 2) and "Traceback" not in again.stderr, again.stderr
+        if again.returncode == 0:
+            resumed += 1
+            assert records.load(folder).summary["status"] == "done"
+            # Rows after the checkpoint are made again, at other seconds; those before it stay.
+            kept = [row for row in before if row[0] <= state["iteration"]]
+            assert kept and rows(folder)[: len(kept)] == kept
+        else:
+            assert "budget is spent" in again.stderr
+            assert rows(folder) == before
+    print(f"{stopped} of {kills} killed in time, {resumed} went on")
+    assert stopped > kills / 4
+
+
+def test_a_full_disk_ends_a_run_in_one_line_and_loses_no_row(tmp_path):
+    def little():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+    # Kernels and targets are there already: only the record meets the limit.
+    settings = [*TINY, "scene=dodoco", "budget.iterations=600", "evaluation.count=300"]
+    assert started(tmp_path / "before", *settings).wait() == 0
+    command = [sys.executable, "-m", "isas_cli", "run", *settings, "threads=1"]
+    done = subprocess.run(
+        [*command, f"hydra.run.dir={tmp_path / 'run'}"],
+        preexec_fn=little,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1 and "Traceback" not in done.stderr, done.stderr
+    assert "cannot be written" in done.stderr.splitlines()[-1]
+    left = records.load(tmp_path / "run").history
+    assert len(left) >= 3 and np.isfinite(left["parameter_rmse"]).all()
+
+
+def test_a_damaged_kernel_cache_costs_time_only(tmp_path):
+    home = tmp_path / "home"
+    home.mkdir()
+    environment = {"HOME": str(home), "ISAS_CACHE_DIR": os.environ["ISAS_CACHE_DIR"]}
+    settings = [*TINY, "budget.iterations=3"]
+    assert started(tmp_path / "first", *settings, **environment).wait() == 0
+    kernels = sorted((home / ".drjit").glob("*"))
+    assert len(kernels) > 5
+    rng = random.Random(1)
+    for number, path in enumerate(kernels):
+        data = path.read_bytes()
+        changed = (data[: len(data) // 2], b"", rng.randbytes(len(data)), data)[number % 4]
+        path.write_bytes(changed)
+    process = started(tmp_path / "again", *settings, **environment)
+    out, err = process.communicate()
+    assert process.returncode == 0, err
+    first, again = (isas_cli.load(tmp_path / name) for name in ("first", "again"))
+    assert first.history["parameter_rmse"].tolist() == again.history["parameter_rmse"].tolist()
+
+
+def test_two_that_fill_one_cache_both_finish(tmp_path):
+    environment = {"ISAS_CACHE_DIR": str(tmp_path / "cache")}
+    settings = [*TINY, "budget.iterations=5", "target.spp=64"]
+    both = [started(tmp_path / name, *settings, **environment) for name in "ab"]
+    for process in both:
+        out, err = process.communicate()
+        assert process.returncode == 0, err
+    a, b = (isas_cli.load(tmp_path / name) for name in "ab")
+    assert a.history["parameter_rmse"].tolist() == b.history["parameter_rmse"].tolist()
+    assert not list((tmp_path / "cache").glob(".*.tmp"))
+
+
+def test_a_clock_that_jumps_ends_a_run_at_worst(tmp_path, monkeypatch):
+    """A machine that slept in the middle of a step: its hours are billed, and nothing breaks."""
+    now, calls = time.perf_counter, []
+
+    def jumping() -> float:
+        calls.append(None)
+        return now() + (3600.0 if len(calls) > 400 else 0.0)
+
+    monkeypatch.setattr("isas_cli.runtime.clock.time.perf_counter", jumping)
+    settings = [*TINY, "budget.seconds=100", "budget.iterations=3000"]
+    assert main(["run", *settings, f"hydra.run.dir={tmp_path / 'run'}"]) == 0
+    run = records.load(tmp_path / "run")
+    assert run.summary["status"] == "done" and run.history["seconds"].is_monotonic_increasing
+    assert np.isfinite(run.history["parameter_rmse"]).all()
+
+
+def test_what_cannot_fit_into_memory_is_refused_before_it_starts(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", *TINY, "estimator.batch=2147483648"]) == 2
+    told = capsys.readouterr().err
+    for words in ("needs at least", "GiB of memory", "a step 1", "lower estimator.batch"):
+        assert words in told, told
+    assert told.count("\n") == 1 and list(tmp_path.iterdir()) == []
+
+
+def test_the_largest_part_is_named(monkeypatch):
+    from scenes_for_tests import TEXTURE, problem
+
+    made = problem({TEXTURE: 0.5})
+    footprint.check(made, 256)
+    for lanes, words in ((1, "the resolution of the views"), (10**6, "estimator.batch")):
+        monkeypatch.setattr(memory, "available", lambda: 1000.0)
+        with pytest.raises(InputError, match=f"are free: lower {words}"):
+            footprint.check(made, lanes)
+
+
+def test_a_picture_that_claims_to_be_huge_is_refused(tmp_path):
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        checked = struct.pack(">I", zlib.crc32(kind + data))
+        return struct.pack(">I", len(data)) + kind + data + checked
+
+    header = struct.pack(">IIBBBBB", 900_000, 900_000, 8, 2, 0, 0, 0)
+    rows = chunk(b"IDAT", zlib.compress(b"nothing")) + chunk(b"IEND", b"")
+    (tmp_path / "huge.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + rows)
+    with pytest.raises(InputError, match="huge.png"):
+        images.read(tmp_path / "huge.png")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="control groups")
+def test_a_control_group_limits_what_is_free(tmp_path, monkeypatch):
+    for name, text in (("limit", "3000000"), ("used", "1000000"), ("memory.stat", "cached 500000")):
+        (tmp_path / name).write_text(text + "\n")
+    monkeypatch.setattr(memory, "_GROUPS", [(tmp_path, "limit", "used", "cached")])
+    assert memory.available() == 2_500_000
+    (tmp_path / "limit").write_text("max\n")
+    assert memory.available() > 2_500_000
