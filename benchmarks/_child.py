@@ -2,8 +2,10 @@
 
 usage: _child.py SIDE BATCH STEPS OVERRIDES…
 
-SIDE is `stock` (RayDataLoader, mi.render, dr.backward), `isas` (uniform sampling, so that both
-sides look at the same pixels) or `isas-ours` (the same step where `ours` sends it). A Python-side
+SIDE is `stock` (RayDataLoader, mi.render, dr.backward), `isas` (uniform sampling and all effects,
+so that both sides look at the same pixels and paths), `isas-ours` (the same step where `ours` sends
+it), `isas-auto` (uniform pixels, the plan of effects that a run of a minute makes) or `isas-single`
+(that plan with one light sample a vertex, which is what the stock loop takes). A Python-side
 sensor such as the loader's joins every later SensorPtr call of its process, hence the processes.
 """
 
@@ -53,15 +55,31 @@ def stock(batch: int, overrides: list[str]):
     return step
 
 
-def isas(batch: int, overrides: list[str], sampler_name: str):
-    from isas_cli import losses
+SAMPLERS = {
+    "isas": "uniform",
+    "isas-ours": "ours",
+    "isas-auto": "uniform",
+    "isas-single": "uniform",
+}
+
+
+def isas(side: str, batch: int, overrides: list[str]):
+    from isas_cli import effects, losses
     from isas_cli.config.compose import compose, instantiate
     from isas_cli.engine.optimiser import Stepper
     from isas_cli.estimators.two_path import TwoPath
 
     problem, cfg = problem_of(overrides)
-    sampler = instantiate(compose([*overrides, f"sampler={sampler_name}"]).sampler, "sampler")
+    chosen = compose([*overrides, f"sampler={SAMPLERS[side]}"])
+    sampler = instantiate(chosen.sampler, "sampler")
     loss = losses.L2()
+    if side in ("isas-auto", "isas-single"):
+        settings = instantiate(chosen.effects, "effects")
+        settings.light_samples = [1, 1] if side == "isas-single" else None
+        made = instantiate(chosen.estimator, "estimator")
+        plan = effects.decide(problem, settings, made, loss, 60.0)
+        print(plan.paths)
+        problem = plan.on(problem)
     sampler.prepare(problem, loss, batch)
     stepper = Stepper(problem.unknowns, cfg.optimizer)
     estimator = TwoPath(problem, loss, batch)
@@ -80,7 +98,7 @@ def main(side: str, batch: int, steps: int, overrides: list[str]) -> None:
     if side == "stock":
         step = stock(batch, overrides)
     else:
-        step = isas(batch, overrides, {"isas": "uniform", "isas-ours": "ours"}[side])
+        step = isas(side, batch, overrides)
     for i in range(_WARM_UP):
         step(i)
     seconds = []

@@ -38,7 +38,7 @@ def step_time(table: pandas.DataFrame) -> list[dict]:
     rows = []
     for batch, group in wide.groupby("batch"):
         row = {"batch": batch, "rounds": len(group)}
-        for side in ("isas", "isas-ours"):
+        for side in ("isas", "isas-ours", "isas-auto", "isas-single"):
             ratio = group[side] / group["stock"]
             row[side] = (ratio.median(), ratio.min(), ratio.max())
         rows.append(row)

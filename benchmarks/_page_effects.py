@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pandas
 
+# Pixels a step and learning rate of runs where nothing is said.
+DEFAULT = (65536, 0.02)
+
 
 def facts(results: Path) -> dict:
     table = pandas.read_csv(results / "effects.csv")
@@ -38,6 +41,7 @@ def facts(results: Path) -> dict:
         if row["measure"] == "parameter_rmse" and "auto" in row["method"]
     )
     return {
+        "spending": _spending(pandas.read_csv(results / "steps_or_paths.csv")),
         "across": auto,
         "unprobed": [s["name"] for s in scenes if s["seconds"] < 10],
         "scenes": scenes,
@@ -47,15 +51,30 @@ def facts(results: Path) -> dict:
     }
 
 
+def _spending(table: pandas.DataFrame) -> list[dict]:
+    """Rows of steps_or_paths.csv, each with its error over that of the scene's default."""
+    usual = (table["batch"] == DEFAULT[0]) & (table["rate"] == DEFAULT[1])
+    of_default = table[usual].set_index("scene")["parameter_rmse"]
+    share = table["parameter_rmse"] / table["scene"].map(of_default)
+    return table.assign(share=share).to_dict("records")
+
+
 def _row(row: dict, full: dict) -> dict:
     time = row["time_to_full"]
     return {
         **row,
         "share": row["parameter_rmse"] / full["parameter_rmse"],
-        "time": "–" if row is full else f"{time:.2f}" if math.isfinite(time) else "not reached",
+        "time": _time(time) if row is not full else "–",
         "left": "–" if pandas.isna(row["left_out"]) else f"{row['left_out']:.2g}",
         "lights": row["light_samples"].replace(" ", ", "),
     }
+
+
+def _time(share: float) -> str:
+    """NaN: of an earlier commit, and so of another goal."""
+    if math.isnan(share):
+        return "–"
+    return f"{share:.2f}" if math.isfinite(share) else "not reached"
 
 
 def _verdict(row: dict, full: dict) -> str:

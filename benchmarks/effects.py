@@ -4,10 +4,11 @@ On each scene, with `sampler=progress`: everything (`full`), the plan that is ma
 light samples with all depths (`lights`), the same where only the shortest beginning of a path that
 meets every unknown is differentiated (`derivative`), this with paths no longer than that until the
 last third of the budget (`staged`), and with `--ladder` each depth below the scene's own (`depth
-2`, …); with `--plans` those alone. Each at its own best rate with the first seed. `full` and `auto` run again at theirs with
-the other seeds, which alone are reported; the other plans are leads from one seed. Settings and
-budgets are those of `reproduce.py`. Writes results/effects.csv (a row per scene and plan),
-effects_rates.csv and effects_<scene>.png (error against billed time); of several scenes together
+2`, …); with `--plans` those alone. Each at its own best rate with the first seed. `full` and `auto`
+run again at theirs with the other seeds, which alone are reported; the other plans are leads from
+one seed. Settings and budgets are those of `reproduce.py`. Writes results/effects.csv (a row per
+scene and plan), effects_rates.csv and effects_<scene>.png (error against billed time); of several
+scenes together
 effects_across.csv and effects_arrivals.png. Scenes and plans that are not named keep their rows.
 
     .venv/bin/python benchmarks/effects.py pottery bowl

@@ -43,6 +43,7 @@ def one(name: str, way: str) -> dict:
     last, first = run.history.iloc[-1], run.history.iloc[0]
     return row | {
         "status": run.summary["status"],
+        "start": float(first["parameter_rmse"]),
         "error": float(last["parameter_rmse"]),
         "loss": float(last["loss"] / first["loss"]) if first["loss"] else 0.0,
         "nonfinite": int(last["nonfinite"]),
@@ -60,13 +61,15 @@ def page(table: pandas.DataFrame) -> str:
         "`non-finite`: entries of gradients, counted and left out. *Mitsuba*: its derivative of "
         "whole images (`sampler=mitsuba`), with the same Adam and as many steps.",
         "",
-        "| case | provokes | allowed | error | loss | non-finite | Mitsuba: error | loss | "
-        "non-finite |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| case | provokes | error at the start | allowed | error | loss | non-finite | Mitsuba: "
+        "error | loss | non-finite |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for name, own in table.groupby("case", sort=False):
         of = {row["way"]: row for row in own.to_dict("records")}
-        cells = [name, of["isas"]["provokes"], f"{of['isas']['within']:g}"]
+        cells = [name, of["isas"]["provokes"]]
+        start = of["isas"]["start"]
+        cells += ["–" if pandas.isna(start) else f"{start:.2g}", f"{of['isas']['within']:g}"]
         for way in WAYS:
             row = of[way]
             if pandas.isna(row["error"]):

@@ -16,7 +16,7 @@ import pages
 import pandas
 
 HERE = Path(__file__).parent
-SIDES = ("stock", "isas", "isas-ours")
+SIDES = ("stock", "isas", "isas-ours", "isas-auto", "isas-single")
 SCENE = ["scene=pottery", "scene.arguments.resolution=512"]
 # The step's cost does not depend on how clean the targets are.
 OVERRIDES = [*SCENE, "target.spp=1"]
