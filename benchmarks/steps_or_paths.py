@@ -30,10 +30,12 @@ SETTINGS = ["evaluation.count=24", "frames.views=0", "frames.snapshots=0", "repo
 
 def measured(scene: str, folder: Path) -> pandas.DataFrame:
     listed = ",".join(
-        f"{{estimator.batch:{batch},optimizer.lr:{rate}}}" for batch in BATCHES for rate in RATES
+        f"{{sampler:progress,estimator.batch:{batch},optimizer.lr:{rate}}}"
+        for batch in BATCHES
+        for rate in RATES
     )
     command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *SETTINGS, "seed=[1]"]
-    command += ["sampler=progress", f"contestants=[{listed}]", f"hydra.run.dir={folder}"]
+    command += [f"contestants=[{listed}]", f"hydra.run.dir={folder}"]
     subprocess.run(command, check=True)
     rows = []
     for path in sorted(folder.rglob("summary.json")):

@@ -72,6 +72,7 @@ def problem(
         warnings=[
             *mesh_checks.check_scene(loaded, unknowns.textures),
             *narrow_blurs(found),
+            *(warning for each in found for warning in each.kind.warnings()),
         ],
         flat=single,
     )

@@ -102,17 +102,12 @@ class Evaluator:
         return result | self.parameter_errors(values) | self.few(values)
 
     def few(self, values: dict) -> dict[str, float]:
-        """The numbers themselves of unknowns that have few: ``value/<key>``, or
-        ``value/<key>/<i>`` where there are several."""
-        found = {}
-        for key, value in values.items():
-            numbers = as_numpy(value).reshape(-1)
-            if numbers.size == 1:
-                found[f"{VALUE_PREFIX}{key}"] = float(numbers[0])
-            elif numbers.size <= _FEW:
-                names = (f"{VALUE_PREFIX}{key}/{i}" for i in range(numbers.size))
-                found |= dict(zip(names, map(float, numbers)))
-        return found
+        """What each kind says of its value: ``value/<key>``, or ``value/<key>/<name>``."""
+        return {
+            f"{VALUE_PREFIX}{u.key}/{name}".rstrip("/"): number
+            for u in self.problem.unknowns
+            for name, number in u.kind.numbers(as_numpy(values[u.key]), u.truth).items()
+        }
 
     def parameter_errors(self, values: dict) -> dict[str, float]:
         """The error of each unknown over the entries that some view sees, and of all together.

@@ -9,12 +9,45 @@ import numpy as np
 from ..config.schema import OptimizerConfig
 from ..runtime.schedule import factor
 from ..samplers.sampler import Moments
+from ..unknowns.kind import Kind
 from ..unknowns.parameters import as_numpy, flat, unflat
 from ..unknowns.unknowns import Unknowns
 
 # Of a gradient's entry in units of ``Stepper.scale``: the square of a larger one is infinite, and a
 # second moment that was infinite once holds its entry still for good.
 _LARGEST = 1e18
+
+
+class Adam:
+    """Dr.Jit's Adam: entry by entry, or for the ``uniform`` keys by one number for all entries of
+    an unknown (AdamUniform, Nicolet et al. 2021), whose entries all take part in every step."""
+
+    def __init__(self, uniform: list[str], s: OptimizerConfig):
+        betas = {"lr": s.lr, "beta_1": s.beta_1, "beta_2": s.beta_2}
+        self._uniform = uniform
+        self._alone = mi.ad.Adam(**betas, mask_updates=s.mask_updates)
+        self._together = mi.ad.Adam(**betas, uniform=True)
+
+    def of(self, key: str) -> mi.ad.Adam:
+        """Dr.Jit's optimiser that holds ``key``."""
+        return self._together if key in self._uniform else self._alone
+
+    def __getitem__(self, key: str):
+        return self.of(key)[key]
+
+    def __setitem__(self, key: str, value) -> None:
+        self.of(key)[key] = value
+
+    @property
+    def state(self) -> dict:
+        """Of all keys. To be read only: ``of`` holds what can be set."""
+        return {**self._alone.state, **self._together.state}
+
+    def step(self, rates: dict[str, float]) -> None:
+        """One step along the values' gradients, at each key's rate. Not evaluated."""
+        for adam in (self._alone, self._together):
+            adam.set_learning_rate({key: rate for key, rate in rates.items() if key in adam.state})
+            adam.step(eval=False)
 
 
 class Stepper:
@@ -40,9 +73,7 @@ class Stepper:
     def restart(self, values: dict) -> None:
         """Fresh moments, given values."""
         s = self.settings
-        self.adam = mi.ad.Adam(
-            lr=s.lr, beta_1=s.beta_1, beta_2=s.beta_2, mask_updates=s.mask_updates
-        )
+        self.adam = Adam([u.key for u in self.unknowns if u.kind.uniform], s)
         for key, value in values.items():
             self.adam[key] = value
         self.nonfinite, self.touched = mi.UInt64(0), mi.UInt64(0)
@@ -82,18 +113,25 @@ class Stepper:
             bad += mi.UInt64(dr.count(~finite))
             touched += mi.UInt64(dr.count(~finite | (entries != 0)))
             clean = dr.select(finite, entries, 0)
+            if unknown.kind.uniform:
+                clean = self._smoothed(unknown.kind, clean)
             took_part = (clean != 0) | (not self.settings.mask_updates)
             self.visits[key] += dr.select(took_part, mi.Float(1), 0)
             dr.set_grad(self.adam[key], unflat(gradients[key], clean))
         self.nonfinite += bad
         self.touched += touched
-        self.adam.set_learning_rate(rates)
-        self.adam.step(eval=False)
+        self.adam.step(rates)
         for unknown in self.unknowns:
             if np.isfinite(unknown.low) or np.isfinite(unknown.high):
                 value = self.adam[unknown.key]
                 self.adam[unknown.key] = dr.clip(dr.detach(value), unknown.low, unknown.high)
         dr.eval(self.adam.state, self.nonfinite, self.touched, self.visits)
+
+    def _smoothed(self, kind: Kind, entries: mi.Float) -> mi.Float:
+        found = kind.smoothed(np.array(entries).reshape(kind.present.shape))
+        return mi.Float(np.ascontiguousarray(found.ravel(), np.float32)) + dr.opaque(
+            mi.Float, 0, entries.shape[0]
+        )
 
     def calibrate(self, gradients: list[dict]) -> None:
         """Fix ``scale`` as 1 / (root mean square of the non-zero finite entries), per unknown."""
@@ -171,7 +209,7 @@ class Stepper:
             value, promoted, rate, (count, first, second, most) = self.adam.state[key]
             moments = [type(first)(arrays[f"{name}/{key}"]) for name in ("first", "second")]
             steps = type(count)(state["steps"][key])
-            self.adam.state[key] = value, promoted, rate, (steps, *moments, most)
+            self.adam.of(key).state[key] = value, promoted, rate, (steps, *moments, most)
             self.visits[key] = mi.Float(arrays[f"visits/{key}"])
         self.scale = dict(state["scale"])
         self.nonfinite = mi.UInt64(state["nonfinite"])

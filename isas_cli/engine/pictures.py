@@ -108,6 +108,8 @@ class Pictures:
 
     def _unknowns(self, what: str, arrays: dict[str, np.ndarray], iteration: int) -> None:
         for unknown in self.problem.unknowns:
+            for extension, content in unknown.kind.files(arrays[unknown.key]).items():
+                self.writer.mesh(f"{what}_{safe_name(unknown.key)}.{extension}", content)
             for name, picture in unknown.kind.pictures(arrays[unknown.key]).items():
                 key = f"{unknown.key}.{name}" if name else unknown.key
                 channels = _RGB if picture.shape[2] == 3 else ["Y"]

@@ -12,6 +12,7 @@ from ..config.schema import Config
 from ..records import RunWriter, manifest, trackers
 from ..rendering.renderer import Renderer
 from ..runtime.errors import InputError
+from ..unknowns.parameters import as_numpy
 from .loop import Hooks, Loop
 from .pictures import Pictures
 from .resumption import Continuation
@@ -230,6 +231,9 @@ class Recorder:
                 f"'{key}' had no gradient in any step: the images do not depend on it where it is"
                 for key in self.loop.stepper.untouched
             ]
+            values = self.loop.stepper.values
+            doubts = [u.kind.doubt(as_numpy(values[u.key])) for u in self.loop.problem.unknowns]
+            warnings += [doubt for doubt in doubts if doubt]
         if not self.loop.evaluator.loss.linear:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
         for entry in self._resumed:

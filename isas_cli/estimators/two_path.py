@@ -63,7 +63,7 @@ class TwoPath:
     p → ``PixelDistribution``; θ → ``problem.unknowns``, whose gradients receive the estimate.
     Bias: none for losses with linear derivative (``loss.linear``) and p > 0 wherever
     ∂ℒ/∂I · dI/dθ ≠ 0; other losses as their docstrings say. Visibility is not differentiated:
-    unknowns that move geometry are refused by ``Unknowns``.
+    unknowns that move geometry are refused, unless the integrator follows them (``moves``).
     Everything here is traced once and frozen (``dr.freeze``); ``params.update()`` stays outside,
     and the gradients are read outside, after the call.
     """
@@ -73,11 +73,11 @@ class TwoPath:
         path, for measurements; None for its ``backward``.
 
         Raises InputError where an unknown moves objects."""
-        if problem.unknowns.moving:
+        if problem.unknowns.moving and not problem.integrator.moves:
             raise InputError(
                 f"scene.unknowns: '{problem.unknowns.moving[0]}' moves objects, and path replay "
-                "does not differentiate visibility: take sampler=plateau (or the baselines "
-                "sampler=mitsuba and sampler=finite_differences)"
+                "does not differentiate visibility: take estimator=silhouettes for meshes, or "
+                "sampler=plateau (or the baselines sampler=mitsuba and sampler=finite_differences)"
             )
         self.problem, self.loss, self.batch = problem, loss, batch
         integrator = problem.integrator

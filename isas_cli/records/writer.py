@@ -36,6 +36,7 @@ _MADE_FILES = (
     "landscape.csv",
     "frames/*.exr",
     "frames/*.png",
+    "meshes/*",
     "plots/*.png",
     "checkpoint/state.npz",
     "tensorboard/events.*",
@@ -135,7 +136,7 @@ class RunWriter:
 
         row: the columns of the module's tables, `seconds` billed, `paths` light paths traced within
         billed time; `parameter_rmse/<key>` may stand for any number of keys, the same in all rows,
-        and so may `value/<key>`, an unknown of one number, and `value/<key>/<i>`, one of few.
+        and so may `value/<key>` and `value/<key>/<name>`, numbers that tell of an unknown.
         A missing or None value stays empty, which reads as NaN; the whole-number columns must be
         there. Raises ValueError for a column that is not known.
         """
@@ -181,6 +182,12 @@ class RunWriter:
         write_exr(path, image, channels, metadata)
         if exposure is not None:
             write_preview(path.with_suffix(".png"), image, exposure, metadata)
+
+    def mesh(self, name: str, content: bytes) -> None:
+        """meshes/<name>: a shape for other programs."""
+        write_atomically(
+            self.folder / "meshes" / name, lambda temporary: temporary.write_bytes(content)
+        )
 
     def checkpoint(self, arrays: dict[str, np.ndarray], state: dict[str, Any]) -> None:
         """Arrays (any names; ValueError for objects) and JSON state, swapped in as one file."""

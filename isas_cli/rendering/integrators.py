@@ -35,6 +35,7 @@ _REPLAYED = {
 class Integrator:
     """Path replay backpropagation by an integrator of Mitsuba's, ``mitsuba``.
 
+    ``moves``: whether derivatives by what moves surfaces are among its own, silhouettes left out.
     ``max_depth``: edges of the longest path (2^32 - 1: no limit); ``paths_per_derivative``: light
     paths behind one estimate of a pixel's derivative.
     """
@@ -42,6 +43,7 @@ class Integrator:
     paths_per_derivative = 1
     derivatives = "path replay backpropagation"
     cuts = False
+    moves = False
 
     def __init__(self, base: mi.Integrator):
         self.mitsuba = base

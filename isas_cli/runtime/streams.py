@@ -25,6 +25,9 @@ PURPOSES = (
     "cost",
     "offset",
     "offset_look",
+    "edge",
+    "edge_step",
+    "edge_residual",
 )
 _SLOTS = 32  # purposes per iteration, a power of two above len(PURPOSES)
 _BLOCK = 2**32 // _SLOTS  # iterations whose slots fit into 32 bits

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -19,7 +18,7 @@ def reduce(params: mi.SceneParameters, unknown: set[str]) -> list[str]:
     the search for a bright texel touch a few bytes instead of a picture."""
     found = []
     for key, value in list(params.items()):
-        if key in unknown or not (dr.is_tensor_v(value) and len(value.shape) == 3):
+        if key in unknown or getattr(value, "ndim", 0) != 3:
             continue
         least = _least(owner(params, key))
         if least is None or value.shape[0] * value.shape[1] <= least[0] * least[1]:

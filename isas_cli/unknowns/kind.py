@@ -10,12 +10,14 @@ the defaults get wrong. ``registry.register`` makes a kind known; nothing else n
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import ClassVar
 
 import mitsuba as mi
 import numpy as np
 
 from ..config.schema import PoseConfig
+from ..runtime import images
 from ..runtime.errors import InputError
 from .parameters import as_numpy, like, owner, usual
 
@@ -24,6 +26,8 @@ from .parameters import as_numpy, like, owner, usual
 # them down, and an error there says nothing about a method. Well seen is a high quantile, not the
 # median: where most texels are grazed, the median is one of those.
 THRESHOLD, WELL_SEEN = 0.05, 0.9
+# Numbers of an unknown that are shown one by one.
+_FEW = 8
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,9 @@ class Kind:
 
     ``order``: of those that write the same parameter, the lower comes first. ``settings``: what the
     configuration says of it beside ``scene.unknowns``, in a text that changes as that does.
-    ``texture``: whose texels, laid out on meshes, are the unknown; the meshes are checked for it.
+    ``uniform``: whether Adam divides the steps of all entries by one number, and steps go along
+    ``smoothed``. ``texture``: whose texels, laid out on meshes, are the unknown; the meshes are
+    checked for it.
     """
 
     name: ClassVar[str] = "parameter"
@@ -61,6 +67,7 @@ class Kind:
     order: tuple[int, int] = (0, 0)
     settings: str = ""
     texture: mi.Texture | None = None
+    uniform: bool = False
 
     @classmethod
     def matches(cls, params: mi.SceneParameters, key: str) -> bool:
@@ -98,6 +105,20 @@ class Kind:
         """
         written[self.key] = leaf
 
+    def start(self, spec: str, where: str) -> np.ndarray:
+        """The start that the configuration calls ``spec``: a file. Raises InputError, naming
+        ``where``."""
+        picture = images.read(Path(spec))
+        if picture.shape != self.present.shape:
+            raise InputError(
+                f"{where}: {spec} is {picture.shape}, the parameter {self.present.shape}"
+            )
+        return picture.astype(np.float32)
+
+    def smoothed(self, gradient: np.ndarray) -> np.ndarray:
+        """Where ``uniform``: the direction of steps for a ``gradient``, on the host."""
+        return gradient
+
     def refusal(self, array: np.ndarray) -> str | None:
         """Why the unknown cannot start at, or be, ``array``, which lies in the legal range."""
         return None
@@ -114,6 +135,26 @@ class Kind:
         if self.period:
             difference -= self.period * np.round(difference / self.period)
         return float(np.sqrt(np.mean(difference**2)))
+
+    def numbers(self, array: np.ndarray, truth: np.ndarray | None) -> dict[str, float]:
+        """What a row of the history says of ``array`` beside its error, by a name, which of a
+        single number may be empty: the numbers themselves, where they are few."""
+        if array.size > _FEW:
+            return {}
+        numbers = array.reshape(-1)
+        return {str(i) if numbers.size > 1 else "": float(x) for i, x in enumerate(numbers)}
+
+    def doubt(self, array: np.ndarray) -> str | None:
+        """Why ``array`` is not to be trusted as a result."""
+        return None
+
+    def warnings(self) -> list[str]:
+        """What a user should know before anything is spent."""
+        return []
+
+    def files(self, array: np.ndarray) -> dict[str, bytes]:
+        """``array`` in files for other programs, by extension."""
+        return {}
 
     def pictures(self, array: np.ndarray) -> dict[str, np.ndarray]:
         """Pictures of ``array``, ``(H, W, 1 or 3) float32``, linear, by a name; the name of the

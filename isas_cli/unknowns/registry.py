@@ -7,8 +7,9 @@ from .kind import Kind, Loaded
 from .poses import Pose
 from .texture import Texture
 from .value import Value
+from .vertices import Vertices
 
-_KINDS: list[type[Kind]] = [Pose, Environment, Texture, Value]
+_KINDS: list[type[Kind]] = [Pose, Vertices, Environment, Texture, Value]
 
 
 def register(kind: type[Kind]) -> type[Kind]:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
 
 from ..config.schema import PoseConfig
-from ..runtime import images
 from ..runtime.errors import InputError, nearest
 from . import registry
 from .kind import Kind, Loaded
@@ -32,13 +30,7 @@ def _start(spec, kind: Kind, loaded: Loaded, truth_known: bool) -> np.ndarray:
     if isinstance(spec, Mapping):
         return _start_of_another(spec, key, current.shape, loaded)
     if isinstance(spec, str):
-        picture = images.read(Path(spec))
-        if picture.shape != current.shape:
-            raise InputError(
-                f"scene.unknowns['{key}'].start: {spec} is {picture.shape}, "
-                f"the parameter {current.shape}"
-            )
-        return picture.astype(np.float32)
+        return kind.start(spec, f"scene.unknowns['{key}'].start")
     try:
         if isinstance(spec, bool):
             raise TypeError

@@ -157,6 +157,14 @@ class Unknowns:
         """Gradients of the leaves, by key. Read after the frozen call, never returned from it."""
         return {k: dr.grad(v) for k, v in self.leaves.items()}
 
+    def taken(self) -> dict:
+        """``gradients``, which begin anew: what several frozen calls find is to be summed outside,
+        since a call that reaches a leaf by way of what its kind has made replaces its gradient."""
+        found = self.gradients()
+        dr.eval(found)
+        dr.clear_grad(self.leaves)
+        return found
+
     def push_tangent(self, values: dict, tangents: dict) -> None:
         """Put values into the scene and push ``tangents`` (same shapes) towards the renderer.
 

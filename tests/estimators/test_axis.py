@@ -15,6 +15,7 @@ from isas_cli.config.schema import PRESETS, typed
 from isas_cli.estimators.finite_differences import FiniteDifferences
 from isas_cli.estimators.mitsuba import WholeImages
 from isas_cli.estimators.plateau import Plateau
+from isas_cli.estimators.silhouettes import ByShape
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.rendering import integrators
 from isas_cli.runtime.errors import InputError
@@ -24,9 +25,11 @@ MADE = {
     "plateau": Plateau,
     "finite_differences": FiniteDifferences,
     "mitsuba": WholeImages,
+    "silhouettes": ByShape,
 }
 # A pixel sampler's way from the images to a distribution, and who can use it.
 PLAIN = {"uniform", "gradient"}
+MOMENTS = {"preconditioned", "progress"}
 
 
 def chosen(*settings: str):
@@ -78,6 +81,7 @@ def test_which_samplers_go_with_it(estimator):
         "plateau": {*PLAIN, "differences", *PRESETS},
         "finite_differences": {*PLAIN, *PRESETS},
         "mitsuba": {"uniform", *PRESETS},
+        "silhouettes": set(options("sampler")) - {"differences", *MOMENTS} | set(PRESETS),
     }[estimator]
     settings = configured("estimator", estimator)
     for name in options("sampler"):

@@ -16,7 +16,8 @@ from isas_cli.runtime.budget import Budget
 from isas_cli.unknowns.parameters import as_numpy
 
 MOVING = ["caustic", "cup", "global_illumination", "occlusion", "shadows", "sort"]
-SCENES = [name for name in options("scene") if name not in ("file", *MOVING)]
+SHAPES = ["kirby"]
+SCENES = [name for name in options("scene") if name not in ("file", *MOVING, *SHAPES)]
 SAMPLERS = pixel_samplers()
 ITERATIONS = 3
 SMALL = [

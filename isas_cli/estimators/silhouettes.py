@@ -1,0 +1,153 @@
+"""Gradients by shapes: paths of drawn pixels, and samples of the silhouettes of all views."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..rendering.pixels import PixelDistribution
+from ..rendering.projective import Attached
+from ..rendering.silhouettes import Silhouettes
+from ..runtime import streams
+from ..runtime.errors import InputError
+from ..samplers.sampler import Sampler
+from ..scene.topology import Topology
+from .estimator import Estimator, at_least_one
+from .two_path import TwoPath
+
+if TYPE_CHECKING:
+    from ..scene.problem import Problem
+
+
+@dataclass
+class Settings(Estimator):
+    """``ByShape``. ``edges``: samples of silhouettes a step; ``paths``: of each one's pixel, for
+    its residual; ``freeze``: record kernels once instead of tracing every iteration."""
+
+    name: ClassVar[str] = "silhouettes"
+    plannable: ClassVar[bool] = False
+
+    edges: int = 16384
+    paths: int = 4
+    freeze: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        at_least_one(self, "edges", "paths")
+
+    def fits(self, sampler: Sampler) -> None:
+        if "blur" in sampler.needs:
+            raise InputError(
+                f"sampler={sampler.name} looks at blurred renderings, which "
+                "estimator=silhouettes does not make: take estimator=plateau"
+            )
+        if sampler.needs_moments:
+            raise InputError(
+                f"sampler={sampler.name} reads Adam's moments entry by entry, and a shape's steps "
+                "are spread over its mesh: take sampler=ours, relevant or uniform"
+            )
+
+    def on(self, problem: "Problem") -> "Problem":
+        if "media" in problem.integrator.simulates:
+            raise InputError(
+                "estimator=silhouettes: what moves is followed by Mitsuba's projective integrators,"
+                f" which simulate no media, and the scene's is {problem.integrator.name}"
+            )
+        return replace(problem, integrator=Attached(problem.integrator))
+
+    def made(self, problem: "Problem", loss) -> "ByShape":
+        return ByShape(problem, loss, self.batch, self.edges, self.paths, self.freeze)
+
+    def derivatives(self, problem: "Problem") -> str:
+        return Attached.derivatives
+
+
+class ByShape:
+    """dℒ/dθ for unknowns that move meshes, beside others: the part at fixed visibility from
+    ``batch`` drawn pixels (``TwoPath`` with paths that follow the surfaces, ``Attached``), the part
+    of moving silhouettes from ``edges`` samples (``Silhouettes``), shared out over the meshes. No
+    film is filled: a step costs what its samples cost, whatever the films' sizes.
+
+    Bias: that of both parts. Silhouettes that other surfaces show (shadows, reflections, parts that
+    light each other) are left out. Traced once and frozen, but for ``params.update()``.
+    """
+
+    def __init__(
+        self, problem: "Problem", loss, batch: int, edges: int, paths: int, freeze: bool = True
+    ):
+        """``problem.integrator``: an ``Attached``. Raises InputError for what moves and is no mesh
+        of smooth normals."""
+        self.problem, self.freeze = problem, freeze
+        self.inside = TwoPath(problem, loss, batch, freeze)
+        meshes = _meshes(problem)
+        each = max(1, edges // max(1, len(meshes)))
+        self.borders = {
+            key: Silhouettes(problem, loss, key.rpartition(".")[0], topology, each, paths, freeze)
+            for key, topology in meshes.items()
+        }
+
+    @property
+    def paths_per_step(self) -> int:
+        """Light paths of one estimate."""
+        borders = sum(each.paths_per_step for each in self.borders.values())
+        return self.inside.paths_per_step + borders
+
+    @property
+    def nonfinite(self) -> int:
+        """Paths so far whose residual was not finite."""
+        return self.inside.nonfinite
+
+    def estimate(
+        self,
+        values: dict,
+        distribution: PixelDistribution,
+        seed: int,
+        iteration: int,
+        spent: float,
+    ) -> dict:
+        """The gradient at ``values``, by key; the same at all the share ``spent`` of the budget."""
+        unknowns = self.problem.unknowns
+        unknowns.attach(values)
+        self.inside.accumulate(distribution, seed, iteration)
+        total = unknowns.taken()
+        for number, (key, border) in enumerate(self.borders.items()):
+            place = iteration * len(self.borders) + number
+            seeds = [
+                dr.opaque(mi.UInt32, streams.seed(seed, place, purpose))
+                for purpose in ("edge", "edge_step", "edge_residual")
+            ]
+            if not self.freeze:  # the backward pass has cleared the way to the leaves
+                unknowns.attach(values)
+            border.accumulate(unknowns.params[key], seeds)
+            for name, gradient in unknowns.taken().items():
+                total[name] += gradient
+        return total
+
+
+def _meshes(problem: "Problem") -> dict[str, Topology]:
+    """Of what moves, the key of its vertices' positions, and how its triangles hang together."""
+    params, found = mi.traverse(problem.scene), {}
+    for name in problem.unknowns.moving:
+        for key in problem.unknowns.written(name):
+            id, _, word = key.rpartition(".")
+            where = f"scene.unknowns['{name}'] moves '{id}'"
+            if word.endswith("normals"):
+                continue
+            if not word.endswith("positions"):
+                raise InputError(
+                    f"{where}, which is no mesh: estimator=silhouettes follows meshes; take "
+                    "sampler=plateau"
+                )
+            if not dr.width(params[f"{id}.{word.replace('positions', 'normals')}"]):
+                raise InputError(
+                    f"{where}, which has face normals: its shading steps from facet to facet, "
+                    "which is not differentiated; give it smooth normals, or take sampler=plateau"
+                )
+            positions = np.array(params[key]).reshape(-1, 3)
+            faces = np.array(params[f"{id}.faces"]).reshape(-1, 3).astype(np.int64)
+            found[key] = Topology.of(positions, faces)
+    return found

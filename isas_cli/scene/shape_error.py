@@ -1,0 +1,84 @@
+"""How far one surface is from another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+# Points on each surface, and those of the other that a triangle is looked for by.
+_POINTS, _NEAR = 40_000, 4
+MEASURES = ("chamfer", "normals", "hausdorff", "volume")
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A surface: ``corners (F, 3, 3)`` of its triangles, and points spread evenly over it,
+    ``points (N, 3)`` on the triangles ``on (N,)``."""
+
+    corners: np.ndarray
+    points: np.ndarray
+    on: np.ndarray
+
+    @staticmethod
+    def of(positions: np.ndarray, faces: np.ndarray, seed: int = 1) -> "Sampled":
+        """``positions (V, 3)``, finite; ``faces (F, 3)``."""
+        rng = np.random.default_rng(seed)
+        corners = positions.astype(np.float64)[faces]
+        steps = np.cumsum(np.linalg.norm(_across(corners), axis=1))
+        goals = (np.arange(_POINTS) + rng.random(_POINTS)) / _POINTS * steps[-1]
+        on = np.minimum(np.searchsorted(steps, goals), len(faces) - 1)
+        root, other = np.sqrt(rng.random(_POINTS))[:, None], rng.random(_POINTS)[:, None]
+        a, b, c = np.moveaxis(corners[on], 1, 0)
+        return Sampled(corners, (1 - root) * a + root * (1 - other) * b + root * other * c, on)
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """Of the triangles, ``(F, 3)``; 0 for one without area."""
+        across = _across(self.corners)
+        return across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+
+    @cached_property
+    def volume(self) -> float:
+        """Enclosed, where the surface is closed; negative where it is inside out."""
+        a, b, c = np.moveaxis(self.corners, 1, 0)
+        return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.points)
+
+    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distances of ``points (N, 3)`` from the surface and the triangle next to each, of those
+        that its nearest few sampled points lie on."""
+        from trimesh.triangles import closest_point
+
+        _, near = self._tree.query(points, k=_NEAR)
+        faces = self.on[near]
+        repeated = np.repeat(points, _NEAR, axis=0)
+        closest = closest_point(self.corners[faces.ravel()], repeated)
+        distances = np.linalg.norm(closest - repeated, axis=1).reshape(faces.shape)
+        best = distances.argmin(axis=1)[:, None]
+        return (np.take_along_axis(each, best, axis=1)[:, 0] for each in (distances, faces))
+
+
+def _across(corners: np.ndarray) -> np.ndarray:
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def apart(surface: Sampled, truth: Sampled) -> dict[str, float]:
+    """``chamfer``: the mean of both mean distances, of each surface's points from the other, in
+    scene units; ``normals``: the mean angle between normals there, in degrees; ``hausdorff``: the
+    largest of the distances; ``volume``: over the truth's."""
+    there, on_truth = truth.nearest(surface.points)
+    back, on_surface = surface.nearest(truth.points)
+    cosines = [
+        np.einsum("ij,ij->i", surface.normals[surface.on], truth.normals[on_truth]),
+        np.einsum("ij,ij->i", truth.normals[truth.on], surface.normals[on_surface]),
+    ]
+    angles = [np.degrees(np.arccos(np.clip(each, -1, 1))).mean() for each in cosines]
+    chamfer, farthest = (there.mean() + back.mean()) / 2, max(there.max(), back.max())
+    volume = surface.volume / truth.volume if truth.volume else float("nan")
+    return dict(zip(MEASURES, map(float, (chamfer, np.mean(angles), farthest, volume))))

@@ -1,0 +1,217 @@
+"""The vertices of a mesh: its shape."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from scipy import sparse
+from scipy.sparse import linalg
+
+from ..runtime.errors import InputError
+from ..scene.shape_error import MEASURES, Sampled, apart
+from ..scene.topology import Topology
+from .kind import Kind, Loaded
+from .parameters import like
+
+# λ of I + λL for a mesh of 10,000 vertices, as the paper's authors take it. Derivatives are spread
+# over about √λ edges; in proportion to the count it is the same part of the surface.
+_STIFFNESS = 19.0 / 10_000
+# Of edges: from this share of folded ones on a mesh is not what is looked for.
+_FOLDED = 0.005
+_POSITIONS = ("vertex_positions", "positions")  # as Mitsuba calls them, by version
+_NORMALS = ("vertex_normals", "normals")
+
+
+class Vertices(Kind):
+    """Where the vertices of one mesh are, ``(V, 3)``, in the world; those at one place are one.
+
+    Steps follow 'Large Steps in Inverse Rendering of Geometry' (Nicolet et al. 2021): their unknown
+    is u = (I + λL)x, L the Laplacian of the mesh's graph, and Adam's steps by u become steps of x
+    along (I + λL)⁻² ∂ℒ/∂x. Here x itself is the unknown and ``smoothed`` gives that direction,
+    which Adam divides by one number for all vertices (AdamUniform): a rate is about the largest
+    length that a vertex moves in a step. Only that number differs from the paper's.
+    Normals are the area-weighted means of the faces around a vertex, seams included.
+    """
+
+    name = "vertices"
+    moves_geometry = True
+    uniform = True
+
+    @classmethod
+    def keys(cls, loaded: Loaded) -> list[str]:
+        return [f"{id}.vertices" for id in _meshes(loaded.params)]
+
+    def __init__(self, key: str, loaded: Loaded):
+        self.key, self.id = key, key.rpartition(".")[0]
+        params = loaded.params
+        self.positions = _named(params, self.id, _POSITIONS)
+        self.normals = _named(params, self.id, _NORMALS)
+        where = f"scene.unknowns['{key}']"
+        if not dr.width(params[self.normals]):
+            raise InputError(
+                f"{where}: the mesh '{self.id}' has face normals: its shading steps from facet to "
+                "facet, which is not differentiated; give it smooth normals (face_normals=false)"
+            )
+        self.writes = [self.positions, self.normals]
+        positions = np.array(params[self.positions]).reshape(-1, 3)
+        faces = np.array(params[f"{self.id}.faces"]).reshape(-1, 3).astype(np.int64)
+        self.topology = Topology.of(positions, faces)
+        self.present = positions[self.topology.first].astype(np.float32)
+        self.range, self.unit = (-np.inf, np.inf), "scene units"
+        self.scale = max(1.0, float(np.abs(self.present).max()))
+        self.stiffness = _STIFFNESS * self.topology.count
+        self._faces, self._latest, self._truth = faces, None, None
+        coordinates = f"{self.id}.vertex_texcoords"
+        self._texcoords = (
+            np.array(params[coordinates]).reshape(-1, 2) if coordinates in params else np.zeros(0)
+        )
+        self._place = _indices(self.topology.place)
+        self._corners = [_indices(self.topology.faces[:, i]) for i in range(3)]
+
+    def value(self, array: np.ndarray) -> mi.TensorXf:
+        return like(mi.TensorXf, array)
+
+    def write(self, leaf: mi.TensorXf, written: dict) -> None:
+        points = dr.unravel(mi.Point3f, leaf.array)
+        a, b, c = (dr.gather(mi.Point3f, points, index) for index in self._corners)
+        across = dr.cross(b - a, c - a)
+        sums = [dr.zeros(mi.Float, self.topology.count) for _ in range(3)]
+        for index in self._corners:
+            for total, part in zip(sums, across):
+                dr.scatter_add(total, part, index)
+        normals = mi.Vector3f(*sums)
+        length = dr.norm(normals)
+        # Where the faces around a vertex cancel, any direction; the division has a derivative.
+        normals = dr.select(length > 0, normals / dr.maximum(length, 1e-30), mi.Vector3f(0, 0, 1))
+        written[self.positions] = dr.ravel(dr.gather(mi.Point3f, points, self._place))
+        written[self.normals] = dr.ravel(dr.gather(mi.Vector3f, normals, self._place))
+
+    @cached_property
+    def _solve(self):
+        matrix = sparse.identity(self.topology.count) + self.stiffness * self.topology.laplacian()
+        return linalg.splu(matrix.tocsc()).solve
+
+    def smoothed(self, gradient: np.ndarray) -> np.ndarray:
+        """(I + λL)⁻² times ``gradient (V, 3)``."""
+        return self._solve(self._solve(gradient.astype(np.float64)))
+
+    def start(self, spec: str, where: str) -> np.ndarray:
+        """``sphere``: every vertex on a sphere about the mesh's middle, of its mean radius;
+        ``smooth``: without detail; or a PLY or OBJ file with the same faces."""
+        if spec == "sphere":
+            middle = self.present.mean(axis=0, dtype=np.float64)
+            arms = self.present - middle
+            lengths = np.linalg.norm(arms, axis=1, keepdims=True)
+            found = middle + arms / np.maximum(lengths, 1e-12) * lengths.mean()
+            faces = self.topology.faces
+            a, b, c = (found[faces[:, corner]] for corner in range(3))
+            outward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c - 3 * middle)
+            folded = int(np.sum(outward * np.sign(np.sum(outward)) <= 0))
+            if folded:
+                raise InputError(
+                    f"{where}=sphere: seen from its middle '{self.id}' hides parts of itself, and "
+                    f"{folded} of its {len(faces)} triangles would be folded over: take "
+                    "start=smooth or a file"
+                )
+            return found.astype(np.float32)
+        if spec == "smooth":
+            found = self.present.astype(np.float64)
+            for _ in range(5):
+                found = self._solve(found)
+            return found.astype(np.float32)
+        return self._read(Path(spec), where)
+
+    def _read(self, path: Path, where: str) -> np.ndarray:
+        kind = path.suffix.lower().lstrip(".")
+        if kind not in ("ply", "obj") or not path.is_file():
+            raise InputError(f"{where}={path}: sphere, smooth, or a PLY or OBJ file that exists")
+        import trimesh
+
+        try:
+            mesh = trimesh.load_mesh(path, process=False, maintain_order=True)
+        except Exception as error:  # whatever its readers meet
+            raise InputError(f"{where}={path}: {' '.join(str(error).split())}") from error
+        read = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))))
+        if len(read) == len(self.topology.place):
+            return read[self.topology.first].astype(np.float32)
+        if len(read) == self.topology.count:
+            return read.astype(np.float32)
+        raise InputError(
+            f"{where}={path} has {len(read)} vertices, the mesh '{self.id}' "
+            f"{len(self.topology.place)} ({self.topology.count} places): the same faces are needed"
+        )
+
+    def warnings(self) -> list[str]:
+        return [
+            f"mesh {self.id}: {flaw}: silhouettes there are ambiguous, and gradients biased"
+            for flaw in self.topology.flaws()
+        ]
+
+    def refusal(self, array: np.ndarray) -> str | None:
+        if np.ptp(array, axis=0).max() == 0:
+            return "all vertices are at one place: take start=sphere, start=smooth or a file"
+        return None
+
+    def error(self, array: np.ndarray, truth: np.ndarray, seen: np.ndarray) -> float:
+        """The chamfer distance (``shape_error.apart``)."""
+        return self.numbers(array, truth)["chamfer"]
+
+    def numbers(self, array: np.ndarray, truth: np.ndarray | None) -> dict[str, float]:
+        """``shape_error.apart`` where there is a truth, and ``folded``: ``Topology.folded``."""
+        key = array.tobytes()
+        if self._latest is None or self._latest[0] != key:
+            found = {"folded": self.topology.folded(array)}
+            if not np.isfinite(array).all():
+                found |= dict.fromkeys(MEASURES, float("nan"))
+            elif truth is not None:
+                faces = self.topology.faces
+                if self._truth is None:
+                    self._truth = Sampled.of(truth, faces, 2)
+                found = apart(Sampled.of(array, faces), self._truth) | found
+            self._latest = key, found
+        return self._latest[1]
+
+    def doubt(self, array: np.ndarray) -> str | None:
+        share = self.topology.folded(array)
+        if share <= _FOLDED:
+            return None
+        return (
+            f"{share:.1%} of the edges of '{self.id}' are folded: the mesh has crumpled or turned "
+            "inside out; take a smaller rate"
+        )
+
+    def files(self, array: np.ndarray) -> dict[str, bytes]:
+        """PLY of the welded mesh, and OBJ with the file's own vertices and texture coordinates."""
+        import trimesh
+
+        welded = trimesh.Trimesh(array, self.topology.faces, process=False)
+        visual = None
+        if len(self._texcoords):
+            visual = trimesh.visual.TextureVisuals(uv=self._texcoords)
+        whole = trimesh.Trimesh(
+            array[self.topology.place], self._faces, visual=visual, process=False
+        )
+        text = whole.export(file_type="obj", write_texture=False)
+        return {"ply": welded.export(file_type="ply"), "obj": text.encode()}
+
+
+def _meshes(params: mi.SceneParameters) -> list[str]:
+    """Ids of the shapes that are meshes."""
+    words = [key.rpartition(".") for key in params.keys()]
+    ids = [id for id, _, word in words if word in _POSITIONS]
+    return [id for id in ids if f"{id}.faces" in params]
+
+
+def _named(params: mi.SceneParameters, id: str, names: tuple[str, ...]) -> str:
+    return next(f"{id}.{name}" for name in names if f"{id}.{name}" in params)
+
+
+def _indices(array: np.ndarray) -> mi.UInt32:
+    """In memory of Dr.Jit's own: what is mapped from NumPy is not safe in frozen kernels."""
+    found = mi.UInt32(np.ascontiguousarray(array, np.uint32)) + dr.opaque(mi.UInt32, 0, len(array))
+    dr.eval(found)
+    return found

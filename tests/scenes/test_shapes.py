@@ -1,0 +1,57 @@
+"""Scenes whose shapes are unknown: a few steps, as configured."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_tiny_scenes import SHAPES, SMALL
+
+import isas_cli
+from isas_cli.runtime.errors import InputError
+
+SETTINGS = [each for each in SMALL if "budget" not in each and "batch" not in each]
+SETTINGS += ["frames.views=1", "frames.snapshots=0", "report=false", "evaluation.spp=8"]
+
+
+@pytest.mark.parametrize("scene", SHAPES)
+@pytest.mark.parametrize("sampler", ("ours", "uniform"))
+def test_a_sphere_becomes_the_figure(scene, sampler, tmp_path):
+    chosen = [f"scene={scene}", f"sampler={sampler}", "estimator=silhouettes"]
+    run = isas_cli.run(
+        *chosen, *SETTINGS, "estimator.batch=4096", "budget.iterations=150", "target.spp=64",
+        "optimizer.schedule=cosine", "optimizer.final=0.1",
+        f"hydra.run.dir={tmp_path}",
+    )  # fmt: skip
+    error = run.history["parameter_rmse"]
+    assert error.iloc[-1] < 0.55 * error.iloc[0]  # 0.42 with uniform pixels
+    last = run.history.iloc[-1]
+    assert last["value/figure.vertices/folded"] == 0 and last["nonfinite"] == 0
+    assert 0.9 < last["value/figure.vertices/volume"] < 1.1
+    files = {path.name for path in (tmp_path / "meshes").iterdir()}
+    kinds = [f"{what}_figure.vertices.{kind}" for what in ("start", "result", "truth")
+             for kind in ("ply", "obj")]  # fmt: skip
+    assert files == set(kinds)
+
+
+def test_mitsubas_loop_recovers_it_too(tmp_path):
+    run = isas_cli.run(
+        *("scene=kirby", "sampler=mitsuba", *SETTINGS, "budget.iterations=15"),
+        *("estimator.silhouettes=direct", "estimator.batch=4096", f"hydra.run.dir={tmp_path}"),
+    )
+    error = run.history["parameter_rmse"]
+    assert error.iloc[-1] < 0.95 * error.iloc[0]
+
+
+def test_a_rate_of_100_ends_with_finite_numbers_and_says_what_happened(tmp_path):
+    unknowns = "scene.unknowns={figure.vertices: {start: sphere, lr: 100}}"
+    run = isas_cli.run(
+        *("scene=kirby", "sampler=uniform", "estimator=silhouettes", unknowns, *SETTINGS),
+        *("estimator.batch=1024", "budget.iterations=10", f"hydra.run.dir={tmp_path}"),
+    )
+    assert np.isfinite(run.parameters()["figure.vertices"]).all()
+    assert any("folded" in text for text in run.summary["warnings"])
+
+
+def test_samplers_that_read_moments_are_refused(tmp_path):
+    with pytest.raises(InputError, match="take sampler=ours, relevant or uniform"):
+        isas_cli.run("scene=kirby", "estimator=silhouettes", f"hydra.run.dir={tmp_path}")

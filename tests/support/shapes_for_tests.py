@@ -1,0 +1,99 @@
+"""A small figure with limbs, its vertices unknown, and brute-force derivatives of its loss."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+from isas_cli.scenes import kirby, meshes
+from isas_cli.scenes.icosphere import icosphere
+from scenes_for_tests import render_targets, without_targets
+
+from isas_cli import losses
+from isas_cli.config.schema import UnknownConfig
+from isas_cli.estimators.silhouettes import ByShape, Settings
+from isas_cli.rendering.pixels import PixelDistribution, Tiles
+from isas_cli.rendering.renderer import Renderer
+from isas_cli.scene.problem import Problem
+
+KEY = "figure.vertices"
+# The start's sphere, changed to an egg smaller than the figure: what is convex throws no shadow on
+# itself, whose edges would be left out.
+EGG = 0.85 * np.array([1.0, 0.8, 1.1])
+STEP = 0.008  # of differences: a fifth of a pixel
+
+
+def problem(views: int = 3, side: int = 32, seams: bool = False, **more) -> Problem:
+    """``seams``: no triangle shares a vertex in the file. ``more``: beside the figure."""
+    description = kirby.build(views, side, 3) | more
+    if seams:
+        values = mi.traverse(description["figure"])
+        vertices, normals = (
+            np.array(values[f"vertex_{name}"]).reshape(-1, 3) for name in ("positions", "normals")
+        )
+        faces = np.array(values["faces"]).reshape(-1, 3)
+        apart = meshes.from_corners(vertices[faces], np.zeros((0, 2)), normals[faces])
+        matt = {"type": "diffuse", "reflectance": {"type": "rgb", "value": kirby.COLOUR}}
+        description["figure"] = meshes.shape("figure", apart, matt)
+    made = without_targets(description, {KEY: UnknownConfig(start="sphere")})
+    render_targets(made, 256)
+    return made
+
+
+def egg(p: Problem) -> np.ndarray:
+    """Where derivatives are taken."""
+    return (p.unknowns[KEY].start * EGG).astype(np.float32)
+
+
+def directions(x: np.ndarray) -> dict[str, np.ndarray]:
+    """Movements of the vertices: of all, of their distance from the middle, of the top."""
+    bump = np.exp(-np.sum((x - [0, 0.7, 0]) ** 2, axis=1) / 0.15)
+    return {
+        "right": np.broadcast_to([1.0, 0, 0], x.shape),
+        "up": np.broadcast_to([0, 1.0, 0], x.shape),
+        "scale": x,
+        "bump": x * bump[:, None],
+    }
+
+
+def estimates(p: Problem, count: int, batch: int = 1 << 14, **settings) -> dict[str, np.ndarray]:
+    """By direction, the derivative of the loss along it, estimated ``count`` times."""
+    chosen = Settings(batch=batch, edges=batch, **settings)
+    estimator: ByShape = chosen.made(chosen.on(p), losses.L2())
+    uniform = PixelDistribution.uniform(Tiles.over(p.views))
+    x = egg(p)
+    values = p.unknowns.values_of({KEY: x})
+    gradients = [
+        np.array(estimator.estimate(values, uniform, 1, i, 0.0)[KEY], np.float64)
+        for i in range(count)
+    ]
+    p.unknowns.write(values)
+    return {
+        name: np.array([np.sum(g * way) for g in gradients]) for name, way in directions(x).items()
+    }
+
+
+def differences(p: Problem, names: list[str], spp: int = 512) -> dict[str, np.ndarray]:
+    """The same by central differences of the images, at the mean image's ∂ℒ/∂I: four estimates."""
+    x, renderer = egg(p), Renderer(p)
+
+    def image(at: np.ndarray, first: int) -> np.ndarray:
+        p.unknowns.write(p.unknowns.values_of({KEY: at.astype(np.float32)}))
+        found = renderer.range(0, p.views.total, spp, lambda i: first + i)
+        return found.astype(np.float64)
+
+    target = np.array(p.targets, np.float64).reshape(-1, 3)
+    adjoint = 2 * (image(x, 5) - target) * float(p.share[0])
+    found = {}
+    for name in names:
+        way = directions(x)[name] * STEP
+        found[name] = np.zeros(4)
+        for i in range(4):
+            first = 10**6 * (i + 1)
+            change = image(x + way, first) - image(x - way, first)
+            found[name][i] = np.sum(adjoint * change) / (2 * STEP)
+    return found
+
+
+def ball(level: int = 2, radius: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    vertices, faces = icosphere(level)
+    return radius * vertices, faces

@@ -1,0 +1,128 @@
+"""The vertices of a mesh as an unknown: welded, started, written, measured, saved."""
+
+from __future__ import annotations
+
+import io
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from isas_cli.scenes import kirby, meshes
+from scenes_for_tests import without_targets
+from shapes_for_tests import KEY, ball, problem
+
+from isas_cli.config.schema import OptimizerConfig, UnknownConfig
+from isas_cli.engine.optimiser import Stepper
+from isas_cli.runtime.errors import InputError
+from isas_cli.scene.shape_error import Sampled, apart
+from isas_cli.scene.topology import Topology
+
+MATT = {"type": "diffuse"}
+
+
+def test_vertices_at_one_place_are_one_and_go_back_to_all_of_the_files():
+    shared, apart_ = problem(views=1, side=8), problem(views=1, side=8, seams=True)
+    for p in (shared, apart_):
+        assert p.unknowns[KEY].truth.shape == (642, 3)
+        p.unknowns.write(p.unknowns.truths())
+        mesh = mi.traverse(p.scene)
+        positions = np.array(mesh["figure.vertex_positions"]).reshape(-1, 3)
+        faces = np.array(mesh["figure.faces"]).reshape(-1, 3)
+        normals = np.array(mesh["figure.vertex_normals"]).reshape(-1, 3)
+        vertices, corners = np.unique(positions, axis=0, return_inverse=True)
+        expected = meshes.corner_normals(vertices, corners.ravel()[faces])
+        np.testing.assert_allclose(normals[faces], expected, atol=1e-5)
+
+
+def test_steps_are_spread_by_the_laplacian_and_no_vertex_goes_farther_than_the_rate():
+    p = problem(views=1, side=8)
+    kind, rng = p.unknowns[KEY].kind, np.random.default_rng(3)
+    gradient = rng.normal(size=(642, 3))
+    dense = np.eye(642) + kind.stiffness * kind.topology.laplacian().toarray()
+    spread = np.linalg.solve(dense, np.linalg.solve(dense, gradient))
+    np.testing.assert_allclose(kind.smoothed(gradient), spread, atol=1e-12)
+    stepper = Stepper(p.unknowns, OptimizerConfig(lr=0.01))
+    before = np.array(stepper.values[KEY])
+    stepper.step({KEY: kind.value(gradient.astype(np.float32))}, 0.0)
+    moved = np.array(stepper.values[KEY]) - before
+    np.testing.assert_allclose(moved, -0.01 * spread / np.abs(spread).max(), atol=1e-6)
+
+
+def test_errors_of_balls_are_known():
+    vertices, faces = ball(4)
+    one, two = Sampled.of(vertices, faces), Sampled.of(1.1 * vertices, faces, 2)
+    found = apart(two, one)
+    assert abs(found["chamfer"] - 0.1) < 1e-3 and abs(found["hausdorff"] - 0.1) < 3e-3
+    assert found["normals"] < 3 and abs(found["volume"] - 1.1**3) < 1e-6
+    same = apart(Sampled.of(vertices, faces, 7), one)
+    assert same["chamfer"] < 5e-4 and same["normals"] < 0.2
+
+
+def test_folds_and_flaws_are_told():
+    vertices, faces = ball(3)
+    whole = Topology.of(vertices, faces)
+    assert whole.flaws() == [] and whole.folded(vertices) == 0
+    crumpled = vertices + np.random.default_rng(1).normal(size=vertices.shape)
+    assert whole.folded(crumpled) > 0.1
+    assert "3 of its" in Topology.of(vertices, faces[1:]).flaws()[0]
+    doubled = np.concatenate([faces, [[faces[0, 0], faces[0, 1], 99]]])
+    assert any("more than two faces" in flaw for flaw in Topology.of(vertices, doubled).flaws())
+
+
+def described(smooth: bool = True) -> dict:
+    scene = kirby.build(1, 8, 1)
+    if not smooth:
+        vertices, faces = ball(1)
+        mesh = mi.Mesh("figure", len(vertices), len(faces))
+        values = mi.traverse(mesh)
+        values["vertex_positions"] = vertices.astype(np.float32).ravel()
+        values["faces"] = faces.astype(np.uint32).ravel()
+        values.update()
+        scene["figure"] = mesh
+    return scene
+
+
+@pytest.mark.parametrize(
+    "start, smooth, words",
+    (
+        (0.0, True, "all vertices are at one place"),
+        ("nowhere.ply", True, "sphere, smooth, or a PLY or OBJ file that exists"),
+        ("sphere", False, "face normals"),
+    ),
+)
+def test_what_cannot_be_found_or_started_is_refused(start, smooth, words):
+    with pytest.raises(InputError, match=words):
+        without_targets(described(smooth), {KEY: UnknownConfig(start=start)})
+
+
+def test_a_start_from_a_file_has_the_same_faces(tmp_path):
+    p = problem(views=1, side=8)
+    kind = p.unknowns[KEY].kind
+    for extension, content in kind.files(kind.present * 0.5).items():
+        path = tmp_path / f"half.{extension}"
+        path.write_bytes(content)
+        found = kind.start(str(path), "start")
+        np.testing.assert_allclose(found, kind.present * 0.5, atol=1e-6)
+    small = tmp_path / "small.ply"
+    vertices, faces = ball(1)
+    import trimesh
+
+    trimesh.Trimesh(vertices, faces).export(small)
+    with pytest.raises(InputError, match="has 42 vertices, the mesh 'figure' 642"):
+        kind.start(str(small), "start")
+
+
+def test_the_result_keeps_texture_coordinates():
+    import trimesh
+
+    vertices, faces = ball(1)
+    corners = vertices[faces]
+    coordinates = np.random.default_rng(2).random((len(faces), 3, 2))
+    surface = meshes.from_corners(corners, coordinates, corners)
+    scene = kirby.build(1, 8, 1) | {"figure": meshes.shape("figure", surface, MATT)}
+    p = without_targets(scene, {KEY: UnknownConfig(start="smooth")})
+    kind = p.unknowns[KEY].kind
+    text = kind.files(kind.present)["obj"].decode()
+    read = trimesh.load(io.StringIO(text), file_type="obj", process=False)
+    assert len(read.vertices) == len(corners) * 3
+    np.testing.assert_allclose(read.visual.uv, coordinates.reshape(-1, 2), atol=1e-5)
