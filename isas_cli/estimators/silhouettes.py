@@ -31,7 +31,8 @@ class Settings(Estimator):
     name: ClassVar[str] = "silhouettes"
     plannable: ClassVar[bool] = False
 
-    edges: int = 16384
+    batch: int = 16384
+    edges: int = 4096
     paths: int = 4
     freeze: bool = True
 
