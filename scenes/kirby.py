@@ -8,10 +8,8 @@ shading and outline tell the shape. Views lie on a spiral over several elevation
 at one would leave top and bottom undetermined.
 
 The sky is made by formula as well: three broad coloured lobes on grey, so that light differs by
-direction. What was tried first: the CC0 maps of the other scenes. Their suns stand behind the
-figure in some view, hold nearly all of L2's residual there, and only the silhouettes before them
-moved (`forest`: chamfer from 0.053 to 0.051 in 30 s, to 0.016 under this sky in half the time at
-the same rate).
+direction. The photographed skies of the other scenes have suns, which would stand behind the figure
+in some view and hold nearly all of L2's residual: only the silhouettes before them would move.
 
 Direct light alone (depth 2): the figure is nearly convex, and its grooves are bright.
 """

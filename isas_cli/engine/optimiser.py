@@ -9,8 +9,7 @@ import numpy as np
 from ..config.schema import OptimizerConfig
 from ..runtime.schedule import factor
 from ..samplers.sampler import Moments
-from ..unknowns.kind import Kind
-from ..unknowns.parameters import as_numpy, flat, unflat
+from ..unknowns.parameters import as_numpy, flat, own, unflat
 from ..unknowns.unknowns import Unknowns
 
 # Of a gradient's entry in units of ``Stepper.scale``: the square of a larger one is infinite, and a
@@ -114,7 +113,7 @@ class Stepper:
             touched += mi.UInt64(dr.count(~finite | (entries != 0)))
             clean = dr.select(finite, entries, 0)
             if unknown.kind.uniform:
-                clean = self._smoothed(unknown.kind, clean)
+                clean = own(mi.Float, self._along(key, clean).astype(np.float32))
             took_part = (clean != 0) | (not self.settings.mask_updates)
             self.visits[key] += dr.select(took_part, mi.Float(1), 0)
             dr.set_grad(self.adam[key], unflat(gradients[key], clean))
@@ -127,17 +126,21 @@ class Stepper:
                 self.adam[unknown.key] = dr.clip(dr.detach(value), unknown.low, unknown.high)
         dr.eval(self.adam.state, self.nonfinite, self.touched, self.visits)
 
-    def _smoothed(self, kind: Kind, entries: mi.Float) -> mi.Float:
-        found = kind.smoothed(np.array(entries).reshape(kind.present.shape))
-        return mi.Float(np.ascontiguousarray(found.ravel(), np.float32)) + dr.opaque(
-            mi.Float, 0, entries.shape[0]
-        )
+    def _along(self, key: str, gradient) -> np.ndarray:
+        """The entries that Adam averages of ``gradient``, float64, unscaled, on the host: those of
+        ``Kind.smoothed`` where the unknown has it, which takes what is not finite for 0."""
+        entries = np.array(flat(gradient), dtype=np.float64)
+        kind = self.unknowns[key].kind
+        if not kind.uniform:
+            return entries
+        clean = np.where(np.isfinite(entries), entries, 0)
+        return kind.smoothed(clean.reshape(kind.present.shape)).ravel()
 
     def calibrate(self, gradients: list[dict]) -> None:
         """Fix ``scale`` as 1 / (root mean square of the non-zero finite entries), per unknown."""
         for key in self.unknowns.keys:
-            entries = np.concatenate([np.array(flat(g[key])) for g in gradients])
-            entries = entries[np.isfinite(entries) & (entries != 0)].astype(np.float64)
+            entries = np.concatenate([self._along(key, g[key]) for g in gradients])
+            entries = entries[np.isfinite(entries) & (entries != 0)]
             size = float(np.sqrt(np.mean(entries**2))) if entries.size else 0.0
             self.scale[key] = 1.0 / size if size > 0 else 1.0
 
@@ -156,7 +159,7 @@ class Stepper:
         total, count = 0.0, 0
         for key in self.unknowns.keys:
             first = flat(self.adam.state[key][3][1])
-            entries = np.array(flat(gradients[key]), dtype=np.float64)
+            entries = self._along(key, gradients[key])
             steps = np.array(self.visits[key], dtype=np.float64)
             touched = np.isfinite(entries) & (entries != 0) & (steps > 1)
             weight = 1 - self.settings.beta_1 ** steps[touched]

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..rendering.pixels import PixelDistribution
+from ..rendering.projective import projective
 from ..runtime import streams
 from ..runtime.errors import InputError
 from ..samplers.sampler import Sampler
@@ -190,11 +191,6 @@ class WholeImages:
         return adjoint
 
 
-def _depth(problem: "Problem") -> int:
-    depth = problem.integrator.max_depth
-    return -1 if depth >= 2**32 - 1 else int(depth)
-
-
 def _check_films(problem: "Problem") -> None:
     """Raises InputError for films that show another image than the targets, whose pixels are plain
     means over their squares."""
@@ -231,9 +227,4 @@ def _integrator(problem: "Problem", silhouettes: str) -> mi.Integrator:
             "estimator=mitsuba: what moves is differentiated by prb_projective, which simulates no "
             f"media, and the scene's integrator is {own.name}: take estimator=plateau"
         )
-    settings = {"max_depth": _depth(problem), "rr_depth": own.rr_depth}
-    settings |= {"hide_emitters": own.hide_emitters, **SILHOUETTES[silhouettes]}
-    found = mi.load_dict({"type": "prb_projective", **settings})
-    # On standard output, where the record's path is all that is printed; said above.
-    found.sample_border_warning = False
-    return found
+    return projective(own, **SILHOUETTES[silhouettes])

@@ -85,19 +85,24 @@ class Integrator:
         dr.eval(derivative)
         return derivative
 
-    def _sample(self, mode, scene, sampler, ray, adjoint=None, state=None):
-        radiance, _, _, state = self.mitsuba.sample(
-            mode=mode,
-            scene=scene,
-            sampler=sampler,
-            ray=ray,
-            depth=mi.UInt32(0),
-            δL=adjoint,
-            δaovs=None,
-            state_in=state,
-            active=mi.Bool(True),
-        )
-        return radiance, state
+    def _sample(self, *arguments):
+        return sampled(self.mitsuba, *arguments)
+
+
+def sampled(integrator: mi.Integrator, mode, scene, sampler, ray, adjoint=None, state=None):
+    """Radiance, or its derivative, by one of Mitsuba's integrators, and the state of a replay."""
+    radiance, _, _, state = integrator.sample(
+        mode=mode,
+        scene=scene,
+        sampler=sampler,
+        ray=ray,
+        depth=mi.UInt32(0),
+        δL=adjoint,
+        δaovs=None,
+        state_in=state,
+        active=mi.Bool(True),
+    )
+    return radiance, state
 
 
 class InOneGo(Integrator):

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import drjit as dr
 import mitsuba as mi
 
-from .integrators import Integrator
+from .integrators import Integrator, sampled
 
 
 class Attached(Integrator):
@@ -26,9 +24,9 @@ class Attached(Integrator):
         self.mitsuba, self.simulates = base.mitsuba, base.simulates
         self.max_depth, self.rr_depth = base.max_depth, base.rr_depth
         self.hide_emitters, self.paths = base.hide_emitters, base.paths
-        self.primal: Callable = base.primal
+        self.primal = base.primal
         self.direct = base.max_depth == 2
-        self.projective = projective(base)
+        self.projective = without_film(base)
 
     def backward(self, scene, sampler, ray, adjoint: mi.Color3f) -> None:
         if self.direct:
@@ -57,31 +55,24 @@ class Attached(Integrator):
         dr.eval(derivative)
         return derivative
 
-    def _traced(self, mode, scene, sampler, ray, adjoint=None, state=None) -> mi.Color3f:
+    def _traced(self, *arguments) -> mi.Color3f:
         # Derivatives are suspended: the integrator resumes them by itself where directions are not
         # drawn. Attached as a whole, drawn directions would be differentiated as well.
-        found, *_ = self.projective.sample(
-            mode=mode,
-            scene=scene,
-            sampler=sampler,
-            ray=ray,
-            depth=mi.UInt32(0),
-            δL=adjoint,
-            δaovs=None,
-            state_in=state,
-            active=mi.Bool(True),
-        )
-        return found
+        return sampled(self.projective, *arguments)[0]
 
 
-def projective(base: Integrator) -> mi.Integrator:
-    """Mitsuba's projective integrator for the paths of ``base``: without a film, for samples."""
-    depth = -1 if base.max_depth >= 2**32 - 1 else int(base.max_depth)
-    direct = base.max_depth == 2
-    settings = {} if direct else {"max_depth": depth, "rr_depth": base.rr_depth}
-    settings |= {"hide_emitters": base.hide_emitters, "sppi": 0}
-    name = "direct_projective" if direct else "prb_projective"
-    found = mi.load_dict({"type": name, **settings})
+def projective(base: Integrator, name: str = "prb_projective", **settings) -> mi.Integrator:
+    """Mitsuba's projective integrator ``name`` for the paths of ``base``."""
+    if name == "prb_projective":
+        depth = -1 if base.max_depth >= 2**32 - 1 else int(base.max_depth)
+        settings |= {"max_depth": depth, "rr_depth": base.rr_depth}
+    found = mi.load_dict({"type": name, "hide_emitters": base.hide_emitters, **settings})
     # On standard output, where the record's path is all that is printed.
     found.sample_border_warning = False
     return found
+
+
+def without_film(base: Integrator) -> mi.Integrator:
+    """The same, to be asked for samples: the cheapest for the depth, no shadows' silhouettes."""
+    name = "direct_projective" if base.max_depth == 2 else "prb_projective"
+    return projective(base, name, sppi=0)

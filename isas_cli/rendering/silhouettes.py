@@ -12,15 +12,9 @@ from ..runtime.errors import InputError
 from ..scene.problem import Problem
 from ..scene.topology import Topology
 from ..scene.views import Views
+from ..unknowns.parameters import own
 from . import rays
-from .projective import projective
-
-
-def own(array: np.ndarray, kind: type):
-    """In memory of Dr.Jit's own: what is mapped from NumPy is not safe in frozen kernels."""
-    found = kind(np.ascontiguousarray(array)) + dr.opaque(kind, 0, len(array))
-    dr.eval(found)
-    return found
+from .projective import without_film
 
 
 @dataclass
@@ -51,8 +45,8 @@ class Cameras:
             matrices.append(scale @ projection @ np.linalg.inv(place))
             centres.append(place[:3, 3])
         matrices, centres = (np.array(x, np.float32) for x in (matrices, centres))
-        rows = [[own(matrices[:, row, k], mi.Float) for k in range(4)] for row in (0, 1, 3)]
-        return Cameras(rows, [own(centres[:, k], mi.Float) for k in range(3)])
+        rows = [[own(mi.Float, matrices[:, row, k]) for k in range(4)] for row in (0, 1, 3)]
+        return Cameras(rows, [own(mi.Float, centres[:, k]) for k in range(3)])
 
     def origin(self, view: mi.UInt32) -> mi.Point3f:
         return mi.Point3f(*[dr.gather(mi.Float, each, view) for each in self.centre])
@@ -85,10 +79,10 @@ class Outline:
     def of(topology: Topology) -> "Outline":
         edges, first = topology.edges, topology.first
         pairs = [
-            [own(a[:, i].astype(np.uint32), mi.UInt32) for i in range(2)]
+            [own(mi.UInt32, a[:, i].astype(np.uint32)) for i in range(2)]
             for a in (first[edges.ends], first[edges.across], edges.faces)
         ]
-        return Outline(*pairs, own(first[topology.faces].ravel().astype(np.uint32), mi.UInt32))
+        return Outline(*pairs, own(mi.UInt32, first[topology.faces].ravel().astype(np.uint32)))
 
     @property
     def count(self) -> int:
@@ -135,7 +129,7 @@ class Silhouettes:
         self.cameras, self.outline = Cameras.of(problem), Outline.of(topology)
         (shape,) = [each for each in problem.scene.shapes() if each.id() == id]
         self._shape = shape
-        integrator, differences = problem.integrator, projective(problem.integrator)
+        integrator, differences = problem.integrator, without_film(problem.integrator)
         edges, views = self.outline.count, len(problem.film_sizes)
 
         def kernel(scene, sensors, films, positions, outline, cameras, targets, mask, seeds, share):
@@ -187,6 +181,8 @@ class Silhouettes:
                 column = mi.UInt32(dr.clip(place.x, 0, width - 1))
                 row = mi.UInt32(dr.clip(place.y, 0, height - 1))
                 pixel = films.index(view, column, row)
+                # An edge without a direction has none, and no derivative.
+                away = dr.select(valid, away, 0)
                 dr.eval(pixel, valid, away, speed, column, row)
 
                 step = self._difference(

@@ -74,14 +74,19 @@ def as_numpy(value) -> np.ndarray:
     return array if dr.is_tensor_v(value) else array.reshape(-1)
 
 
+def own(kind: type, array: np.ndarray):
+    """A flat ``array`` as ``kind``, in memory of Dr.Jit's own: frozen kernels go on seeing earlier
+    values of what is NumPy's."""
+    found = kind(np.ascontiguousarray(array)) + dr.opaque(kind, 0, len(array))
+    dr.eval(found)
+    return found
+
+
 def like(kind: type, array: np.ndarray):
-    """``array`` as a Dr.Jit value of the type ``kind``, in memory of its own: frozen kernels go on
-    seeing earlier values of a texture of one channel whose memory is NumPy's."""
+    """``array`` as a Dr.Jit value of the type ``kind``, in memory of its own (``own``)."""
     if not dr.is_tensor_v(kind) and array.size == dr.size_v(kind) > 1:
         return kind(*[float(x) for x in array])
-    entries = mi.Float(np.ascontiguousarray(array.reshape(-1), dtype=np.float32))
-    entries = entries + dr.opaque(mi.Float, 0, entries.shape[0])
-    dr.eval(entries)
+    entries = own(mi.Float, array.reshape(-1).astype(np.float32, copy=False))
     if dr.is_tensor_v(kind):
         return kind(entries, array.shape)
     return dr.unravel(kind, entries) if dr.size_v(kind) > 1 else kind(entries)

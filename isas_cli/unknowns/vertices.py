@@ -15,7 +15,7 @@ from ..runtime.errors import InputError
 from ..scene.shape_error import MEASURES, Sampled, apart
 from ..scene.topology import Topology
 from .kind import Kind, Loaded
-from .parameters import like
+from .parameters import like, own
 
 # λ of I + λL for a mesh of 10,000 vertices, as the paper's authors take it. Derivatives are spread
 # over about √λ edges; in proportion to the count it is the same part of the surface.
@@ -69,8 +69,10 @@ class Vertices(Kind):
         self._texcoords = (
             np.array(params[coordinates]).reshape(-1, 2) if coordinates in params else np.zeros(0)
         )
-        self._place = _indices(self.topology.place)
-        self._corners = [_indices(self.topology.faces[:, i]) for i in range(3)]
+        self._place = own(mi.UInt32, self.topology.place.astype(np.uint32))
+        self._corners = [
+            own(mi.UInt32, corner.astype(np.uint32)) for corner in self.topology.faces.T
+        ]
 
     def value(self, array: np.ndarray) -> mi.TensorXf:
         return like(mi.TensorXf, array)
@@ -208,10 +210,3 @@ def _meshes(params: mi.SceneParameters) -> list[str]:
 
 def _named(params: mi.SceneParameters, id: str, names: tuple[str, ...]) -> str:
     return next(f"{id}.{name}" for name in names if f"{id}.{name}" in params)
-
-
-def _indices(array: np.ndarray) -> mi.UInt32:
-    """In memory of Dr.Jit's own: what is mapped from NumPy is not safe in frozen kernels."""
-    found = mi.UInt32(np.ascontiguousarray(array, np.uint32)) + dr.opaque(mi.UInt32, 0, len(array))
-    dr.eval(found)
-    return found
