@@ -100,7 +100,9 @@ class TwoPath:
                 residual = loss.derivative(radiance * weight, target)
                 if mask is not None:
                     residual *= dr.gather(mi.Float, mask, pixel)
-                dr.scatter_add(lost[0], mi.UInt32(1), 0, ~dr.all(dr.isfinite(residual)))
+                finite = dr.all(dr.isfinite(residual))
+                # With the next kernel: counted in one of its own, the path would be traced again.
+                dr.schedule(residual, finite)
 
                 second = rays.stream(seeds[2], batch)
                 ray, weight = rays.spawn(sensors, views, view, column, row, second)
@@ -109,6 +111,7 @@ class TwoPath:
                     integrator.backward(scene, second, ray, adjoint)
                 else:
                     second_pass(integrator, scene, second, ray, adjoint)
+                lost[0] += dr.count(~finite)
 
         self._kernel = dr.freeze(kernel) if freeze else kernel
 
