@@ -1,9 +1,11 @@
 """Shapes from images: estimators and samplers race at equal time, and what a step costs.
 
-`kirby` from a sphere: `estimator=silhouettes` with each of three samplers, and Mitsuba's own loop
-(`sampler=mitsuba`, silhouettes that the camera sees), at three rates each with the first seed, then
-each at its best with three others, which alone are reported. Writes results/shapes.csv (a row per
-method), shapes_rates.csv and shapes.png (chamfer distance against billed time).
+Each scene from a sphere: `estimator=silhouettes` with each of three samplers, without what each of
+its parts brings (silhouettes drawn by length alone; no shadows' edges), and Mitsuba's own loop
+(`sampler=mitsuba`; with shadows' edges where the scene asks for them), at three rates each with the
+first seed, then each at its best with three others, which alone are reported. Writes
+results/shapes.csv (a row per scene and method), shapes_rates.csv and shapes.png (chamfer distance
+against billed time).
 
 With `--step`: one step's time with films of 16 × 512² and 20,480 triangles, `silhouettes` against
 Mitsuba's loop at one path a pixel, in turns; prints the ratio, writes results/shapes_step.csv.
@@ -28,49 +30,79 @@ from isas_cli import records
 
 RESULTS = Path(__file__).parent / "results"
 ERROR, STOCK = "parameter_rmse", "Mitsuba's loop"
-OURS = {"estimator": "silhouettes", "estimator.batch": 16384}
-METHODS = {
-    "silhouettes, uniform": OURS | {"sampler": "uniform"},
-    "silhouettes, relevant": OURS | {"sampler": "relevant"},
-    "silhouettes, ours": OURS | {"sampler": "ours"},
-    STOCK: {"sampler": "mitsuba", "sampler.silhouettes": "direct"},
-}
+MEASURES = ("normals", "volume", "overlap", "folded")
+SCENES = ("kirby", "dodoco_b", "shadowplay")
+SHADOWS = {"kirby": 0, "dodoco_b": 0, "shadowplay": 4096}  # what each scene calls for
+OURS = "silhouettes"
+SAMPLERS = ("uniform", "relevant", "ours")
+
+
+def methods(scene: str) -> dict[str, dict]:
+    """Settings by name."""
+    shadows = SHADOWS[scene]
+    base = {"estimator": OURS, "estimator.batch": 16384, "estimator.shadows": shadows}
+    found = {f"{OURS}, {s}": base | {"sampler": s} for s in SAMPLERS}
+    uniform = base | {"sampler": "uniform"}
+    found[f"{OURS}, uniform, by length"] = uniform | {"estimator.adaptive": "false"}
+    other, shadows = ("no shadows", 0) if shadows else ("and shadows", 4096)
+    found[f"{OURS}, uniform, {other}"] = uniform | {"estimator.shadows": shadows}
+    kind = "uniform" if SHADOWS[scene] else "direct"
+    return found | {STOCK: {"sampler": "mitsuba", "sampler.silhouettes": kind}}
+
+
 FACTORS = (0.3, 1.0, 3.0)  # of the scene's rate, 0.03
 SETTINGS = ["evaluation.count=16", "frames.views=0", "frames.snapshots=0", "report=false"]
 SETTINGS += ["optimizer.schedule=cosine", "optimizer.final=0.1"]
 
 
-def race(folder: Path, contestants: list[dict], seeds: list[int], seconds: float) -> None:
+def race(
+    scene: str, folder: Path, contestants: list[dict], seeds: list[int], seconds: float
+) -> None:
     listed = [",".join(f"{k}:{v}" for k, v in each.items()) for each in contestants]
-    command = [sys.executable, "-m", "isas_cli", "race", "scene=kirby", *SETTINGS]
+    command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *SETTINGS]
     command += [f"budget.seconds={seconds}", f"seed=[{','.join(map(str, seeds))}]"]
     command += ["contestants=[" + ",".join(f"{{{each}}}" for each in listed) + "]"]
     subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
 
 
-def runs(folder: Path) -> pandas.DataFrame:
+def name_of(config: dict, scene: str) -> str:
+    """Of the method that a run's configuration is."""
+    estimator = config["estimator"]
+    if estimator["name"] != OURS:
+        return STOCK
+    for name, settings in methods(scene).items():
+        own = {k.partition(".")[2]: v for k, v in settings.items() if k.startswith("estimator.")}
+        own["adaptive"] = own.get("adaptive") != "false"
+        if config["sampler"]["name"] == settings["sampler"] and all(
+            estimator[key] == value for key, value in own.items()
+        ):
+            return name
+    raise ValueError(f"no method of {scene}: {config}")
+
+
+def runs(folder: Path, scene: str) -> pandas.DataFrame:
     rows = []
     for path in sorted(folder.rglob("summary.json")):
         run = records.load(path.parent)
-        own = run.config["estimator"]["name"], run.config["sampler"]["name"]
-        name = f"silhouettes, {own[1]}" if own[0] == "silhouettes" else STOCK
         last = run.history.iloc[-1]
-        rows.append(
-            {
-                "method": name,
-                "factor": run.config["optimizer"]["factor"],
-                "seed": run.config["seed"],
-                "history": run.history,
-                "start": run.history[ERROR].iloc[0],
-                "chamfer": last[ERROR],
-                "normals": last["value/figure.vertices/normals"],
-                "volume": last["value/figure.vertices/volume"],
-                "folded": last["value/figure.vertices/folded"],
-                "image_rmse": last["image_rmse"],
-                "iterations": int(last["iteration"]),
-            }
-        )
-    return pandas.DataFrame(rows)
+        row = {
+            "scene": scene,
+            "method": name_of(run.config, scene),
+            "factor": run.config["optimizer"]["factor"],
+            "seed": run.config["seed"],
+            "history": run.history,
+            "start": run.history[ERROR].iloc[0],
+            "chamfer": last[ERROR],
+            "outlines": last["value/outlines/overlap"],
+        }
+        row |= {name: last[f"value/figure.vertices/{name}"] for name in MEASURES}
+        row |= {"image_rmse": last["image_rmse"], "iterations": int(last["iteration"])}
+        rows.append(row)
+    found = pandas.DataFrame(rows)
+    order = list(methods(scene))
+    return found.sort_values(
+        ["method", "seed"], key=lambda c: c.map(order.index) if c.name == "method" else c
+    )
 
 
 def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
@@ -78,10 +110,15 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     goal = found[found["method"] == STOCK]["chamfer"].median()
     rows = []
     for name, own in found.groupby("method", sort=False):
-        row = {"method": name, "factor": own["factor"].iloc[0], "seeds": len(own)}
+        row = {
+            "scene": own["scene"].iloc[0],
+            "method": name,
+            "factor": own["factor"].iloc[0],
+            "seeds": len(own),
+        }
         row |= {"seconds": seconds, "start": own["start"].median()}
         row |= {"chamfer_low": own["chamfer"].min(), "chamfer_high": own["chamfer"].max()}
-        for measure in ("chamfer", "normals", "volume", "folded", "image_rmse", "iterations"):
+        for measure in ("chamfer", "outlines", *MEASURES, "image_rmse", "iterations"):
             row[measure] = own[measure].median()
         row["time_to_stock"] = np.median([reached(h, goal) / seconds for h in own["history"]])
         rows.append(row)
@@ -89,13 +126,17 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
 
 
 def draw(found: pandas.DataFrame) -> None:
-    figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
-    for number, (name, own) in enumerate(found.groupby("method", sort=False)):
-        for history in own["history"]:
-            label = name if history is own["history"].iloc[0] else None
-            ax.plot(history["seconds"], history[ERROR], color=f"C{number}", label=label)
-    ax.set(yscale="log", xlabel="billed seconds", ylabel="chamfer distance", title="kirby")
-    ax.legend(fontsize=8)
+    scenes = list(dict.fromkeys(found["scene"]))
+    size = (4.2 * len(scenes), 4.2)
+    figure, axes = plt.subplots(1, len(scenes), figsize=size, layout="constrained", squeeze=False)
+    for ax, scene in zip(axes[0], scenes):
+        runs_here = found[found["scene"] == scene]
+        for number, (name, own) in enumerate(runs_here.groupby("method", sort=False)):
+            for place, history in enumerate(own["history"]):
+                label = name if place == 0 else None
+                ax.plot(history["seconds"], history[ERROR], color=f"C{number}", label=label)
+        ax.set(yscale="log", xlabel="billed seconds", ylabel="chamfer distance", title=scene)
+        ax.legend(fontsize=7)
     figure.savefig(RESULTS / "shapes.png", dpi=90)
     plt.close(figure)
 
@@ -115,7 +156,7 @@ def steps(rounds: int = 5) -> pandas.DataFrame:
     views = ["scene=kirby", "scene.arguments.resolution=512", "target.spp=1"]
     views += ["evaluation.pixels=64", "evaluation.spp=2", "budget.iterations=100"]
     sides = {
-        "silhouettes": ["estimator=silhouettes", "sampler=uniform"],
+        OURS: ["estimator=silhouettes", "sampler=uniform", "estimator.shadows=0"],
         STOCK: ["sampler=mitsuba", "sampler.silhouettes=direct"],
     }
     workshop, loops = None, {}
@@ -130,7 +171,7 @@ def steps(rounds: int = 5) -> pandas.DataFrame:
     rows = []
     for number in range(rounds):
         for name, loop in loops.items():
-            count = 8 if name == "silhouettes" else 1
+            count = 8 if name == OURS else 1
             backend.sync()
             begun = time.perf_counter()
             for _ in range(count):
@@ -145,30 +186,34 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20)
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
+    parser.add_argument("--scenes", nargs="+", default=SCENES)
     parser.add_argument("--step", action="store_true")
     chosen = parser.parse_args()
     if chosen.step:
         found = steps()
         found.to_csv(RESULTS / "shapes_step.csv", index=False, float_format="%.5f")
         middle = found.groupby("side")["seconds"].median()
-        print(f"a step: {middle['silhouettes'] / middle[STOCK]:.4f} of Mitsuba's")
+        print(f"a step: {middle[OURS] / middle[STOCK]:.4f} of Mitsuba's")
         return
-    with tempfile.TemporaryDirectory(prefix="isas-shapes-") as root:
-        every = [m | {"optimizer.factor": f} for m in METHODS.values() for f in FACTORS]
-        race(Path(root) / "rates", every, chosen.seeds[:1], chosen.seconds)
-        first = runs(Path(root) / "rates")
-        best = first.loc[first.groupby("method", sort=False)["chamfer"].idxmin()]
-        pairs = [
-            METHODS[m] | {"optimizer.factor": f} for m, f in zip(best["method"], best["factor"])
-        ]
-        race(Path(root) / "seeds", pairs, chosen.seeds[1:], chosen.seconds)
-        found = runs(Path(root) / "seeds")
-    first.drop(columns="history").to_csv(
-        RESULTS / "shapes_rates.csv", index=False, float_format="%.4g"
-    )
-    measured = table(found, chosen.seconds)
-    measured.to_csv(RESULTS / "shapes.csv", index=False, float_format="%.4g")
-    draw(found)
+    everything, rates = [], []
+    for scene in chosen.scenes:
+        with tempfile.TemporaryDirectory(prefix="isas-shapes-") as root:
+            each = methods(scene)
+            every = [m | {"optimizer.factor": f} for m in each.values() for f in FACTORS]
+            race(scene, Path(root) / "rates", every, chosen.seeds[:1], chosen.seconds)
+            first = runs(Path(root) / "rates", scene)
+            best = first.loc[first.groupby("method", sort=False)["chamfer"].idxmin()]
+            pairs = [
+                each[m] | {"optimizer.factor": f} for m, f in zip(best["method"], best["factor"])
+            ]
+            race(scene, Path(root) / "seeds", pairs, chosen.seeds[1:], chosen.seconds)
+            everything.append(runs(Path(root) / "seeds", scene))
+            rates.append(first.drop(columns="history"))
+        # After each scene: what is measured survives what follows.
+        measured = pandas.concat([table(found, chosen.seconds) for found in everything])
+        for name, rows in ("shapes", measured), ("shapes_rates", pandas.concat(rates)):
+            rows.to_csv(RESULTS / f"{name}.csv", index=False, float_format="%.4g")
+        draw(pandas.concat(everything))
     print(measured.to_string())
 
 

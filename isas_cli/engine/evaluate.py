@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..records import KEY_PREFIX, VALUE_PREFIX
+from ..rendering import rays
 from ..rendering.renderer import Renderer
 from ..runtime import streams
 from ..scene.problem import Problem
@@ -56,8 +57,14 @@ class Evaluator:
         self.renderer = Renderer(problem, renderer)
         self.target = dr.gather(mi.Color3f, problem.targets, self.pixels)
         self.references = (self.target, self.target)
+        unknowns, self._moved_in_truth = problem.unknowns, None
+        self._moving = {
+            key.rpartition(".")[0] for name in unknowns.moving for key in unknowns.written(name)
+        }
         if problem.truth_known:
-            self.references = self._halves(problem.unknowns.truths())
+            self.references = self._halves(unknowns.truths())
+            if self._moving:
+                self._moved_in_truth = self._shown()
 
     def apart(self, problem: Problem, values: dict) -> float:
         """Root mean square difference of the mean images of ``problem``, the same with another
@@ -85,7 +92,8 @@ class Evaluator:
         return halves
 
     def __call__(self, values: dict) -> dict[str, float]:
-        """``loss``, ``image_rmse``, ``parameter_rmse``, ``parameter_rmse/<key>``, and ``few``."""
+        """``loss``, ``image_rmse``, ``parameter_rmse``, ``parameter_rmse/<key>``, and ``value/…``:
+        ``_outlines`` and ``few``."""
         first, second = self._halves(values)
         weight = mi.Float(1)
         if self.problem.mask is not None:
@@ -99,7 +107,32 @@ class Evaluator:
             "loss": float(dr.sum(loss)[0]) / norm,
             "image_rmse": math.sqrt(max(0.0, float(dr.sum(squared)[0]) / norm)),
         }
-        return result | self.parameter_errors(values) | self.few(values)
+        return result | self._outlines() | self.parameter_errors(values) | self.few(values)
+
+    def _outlines(self) -> dict[str, float]:
+        """``value/outlines/overlap``, where objects move and the truth is known: of the pixels
+        whose middles show what moves, now or in truth, the share that do both. At the present
+        values."""
+        if self._moved_in_truth is None:
+            return {}
+        now, truth = self._shown(), self._moved_in_truth
+        either = float(dr.sum(mi.Float(now | truth))[0])
+        both = float(dr.sum(mi.Float(now & truth))[0])
+        return {f"{VALUE_PREFIX}outlines/overlap": both / either if either else 1.0}
+
+    def _shown(self) -> mi.Bool:
+        p = self.problem
+        view, column, row = p.views.locate(self.pixels)
+        middle = mi.Point2f(0.5)
+        ray, _ = rays.through(p.sensors, p.views, view, column, row, middle, middle)
+        hit = p.scene.ray_intersect_preliminary(ray)
+        found = mi.Bool(False)
+        for shape in p.scene.shapes():
+            if shape.id() in self._moving:
+                found |= hit.shape == mi.ShapePtr(shape)
+        found &= hit.is_valid()
+        dr.eval(found)
+        return found
 
     def few(self, values: dict) -> dict[str, float]:
         """What each kind says of its value: ``value/<key>``, or ``value/<key>/<name>``."""

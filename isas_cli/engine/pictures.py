@@ -6,6 +6,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..records import RunWriter, safe_name
+from ..rendering import turntable
 from ..rendering.renderer import Renderer
 from ..runtime import images, streams
 from ..scene.problem import Problem
@@ -62,6 +63,19 @@ class Pictures:
                 error = np.abs(image - self.problem.target_image(view))
                 self._write(f"error_v{view:02d}", error, _RGB, "|result - target|", **tags)
         self._unknowns(kind, {k: as_numpy(v) for k, v in values.items()}, iteration)
+        if kind == "result":
+            self._turntables({k: as_numpy(v) for k, v in values.items()})
+
+    def _turntables(self, arrays: dict[str, np.ndarray]) -> None:
+        for unknown in self.problem.unknowns:
+            shown = {"start": unknown.start, "result": arrays[unknown.key]}
+            truth = unknown.truth if self.problem.truth_known else None
+            if truth is not None:
+                shown = {"truth": truth, **shown}
+            surfaces = {what: unknown.kind.surface(each, truth) for what, each in shown.items()}
+            if surfaces["result"] and all(np.isfinite(each).all() for each in shown.values()):
+                content = turntable.made(surfaces)
+                self.writer.mesh(f"turntable_{safe_name(unknown.key)}.webp", content)
 
     def snapshot(self, values: dict, iteration: int, seconds: float) -> np.ndarray:
         """The first view at ``values``, every n-th pixel of it, for an animation afterwards.

@@ -1,4 +1,4 @@
-"""Gradients by shapes: paths of drawn pixels, and samples of the silhouettes of all views."""
+"""Gradients by shapes: paths of drawn pixels, and samples of silhouettes and of shadows' edges."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from ..rendering.pixels import PixelDistribution
 from ..rendering.projective import Attached
+from ..rendering.shadows import Shadows
 from ..rendering.silhouettes import Silhouettes
 from ..runtime import streams
 from ..runtime.errors import InputError
@@ -23,22 +24,33 @@ if TYPE_CHECKING:
     from ..scene.problem import Problem
 
 
+_EDGE = "edge", "edge_step", "edge_residual"
+_SHADOW = "lamp", "shadow_edge", "shadow_residual"
+
+
 @dataclass
 class Settings(Estimator):
-    """``ByShape``. ``edges``: samples of silhouettes a step; ``paths``: of each one's pixel, for
-    its residual; ``freeze``: record kernels once instead of tracing every iteration."""
+    """``ByShape``. ``edges``: samples of silhouettes a step; ``adaptive``: drawn by the residuals
+    around them; ``shadows``: samples of the edges of shadows a step, 0 to leave these out;
+    ``lamps``: points of lamps that these are found for; ``paths``: of each sample's pixel, for its
+    residual; ``freeze``: record kernels once instead of tracing every iteration."""
 
     name: ClassVar[str] = "silhouettes"
     plannable: ClassVar[bool] = False
 
     batch: int = 16384
     edges: int = 4096
+    adaptive: bool = True
+    shadows: int = 4096
+    lamps: int = 16
     paths: int = 4
     freeze: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least_one(self, "edges", "paths")
+        at_least_one(self, "edges", "paths", "lamps")
+        if self.shadows < 0:
+            raise InputError(f"estimator.shadows must be 0 or more, not {self.shadows}")
 
     def fits(self, sampler: Sampler) -> None:
         if "blur" in sampler.needs:
@@ -61,7 +73,7 @@ class Settings(Estimator):
         return replace(problem, integrator=Attached(problem.integrator))
 
     def made(self, problem: "Problem", loss) -> "ByShape":
-        return ByShape(problem, loss, self.batch, self.edges, self.paths, self.freeze)
+        return ByShape(problem, loss, self)
 
     def derivatives(self, problem: "Problem") -> str:
         return Attached.derivatives
@@ -70,31 +82,34 @@ class Settings(Estimator):
 class ByShape:
     """dℒ/dθ for unknowns that move meshes, beside others: the part at fixed visibility from
     ``batch`` drawn pixels (``TwoPath`` with paths that follow the surfaces, ``Attached``), the part
-    of moving silhouettes from ``edges`` samples (``Silhouettes``), shared out over the meshes. No
-    film is filled: a step costs what its samples cost, whatever the films' sizes.
+    of moving silhouettes from ``edges`` samples (``Silhouettes``) and that of the edges of shadows
+    from ``shadows`` (``Shadows``), shared out over the meshes. No film is filled: a step costs what
+    its samples cost, whatever the films' sizes.
 
-    Bias: that of both parts. Silhouettes that other surfaces show (shadows, reflections, parts that
-    light each other) are left out. Traced once and frozen, but for ``params.update()``.
+    Bias: that of all parts. Silhouettes that other surfaces show (reflections, shadows in light
+    that was scattered before) are left out. Traced once and frozen, but for ``params.update()``.
+    What ``adaptive`` met is not saved: a run that is resumed begins with lengths alone.
     """
 
-    def __init__(
-        self, problem: "Problem", loss, batch: int, edges: int, paths: int, freeze: bool = True
-    ):
+    def __init__(self, problem: "Problem", loss, chosen: Settings):
         """``problem.integrator``: an ``Attached``. Raises InputError for what moves and is no mesh
         of smooth normals."""
-        self.problem, self.freeze = problem, freeze
-        self.inside = TwoPath(problem, loss, batch, freeze)
+        self.problem, self.freeze = problem, chosen.freeze
+        self.inside = TwoPath(problem, loss, chosen.batch, chosen.freeze)
         meshes = _meshes(problem)
-        each = max(1, edges // max(1, len(meshes)))
-        self.borders = {
-            key: Silhouettes(problem, loss, key.rpartition(".")[0], topology, each, paths, freeze)
-            for key, topology in meshes.items()
-        }
+        self.borders = []
+        for key, topology in meshes.items():
+            where = problem, loss, key.rpartition(".")[0], topology
+            edges = max(1, chosen.edges // len(meshes)), chosen.paths, chosen.adaptive
+            self.borders.append((key, _EDGE, Silhouettes(*where, *edges, chosen.freeze)))
+            if chosen.shadows and problem.integrator.max_depth > 1:
+                shadows = max(1, chosen.shadows // len(meshes)), chosen.paths, chosen.lamps
+                self.borders.append((key, _SHADOW, Shadows(*where, *shadows, chosen.freeze)))
 
     @property
     def paths_per_step(self) -> int:
         """Light paths of one estimate."""
-        borders = sum(each.paths_per_step for each in self.borders.values())
+        borders = sum(each.paths_per_step for _, _, each in self.borders)
         return self.inside.paths_per_step + borders
 
     @property
@@ -115,11 +130,10 @@ class ByShape:
         unknowns.attach(values)
         self.inside.accumulate(distribution, seed, iteration)
         total = unknowns.taken()
-        for number, (key, border) in enumerate(self.borders.items()):
+        for number, (key, purposes, border) in enumerate(self.borders):
             place = iteration * len(self.borders) + number
             seeds = [
-                dr.opaque(mi.UInt32, streams.seed(seed, place, purpose))
-                for purpose in ("edge", "edge_step", "edge_residual")
+                dr.opaque(mi.UInt32, streams.seed(seed, place, purpose)) for purpose in purposes
             ]
             if not self.freeze:  # the backward pass has cleared the way to the leaves
                 unknowns.attach(values)

@@ -37,7 +37,7 @@ _DPI = 110
 
 @dataclass(frozen=True)
 class Picture:
-    """A finished PNG and the sentence that stands under it."""
+    """A finished PNG or WebP file and the sentence that stands under it."""
 
     path: Path
     caption: str

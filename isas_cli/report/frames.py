@@ -26,8 +26,8 @@ _CELL, _GAP, _LEFT, _TOP, _BOTTOM = 2.1, 0.08, 0.4, 0.55, 0.75  # inches
 def write_sheets(folder: Path) -> list[Picture]:
     """Writes plots/sheet.png (views) and plots/textures.png (unknown textures) from frames/*.exr.
 
-    Returns those for which there were frames. A frame that is missing or cannot be read leaves a
-    grey field that says so.
+    Returns those for which there were frames, and the turntables of unknown shapes. A frame that is
+    missing or cannot be read leaves a grey field that says so.
     """
     views, textures = read(folder)
     made = []
@@ -36,7 +36,19 @@ def write_sheets(folder: Path) -> list[Picture]:
             made.append(_views_sheet(views, Path(folder) / "plots" / "sheet.png"))
         if textures:
             made.append(_textures_sheet(textures, Path(folder) / "plots" / "textures.png"))
-    return made
+    return [*made, *_turntables(folder)]
+
+
+def _turntables(folder: Path) -> list[Picture]:
+    columns = "truth (where it is known), start, result, and the result's distance from the truth"
+    return [
+        Picture(
+            path,
+            f"{key_of(path.stem.removeprefix('turntable_'))}: {columns} (dark: none; yellow: as far"
+            " as its farthest twentieth).",
+        )
+        for path in sorted(Path(folder).glob("meshes/turntable_*.webp"))
+    ]
 
 
 def read(folder: Path, only_view: str | None = None) -> tuple[Frames, Frames]:

@@ -14,7 +14,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from ..records import KEY_PREFIX, Run, write_atomically
+from ..records import KEY_PREFIX, VALUE_PREFIX, Run, write_atomically
 from .figures import Picture
 
 _MEASURES = ("loss", "image_rmse", "parameter_rmse")
@@ -24,7 +24,7 @@ _NO_SUMMARY = "no summary: stopped before it could end its record"
 def write_page(run: Run, pictures: list[Picture], plots: list[Picture]) -> Path:
     """Writes report.html into the run's folder and returns its path; IsasError if the disk refuses.
 
-    pictures, plots: PNGs that lie on the disk, shown in this order.
+    pictures, plots: PNG or WebP files that lie on the disk, shown in this order.
     """
     summary = run.summary or _from_history(run)
     config = run.folder / "config.yaml"
@@ -103,7 +103,8 @@ def _results(summary: dict[str, Any]) -> list[tuple[str, Any, Any, Any]]:
     """Rows (measure, start, final, final / start) of what is known at the start or at the end."""
     ends: Iterable[str] = {**(summary["start"] or {}), **(summary["final"] or {})}
     rows = []
-    for name in (*_MEASURES, *(name for name in ends if name.startswith(KEY_PREFIX))):
+    prefixes = KEY_PREFIX, VALUE_PREFIX
+    for name in (*_MEASURES, *(name for name in ends if name.startswith(prefixes))):
         start, final = _value(summary, "start", name), _value(summary, "final", name)
         if start is not None or final is not None:
             ratio = final / start if start and final is not None else None
@@ -132,4 +133,5 @@ def _value(summary: dict[str, Any], end: str, name: str) -> float | None:
 
 def _embedded(picture: Picture) -> str:
     """The picture's file as a data: address, so that the page needs no other file."""
-    return "data:image/png;base64," + base64.b64encode(picture.path.read_bytes()).decode()
+    kind = picture.path.suffix.removeprefix(".")
+    return f"data:image/{kind};base64," + base64.b64encode(picture.path.read_bytes()).decode()

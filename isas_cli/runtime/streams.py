@@ -28,6 +28,9 @@ PURPOSES = (
     "edge",
     "edge_step",
     "edge_residual",
+    "lamp",
+    "shadow_edge",
+    "shadow_residual",
 )
 _SLOTS = 32  # purposes per iteration, a power of two above len(PURPOSES)
 _BLOCK = 2**32 // _SLOTS  # iterations whose slots fit into 32 bits

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import mitsuba as mi
 import numpy as np
@@ -36,6 +36,15 @@ class Loaded:
 
     params: mi.SceneParameters
     poses: dict[str, PoseConfig] = field(default_factory=dict)
+
+
+class Surface(NamedTuple):
+    """``vertices (V, 3)``, ``faces (F, 3)``, and of each vertex the distance from the truth, in
+    scene units, ``apart (V,)``, where that is known."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    apart: np.ndarray | None
 
 
 class Kind:
@@ -155,6 +164,10 @@ class Kind:
     def files(self, array: np.ndarray) -> dict[str, bytes]:
         """``array`` in files for other programs, by extension."""
         return {}
+
+    def surface(self, array: np.ndarray, truth: np.ndarray | None) -> "Surface | None":
+        """The surface that ``array`` is, where it is one, and how far it is from the truth."""
+        return None
 
     def pictures(self, array: np.ndarray) -> dict[str, np.ndarray]:
         """Pictures of ``array``, ``(H, W, 1 or 3) float32``, linear, by a name; the name of the

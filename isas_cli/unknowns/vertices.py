@@ -14,7 +14,7 @@ from scipy.sparse import linalg
 from ..runtime.errors import InputError
 from ..scene.shape_error import MEASURES, Sampled, apart
 from ..scene.topology import Topology
-from .kind import Kind, Loaded
+from .kind import Kind, Loaded, Surface
 from .parameters import like, own
 
 # λ of I + λL for a mesh of 10,000 vertices, as the paper's authors take it. Derivatives are spread
@@ -170,12 +170,20 @@ class Vertices(Kind):
             if not np.isfinite(array).all():
                 found |= dict.fromkeys(MEASURES, float("nan"))
             elif truth is not None:
-                faces = self.topology.faces
-                if self._truth is None:
-                    self._truth = Sampled.of(truth, faces, 2)
-                found = apart(Sampled.of(array, faces), self._truth) | found
+                found = apart(Sampled.of(array, self.topology.faces), self._true(truth)) | found
             self._latest = key, found
         return self._latest[1]
+
+    def _true(self, truth: np.ndarray) -> Sampled:
+        if self._truth is None:
+            self._truth = Sampled.of(truth, self.topology.faces, 2)
+        return self._truth
+
+    def surface(self, array: np.ndarray, truth: np.ndarray | None) -> Surface:
+        distances = None
+        if truth is not None:
+            distances, _ = self._true(truth).nearest(array.astype(np.float64))
+        return Surface(array, self.topology.faces, distances)
 
     def doubt(self, array: np.ndarray) -> str | None:
         share = self.topology.folded(array)

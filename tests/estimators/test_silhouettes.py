@@ -65,8 +65,7 @@ def plain() -> dict:
 
 
 def test_along_movements_of_all_and_of_some_vertices(plain):
-    """Seen: 1.000 ± 0.007 along ``scale``, 0.999 ± 0.017 to the right. (Of a shape with grooves
-    0.94 along ``scale``: it throws shadows on itself.)"""
+    """Seen: 1.000 ± 0.007 along ``scale``, 0.999 ± 0.017 to the right."""
     found = estimates(plain["problem"], 2 * COUNT, batch=1 << 16)
     for name, exact in plain["exact"].items():
         assert agrees(found[name], exact, size(exact)), name
@@ -76,8 +75,8 @@ def test_of_pixels_and_edges_drawn_otherwise(plain, monkeypatch):
     """The mean does not depend on the probabilities: 1/P is there, and right."""
     lengths = silhouettes._lengths
 
-    def uneven(positions, outline, cameras, films, views):
-        found = lengths(positions, outline, cameras, films, views)
+    def uneven(*given):
+        found = lengths(*given)
         number = dr.arange(mi.UInt32, dr.width(found))
         return found * dr.select(number % 3 == 0, mi.Float(4), 1)
 
@@ -103,7 +102,7 @@ def test_hidden_edges_bring_nothing_and_counting_them_is_noticed(monkeypatch):
         return [agrees(found[name], each, size(each)) for name, each in exact.items()]
 
     assert all(right(estimates(p, COUNT, batch=1 << 16)))
-    monkeypatch.setattr(silhouettes, "_visible", lambda scene, sample, eye, active: active)
+    monkeypatch.setattr(silhouettes, "hidden_by_nothing", lambda scene, ray, active: active)
     assert not all(right(estimates(p, COUNT, batch=1 << 16)))
 
 
@@ -131,32 +130,54 @@ def test_replayed_paths_have_the_same_derivatives():
     assert difference < 0.1
 
 
-def test_what_only_a_shadow_shows_is_missing():
-    """A lamp throws the figure's shadow on a floor, and a disk hides the figure itself from the
-    camera: stated as left out, and noticed here. Where this fails, say so in ``ByShape``."""
+LAMPS = {
+    "ball": {
+        "type": "sphere",
+        "center": [3.0, 1.0, -2.0],
+        "radius": 0.3,
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [90.0, 90.0, 90.0]}},
+    },
+    "point": {"type": "point", "position": [3.0, 1.0, -2.0], "intensity": 30.0},
+    "sun": {"type": "directional", "direction": [-3.0, -1.4, 2.0], "irradiance": 2.0},
+}
+
+
+def shadow(lamp: str) -> dict:
+    """A lamp throws the figure's shadow on a floor, and a disk hides the figure from the camera."""
     place = mi.ScalarTransform4f()
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.8, 0.8, 0.8]}}
     floor = place.translate([0, -1.1, 0]).rotate([1, 0, 0], -90).scale(6)
     eye = orbit((0, 0, 0), 9.0, 40.0, 50.0)
     near = place.look_at(origin=(np.array(eye) * 8 / 9).tolist(), target=[0, 0, 0], up=[0, 1, 0])
-    lamp = {
-        "type": "sphere",
-        "center": [3.0, 1.0, -2.0],
-        "radius": 0.3,
-        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [90.0, 90.0, 90.0]}},
+    return {
+        "floor": {"type": "rectangle", "to_world": floor, "bsdf": grey},
+        "board": {"type": "disk", "to_world": near.scale(0.17), "bsdf": grey},
+        "sky": {"type": "constant", "radiance": 0.05},
+        "lamp": LAMPS[lamp],
+        "sensor_000": perspective(eye, (0, 0, 0), 35.0, 32),
     }
-    p = problem(
-        views=1,
-        floor={"type": "rectangle", "to_world": floor, "bsdf": grey},
-        board={"type": "disk", "to_world": near.scale(0.17), "bsdf": grey},
-        sky={"type": "constant", "radiance": 0.05},
-        lamp=lamp,
-        sensor_000=perspective(eye, (0, 0, 0), 35.0, 32),
-    )
-    exact = differences(p, ["right"])["right"]
-    found = estimates(p, COUNT)["right"]
-    error = exact.std(ddof=1) / math.sqrt(len(exact))
-    assert abs(found.mean()) < 0.1 * size(exact) and size(exact) > 5 * error
+
+
+@pytest.mark.parametrize("lamp", LAMPS)
+def test_what_only_a_shadow_shows(lamp):
+    """Seen with four times as many: 0.97 ± 0.03, 0.99 ± 0.03, 1.00 ± 0.02 along ``scale``. Without
+    samples of shadows' edges nothing is found, which is noticed."""
+    p = problem(views=1, **shadow(lamp))
+    exact = differences(p, ["right", "scale"])
+    found = estimates(p, COUNT, shadows=1 << 16, lamps=64)
+    for name, each in exact.items():
+        assert agrees(found[name], each, size(each)), name
+    missing = estimates(p, 3, shadows=0)["right"]
+    assert abs(missing.mean()) < 0.1 * size(exact["right"])
+
+
+def test_shapes_that_hide_and_shade_parts_of_themselves():
+    """Seen: 0.993 ± 0.004, with shadows' edges or without. Of 642 vertices 0.98: smooth normals are
+    black along the silhouettes of coarse meshes, and the inner border of that is not sampled."""
+    p = problem(views=2, level=5)
+    own = 1.1 * np.array(p.unknowns[KEY].truth)
+    exact = differences(p, ["scale"], at=own, spp=256)["scale"]
+    assert agrees(estimates(p, COUNT, batch=1 << 16, at=own)["scale"], exact, size(exact))
 
 
 def test_frozen_kernels_see_every_update():
@@ -166,7 +187,7 @@ def test_frozen_kernels_see_every_update():
     for freeze in (True, False):
         chosen = Settings(batch=4096, edges=4096, freeze=freeze)
         estimator = chosen.made(chosen.on(p), losses.L2())
-        found = []
+        found: list[np.ndarray] = []
         for i in range(5):
             values = p.unknowns.values_of({KEY: egg(p) * np.float32(1 + 0.05 * i)})
             found.append(np.array(estimator.estimate(values, uniform, 1, i, 0.0)[KEY]))

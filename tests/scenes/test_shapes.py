@@ -13,8 +13,7 @@ SETTINGS = [each for each in SMALL if "budget" not in each and "batch" not in ea
 SETTINGS += ["frames.views=1", "frames.snapshots=0", "report=false", "evaluation.spp=8"]
 
 
-@pytest.mark.parametrize("scene", SHAPES)
-@pytest.mark.parametrize("sampler", ("ours", "uniform"))
+@pytest.mark.parametrize("scene, sampler", list(zip(SHAPES, ("uniform", "ours", "uniform"))))
 def test_a_sphere_becomes_the_figure(scene, sampler, tmp_path):
     chosen = [f"scene={scene}", f"sampler={sampler}", "estimator=silhouettes"]
     run = isas_cli.run(
@@ -23,14 +22,17 @@ def test_a_sphere_becomes_the_figure(scene, sampler, tmp_path):
         f"hydra.run.dir={tmp_path}",
     )  # fmt: skip
     error = run.history["parameter_rmse"]
-    assert error.iloc[-1] < 0.55 * error.iloc[0]  # 0.42 with uniform pixels
+    assert error.iloc[-1] < 0.55 * error.iloc[0]  # seen: 0.25, 0.41, 0.39
     last = run.history.iloc[-1]
     assert last["value/figure.vertices/folded"] == 0 and last["nonfinite"] == 0
     assert 0.9 < last["value/figure.vertices/volume"] < 1.1
+    first = run.history.iloc[0]
+    for name in ("value/figure.vertices/overlap", "value/outlines/overlap"):
+        assert first[name] < last[name] < 1
     files = {path.name for path in (tmp_path / "meshes").iterdir()}
     kinds = [f"{what}_figure.vertices.{kind}" for what in ("start", "result", "truth")
              for kind in ("ply", "obj")]  # fmt: skip
-    assert files == set(kinds)
+    assert files == {*kinds, "turntable_figure.vertices.webp"}
 
 
 def test_mitsubas_loop_recovers_it_too(tmp_path):

@@ -16,7 +16,7 @@ from isas_cli.runtime.budget import Budget
 from isas_cli.unknowns.parameters import as_numpy
 
 MOVING = ["caustic", "cup", "global_illumination", "occlusion", "shadows", "sort"]
-SHAPES = ["kirby"]
+SHAPES = ["dodoco_b", "kirby", "shadowplay"]
 SCENES = [name for name in options("scene") if name not in ("file", *MOVING, *SHAPES)]
 SAMPLERS = pixel_samplers()
 ITERATIONS = 3

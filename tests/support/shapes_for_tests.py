@@ -22,9 +22,9 @@ EGG = 0.85 * np.array([1.0, 0.8, 1.1])
 STEP = 0.008  # of differences: a fifth of a pixel
 
 
-def problem(views: int = 3, side: int = 32, seams: bool = False, **more) -> Problem:
+def problem(views: int = 3, side: int = 32, seams: bool = False, level: int = 3, **more) -> Problem:
     """``seams``: no triangle shares a vertex in the file. ``more``: beside the figure."""
-    description = kirby.build(views, side, 3) | more
+    description = kirby.build(views, side, level) | more
     if seams:
         values = mi.traverse(description["figure"])
         vertices, normals = (
@@ -55,12 +55,14 @@ def directions(x: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def estimates(p: Problem, count: int, batch: int = 1 << 14, **settings) -> dict[str, np.ndarray]:
+def estimates(
+    p: Problem, count: int, batch: int = 1 << 14, at: np.ndarray | None = None, **settings
+) -> dict[str, np.ndarray]:
     """By direction, the derivative of the loss along it, estimated ``count`` times."""
-    chosen = Settings(batch=batch, edges=batch, **settings)
+    chosen = Settings(**{"batch": batch, "edges": batch, "shadows": batch} | settings)
     estimator: ByShape = chosen.made(chosen.on(p), losses.L2())
     uniform = PixelDistribution.uniform(Tiles.over(p.views))
-    x = egg(p)
+    x = egg(p) if at is None else at
     values = p.unknowns.values_of({KEY: x})
     gradients = [
         np.array(estimator.estimate(values, uniform, 1, i, 0.0)[KEY], np.float64)
@@ -72,9 +74,11 @@ def estimates(p: Problem, count: int, batch: int = 1 << 14, **settings) -> dict[
     }
 
 
-def differences(p: Problem, names: list[str], spp: int = 512) -> dict[str, np.ndarray]:
+def differences(
+    p: Problem, names: list[str], spp: int = 512, at: np.ndarray | None = None
+) -> dict[str, np.ndarray]:
     """The same by central differences of the images, at the mean image's ∂ℒ/∂I: four estimates."""
-    x, renderer = egg(p), Renderer(p)
+    x, renderer = egg(p) if at is None else at, Renderer(p)
 
     def image(at: np.ndarray, first: int) -> np.ndarray:
         p.unknowns.write(p.unknowns.values_of({KEY: at.astype(np.float32)}))
