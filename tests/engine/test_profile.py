@@ -162,7 +162,9 @@ def test_kernels_are_counted_in_their_phase(monkeypatch):
     p.unknowns.write(loop.stepper.values)
     wide = {name: [ops for size, ops in of if size == BATCH] for name, of in found.items()}
     for name in ("drawing", "primal", "adjoint"):
-        assert len(wide[name]) == len(found[name]), f"{name} holds what belongs to update"
+        # One entry: lost paths are counted.
+        others = [size for size, _ in found[name] if size not in (1, BATCH)]
+        assert not others, f"{name} holds what belongs to update"
     assert not wide["update"] and not wide["Adam"] and found["update"] and found["Adam"]
     assert wide["drawing"] == wide["primal"][:1] == wide["estimate"][:1]
     assert len(wide["adjoint"]) == len(wide["estimate"]), "fused as in the whole step"
