@@ -61,6 +61,12 @@ def check_values(
     """
     if not faces.size:
         raise InputError(f"mesh {name} has no triangles")
+    beyond = np.flatnonzero((faces >= len(vertices)).any(axis=1))
+    if beyond.size:
+        raise InputError(
+            f"mesh {name}: triangle {beyond[0]} has the vertex {faces[beyond[0]].max()}, and there "
+            f"are {len(vertices)} vertices: export the mesh anew"
+        )
     for what, values, largest, hint in (
         ("position", vertices, np.inf, "export the mesh anew"),
         ("texture coordinate", texcoords, largest_texcoord, _PARTLY),

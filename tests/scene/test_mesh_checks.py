@@ -255,6 +255,13 @@ def test_numbers_that_are_none_are_refused(field, value, parts):
         assert part in str(refused.value)
 
 
+def test_triangles_without_vertices_are_refused():
+    """Seen in a fuzzed file."""
+    faces = np.array([[0, 1, 2], [0, 1, 10616833]], np.uint32)
+    with pytest.raises(InputError, match="triangle 1 has the vertex 10616833, and there are 3"):
+        mesh_checks.check_values(np.eye(3), np.zeros((0, 2)), faces, "m")
+
+
 def test_coordinates_in_metres_are_refused_for_an_unknown_texture_alone(folder):
     write(folder / "mesh.obj", UV * 2000)
     assert warnings_of(folder, obj("other", paint()), *[]) == []
