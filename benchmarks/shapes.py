@@ -51,7 +51,7 @@ def methods(scene: str) -> dict[str, dict]:
 
 
 FACTORS = (0.3, 1.0, 3.0)  # of the scene's rate, 0.03
-SETTINGS = ["evaluation.count=16", "frames.views=0", "frames.snapshots=0", "report=false"]
+SETTINGS = ["evaluation.count=8", "frames.views=0", "frames.snapshots=0", "report=false"]
 SETTINGS += ["optimizer.schedule=cosine", "optimizer.final=0.1"]
 
 
@@ -184,7 +184,7 @@ def steps(rounds: int = 5) -> pandas.DataFrame:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=20)
+    parser.add_argument("--seconds", type=float, default=10)
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
     parser.add_argument("--scenes", nargs="+", default=SCENES)
     parser.add_argument("--step", action="store_true")
