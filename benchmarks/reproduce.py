@@ -11,6 +11,7 @@ rates), <scene>_errors.png (error against billed time and light paths) and <scen
 pages (`pages.py`). The whole takes hours.
 
     make reproduce SCENES="pottery bowl"
+    make reproduce SCENES="dodoco_b kirby"       shapes: see shapes.py
 """
 
 from __future__ import annotations
@@ -229,9 +230,18 @@ def main() -> None:
         sys.argv += ["--folder", str(chosen.folder)] if chosen.folder else []
         _plateau.main()
         return
+    import shapes  # which looks at a history as this module does
+
+    if chosen.scenes and set(chosen.scenes) <= set(shapes.SCENES):
+        sys.argv = [sys.argv[0], "--scenes", *chosen.scenes]
+        sys.argv += ["--seeds", *map(str, chosen.seeds)]
+        sys.argv += ["--seconds", str(chosen.seconds)] if chosen.seconds else []
+        shapes.main()
+        return
     strange = [scene for scene in chosen.scenes if scene not in SCENES]
     if strange:
-        parser.error(f"{strange[0]}: no such scene; valid: {', '.join(SCENES)}")
+        valid = f"{', '.join(SCENES)}; or, by themselves, {', '.join(shapes.SCENES)}"
+        parser.error(f"{strange[0]}: no such scene; valid: {valid}")
     if len(chosen.seeds) < 2:
         parser.error("--seeds: at least two; the first is for the rates")
     root = chosen.folder or Path(tempfile.mkdtemp(prefix="isas-reproduce-"))

@@ -7,6 +7,10 @@ first seed, then each at its best with three others, which alone are reported. W
 results/shapes.csv (a row per scene and method), shapes_rates.csv and shapes.png (chamfer distance
 against billed time).
 
+With `--rebuilds`: the same time on kirby with fewer and larger steps, and so fewer rebuilds of the
+tree that rays are traced with; the smallest says what a step costs without samples. Writes
+results/shapes_rebuilds.csv.
+
 With `--step`: one step's time with films of 16 × 512² and 20,480 triangles, `silhouettes` against
 Mitsuba's loop at one path a pixel, in turns; prints the ratio, writes results/shapes_step.csv.
 
@@ -51,7 +55,7 @@ def methods(scene: str) -> dict[str, dict]:
 
 
 FACTORS = (0.3, 1.0, 3.0)  # of the scene's rate, 0.03
-SETTINGS = ["evaluation.count=8", "frames.views=0", "frames.snapshots=0", "report=false"]
+SETTINGS = ["evaluation.count=6", "frames.views=0", "frames.snapshots=0", "report=false"]
 SETTINGS += ["optimizer.schedule=cosine", "optimizer.final=0.1"]
 
 
@@ -73,6 +77,7 @@ def name_of(config: dict, scene: str) -> str:
     for name, settings in methods(scene).items():
         own = {k.partition(".")[2]: v for k, v in settings.items() if k.startswith("estimator.")}
         own["adaptive"] = own.get("adaptive") != "false"
+        own.pop("batch")
         if config["sampler"]["name"] == settings["sampler"] and all(
             estimator[key] == value for key, value in own.items()
         ):
@@ -90,6 +95,7 @@ def runs(folder: Path, scene: str) -> pandas.DataFrame:
             "method": name_of(run.config, scene),
             "factor": run.config["optimizer"]["factor"],
             "seed": run.config["seed"],
+            "batch": run.config["estimator"]["batch"],
             "history": run.history,
             "start": run.history[ERROR].iloc[0],
             "chamfer": last[ERROR],
@@ -182,11 +188,36 @@ def steps(rounds: int = 5) -> pandas.DataFrame:
     return pandas.DataFrame(rows)
 
 
+def rebuilds(seeds: list[int], seconds: float) -> pandas.DataFrame:
+    """A row for each number of samples a step, over the usual one: medians."""
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="isas-shapes-") as root:
+        sizes = {f"{OURS}, {times:g}": times for times in (1 / 64, 1 / 4, 1, 4)}
+        contestants = [
+            methods("kirby")[f"{OURS}, uniform"]
+            | {"estimator.batch": int(16384 * times), "estimator.edges": int(4096 * times)}
+            for times in sizes.values()
+        ]
+        race("kirby", Path(root), contestants, seeds, seconds)
+        found = runs(Path(root), "kirby")
+        for batch, own in found.groupby("batch"):
+            row = {"samples": batch / 16384, "seeds": len(own), "seconds": seconds}
+            row |= {"iterations": own["iterations"].median()}
+            row["step"] = seconds / row["iterations"]
+            row |= {"chamfer": own["chamfer"].median()}
+            row |= {"chamfer_low": own["chamfer"].min(), "chamfer_high": own["chamfer"].max()}
+            rows.append(row)
+    table = pandas.DataFrame(rows)
+    table["step"] /= table["step"].iloc[-2]  # of the usual one
+    return table
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=10)
+    parser.add_argument("--seconds", type=float, default=8)
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
     parser.add_argument("--scenes", nargs="+", default=SCENES)
+    parser.add_argument("--rebuilds", action="store_true")
     parser.add_argument("--step", action="store_true")
     chosen = parser.parse_args()
     if chosen.step:
@@ -194,6 +225,11 @@ def main() -> None:
         found.to_csv(RESULTS / "shapes_step.csv", index=False, float_format="%.5f")
         middle = found.groupby("side")["seconds"].median()
         print(f"a step: {middle[OURS] / middle[STOCK]:.4f} of Mitsuba's")
+        return
+    if chosen.rebuilds:
+        found = rebuilds(chosen.seeds[1:], chosen.seconds)
+        found.to_csv(RESULTS / "shapes_rebuilds.csv", index=False, float_format="%.4g")
+        print(found.to_string(index=False))
         return
     everything, rates = [], []
     for scene in chosen.scenes:

@@ -36,7 +36,8 @@ def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
         raise InputError(f"--spp {spp}: at least 1")
     run = records.load(folder)
     cfg, _ = resumption.configuration(folder, run.config, {})
-    names = [c[len(VALUE_PREFIX) :] for c in run.history.columns if c.startswith(VALUE_PREFIX)]
+    starts = tuple(f"{VALUE_PREFIX}{key}" for key in run.manifest.get("unknowns", {}))
+    names = [c[len(VALUE_PREFIX) :] for c in run.history.columns if c.startswith(starts)]
     chosen = _chosen(along, names, folder)
     typed, _ = experiment.checked(cfg)
     machine = experiment.started([cfg], typed)

@@ -78,6 +78,13 @@ def _unpacked(overrides: list[str]) -> list[str]:
     return found
 
 
+def _exists(path: str) -> bool:
+    try:
+        return Path(path).exists()
+    except OSError:  # a name that no file can have
+        return False
+
+
 def _translate(override: str) -> str:
     bare = override.lstrip("+")
     for setting, entry in _NAMED.items():
@@ -85,7 +92,7 @@ def _translate(override: str) -> str:
             return _translate_named(bare, setting, entry)
     key, equals, value = bare.partition("=")
     if key in _PATHS and value and value[0] not in "'\"":
-        sweep = key == "scene.path" and "," in value and not Path(value).exists()
+        sweep = key == "scene.path" and "," in value and not _exists(value)
         return bare if sweep else f"{key}={_hydra(value)}"
     if bare.startswith("hydra") or bare.startswith("~hydra"):
         return override

@@ -16,7 +16,7 @@ def modern(config: dict[str, Any]) -> dict[str, Any]:
     the sampler that drew their pixels as ``base``. Modules have moved since as well.
     """
     sampler, estimator = config.get("sampler"), config.get("estimator")
-    if not isinstance(sampler, dict):
+    if not isinstance(sampler, dict) or not isinstance(estimator or {}, dict):
         return config
     # Before there were plans of effects, everything was simulated.
     if "effects" not in config:

@@ -63,7 +63,7 @@ def problem(
     result = Problem(
         scene.name,
         loaded,
-        integrators.adapt(integrator, _where(scene)),
+        integrators.adapt(integrator, _where(scene), loaded),
         loaded.sensors_dr(),
         sizes,
         Views.of(sizes),

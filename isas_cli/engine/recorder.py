@@ -6,10 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from ..config.schema import Config
-from ..records import RunWriter, manifest, trackers
+from ..records import KEY_PREFIX, VALUE_PREFIX, RunWriter, manifest, safe_name, trackers
 from ..rendering.renderer import Renderer
 from ..runtime.errors import InputError
 from ..unknowns.parameters import as_numpy
@@ -48,6 +49,8 @@ class Recorder:
         self._saved = 0.0
         self._pause = _CHECKPOINT_SECONDS
         self._snapshots = 0
+        # Of what may be doubted, the last row and value that were not.
+        self._good: dict[str, tuple[dict, np.ndarray]] = {}
         self.left_out: float | None = None  # by the plan of effects, once the run has ended
         self.profile: Profile | None = None  # once made, where the configuration asks for it
 
@@ -128,6 +131,10 @@ class Recorder:
     def _evaluated(self, row: dict) -> None:
         self._first = self._first or row
         loop = self.loop
+        for unknown in loop.problem.unknowns:
+            array = as_numpy(loop.stepper.values[unknown.key])
+            if unknown.kind.doubtful and not unknown.kind.doubt(array):
+                self._good[unknown.key] = row, array
         with loop.clock.unbilled("writing"):
             self.writer.evaluation(row)
             self.tracker.evaluation(row)
@@ -231,9 +238,7 @@ class Recorder:
                 f"'{key}' had no gradient in any step: the images do not depend on it where it is"
                 for key in self.loop.stepper.untouched
             ]
-            values = self.loop.stepper.values
-            doubts = [u.kind.doubt(as_numpy(values[u.key])) for u in self.loop.problem.unknowns]
-            warnings += [doubt for doubt in doubts if doubt]
+            warnings += self._doubts()
         if not self.loop.evaluator.loss.linear:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
         for entry in self._resumed:
@@ -246,6 +251,20 @@ class Recorder:
                 )
         return warnings
 
+    def _doubts(self) -> list[str]:
+        """Why results are not to be trusted, and where the last one lies that was."""
+        found, values = [], self.loop.stepper.values
+        for unknown in self.loop.problem.unknowns:
+            doubt = unknown.kind.doubt(as_numpy(values[unknown.key]))
+            if doubt and unknown.key in self._good:
+                row, array = self._good[unknown.key]
+                name = f"good_{safe_name(unknown.key)}"
+                for extension, content in unknown.kind.files(array).items():
+                    self.writer.mesh(f"{name}.{extension}", content)
+                doubt += f"; meshes/{name}.* is as of iteration {row['iteration']}, before that"
+            found += [doubt] if doubt else []
+        return found
+
     @property
     def ends(self) -> tuple[dict, dict]:
         """First and last row of the history."""
@@ -256,7 +275,8 @@ class Recorder:
         errors = ("loss", "image_rmse", "parameter_rmse")
 
         def of(row: dict) -> dict:
-            return {k: v for k, v in row.items() if k in errors or k.startswith("parameter_rmse/")}
+            prefixes = KEY_PREFIX, VALUE_PREFIX
+            return {k: v for k, v in row.items() if k in errors or k.startswith(prefixes)}
 
         loop = self.loop
         self.writer.summary(

@@ -108,7 +108,7 @@ def configuration(folder: Path, recorded: dict, changes: dict) -> tuple[DictConf
         cfg = OmegaConf.merge(OmegaConf.structured(Config), recorded)
         before = _budget(cfg)
         schema.typed(cfg)
-    except OmegaConfBaseException as error:
+    except (OmegaConfBaseException, RecursionError) as error:  # the latter: nested too deeply
         reason = str(error).split("\n")[0]
         raise InputError(f"{folder}/config.yaml does not give a run: {reason}") from error
     return changed(cfg, changes), before

@@ -31,9 +31,11 @@ _SHADOW = "lamp", "shadow_edge", "shadow_residual"
 @dataclass
 class Settings(Estimator):
     """``ByShape``. ``edges``: samples of silhouettes a step; ``adaptive``: drawn by the residuals
-    around them; ``shadows``: samples of the edges of shadows a step, 0 to leave these out;
-    ``lamps``: points of lamps that these are found for; ``paths``: of each sample's pixel, for its
-    residual; ``freeze``: record kernels once instead of tracing every iteration."""
+    around them; ``shadows``: samples of the edges of shadows a step, 0 to leave these out, None
+    for as many as ``edges`` where there are lamps, and 0 under a sky alone, whose shadows are soft:
+    there they bring more noise than they tell; ``lamps``: points of lamps that these are found for;
+    ``paths``: of each sample's pixel, for its residual; ``freeze``: record kernels once instead of
+    tracing every iteration."""
 
     name: ClassVar[str] = "silhouettes"
     plannable: ClassVar[bool] = False
@@ -41,7 +43,7 @@ class Settings(Estimator):
     batch: int = 16384
     edges: int = 4096
     adaptive: bool = True
-    shadows: int = 4096
+    shadows: int | None = None
     lamps: int = 16
     paths: int = 4
     freeze: bool = True
@@ -49,7 +51,7 @@ class Settings(Estimator):
     def __post_init__(self) -> None:
         super().__post_init__()
         at_least_one(self, "edges", "paths", "lamps")
-        if self.shadows < 0:
+        if self.shadows is not None and self.shadows < 0:
             raise InputError(f"estimator.shadows must be 0 or more, not {self.shadows}")
 
     def fits(self, sampler: Sampler) -> None:
@@ -96,15 +98,18 @@ class ByShape:
         of smooth normals."""
         self.problem, self.freeze = problem, chosen.freeze
         self.inside = TwoPath(problem, loss, chosen.batch, chosen.freeze)
-        meshes = _meshes(problem)
-        self.borders = []
+        meshes, shadows = _meshes(problem), chosen.shadows
+        if shadows is None:
+            skies = 0 if problem.scene.environment() is None else 1
+            shadows = chosen.edges if len(problem.scene.emitters()) > skies else 0
+        self.borders: list[tuple[str, tuple, Silhouettes | Shadows]] = []
         for key, topology in meshes.items():
             where = problem, loss, key.rpartition(".")[0], topology
             edges = max(1, chosen.edges // len(meshes)), chosen.paths, chosen.adaptive
             self.borders.append((key, _EDGE, Silhouettes(*where, *edges, chosen.freeze)))
-            if chosen.shadows and problem.integrator.max_depth > 1:
-                shadows = max(1, chosen.shadows // len(meshes)), chosen.paths, chosen.lamps
-                self.borders.append((key, _SHADOW, Shadows(*where, *shadows, chosen.freeze)))
+            if shadows and problem.integrator.max_depth > 1:
+                each = max(1, shadows // len(meshes)), chosen.paths, chosen.lamps
+                self.borders.append((key, _SHADOW, Shadows(*where, *each, chosen.freeze)))
 
     @property
     def paths_per_step(self) -> int:

@@ -89,7 +89,7 @@ def check_schema(path: Path, content: Any, readable: tuple[int, ...] = READABLE)
 def parsed(path: Path, parse: Callable[[], Any]) -> Any:
     try:
         return parse()
-    except (OSError, ValueError, yaml.YAMLError) as error:
+    except (OSError, ValueError, OverflowError, RecursionError, yaml.YAMLError) as error:
         raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
 
 

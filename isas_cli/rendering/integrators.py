@@ -23,12 +23,13 @@ import drjit as dr
 import mitsuba as mi
 
 from ..runtime.errors import InputError
-from . import attached, replayed
+from . import attached, replayed, volume
 
 # Mitsuba's class → what it simulates, and whether it differentiates in forward mode.
 _REPLAYED = {
     "PRBIntegrator": (("surfaces",), True),
     "PRBVolpathIntegrator": (("surfaces", "media"), False),
+    "Emission": (("media",), True),
 }
 
 
@@ -210,14 +211,59 @@ class Mixed(Surfaces):
         self.backward, self.forward = self._short.backward, self._short.forward
 
 
-def adapt(base: mi.Integrator | None, where: str = "the scene") -> Integrator:
-    """The face of a Mitsuba integrator. Raises InputError, naming ``where``, for one whose paths
-    cannot be replayed here."""
+class Medium(Integrator):
+    """Paths through one medium and nothing else, by isas's own estimators (``volume``), which
+    differentiate forwards as well."""
+
+    derivatives = "path replay through the medium"
+
+    def __init__(self, base: mi.Integrator, medium: mi.Medium):
+        super().__init__(base)
+        self.medium, self.has_forward = medium, True
+        self.emits = isinstance(base, volume.Emission)
+
+    def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, None]:
+        return self._traced(dr.ADMode.Primal, scene, sampler, ray), None
+
+    def backward(self, scene, sampler, ray, adjoint: mi.Color3f) -> None:
+        self._replayed(dr.ADMode.Backward, scene, sampler, ray, adjoint)
+
+    def forward(self, scene, sampler, ray) -> mi.Color3f:
+        derivative = self._replayed(dr.ADMode.Forward, scene, sampler, ray)
+        dr.eval(derivative)
+        return derivative
+
+    def _replayed(self, mode, scene, sampler, ray, adjoint=None):
+        again = sampler.clone()
+        radiance = self._traced(dr.ADMode.Primal, scene, sampler, ray)
+        dr.eval(adjoint, radiance)
+        return self._traced(mode, scene, again, ray, adjoint, radiance)
+
+    def _traced(self, mode, scene, sampler, ray, *more):
+        if self.emits:
+            return volume.emitted(mode, scene, self.medium, sampler, ray, *more)
+        depths = self.max_depth, self.rr_depth
+        return volume.trace(mode, scene, self.medium, sampler, ray, *depths, *more)
+
+
+def adapt(
+    base: mi.Integrator | None, where: str = "the scene", scene: mi.Scene | None = None
+) -> Integrator:
+    """The face of a Mitsuba integrator, for ``scene`` where that is one's own to choose. Raises
+    InputError, naming ``where``, for one whose paths cannot be replayed here."""
     if type(base).__name__ not in _REPLAYED:
         named = "no integrator" if base is None else f"the integrator {base.class_name()}"
         raise InputError(
-            f"{where} has {named}, and paths are replayed by prb (surfaces) or prbvolpath (media): "
-            "give it one of these"
+            f"{where} has {named}, and paths are replayed by prb (surfaces), prbvolpath or "
+            "emission (media): give it one of these"
+        )
+    medium = volume.medium_of(scene) if scene is not None else None
+    if "media" in _REPLAYED[type(base).__name__][0] and medium is not None:
+        return Medium(base, medium)
+    if isinstance(base, volume.Emission):
+        raise InputError(
+            f"{where}: the integrator emission is for one medium in a cube or sphere without a "
+            "surface, under light from far away, and nothing else"
         )
     if replayed.handles(base):
         return _surfaces(base, Paths(base.max_depth, base.max_depth))

@@ -120,10 +120,12 @@ class Shadows:
         self.cameras, self.outline = Cameras.of(problem), Outline.of(topology)
         (shape,) = [each for each in problem.scene.shapes() if each.id() == id]
         emitters, box = problem.scene.emitters(), problem.scene.bbox()
+        lamps = max(lamps, len(emitters))
         for emitter in emitters:
-            if type(emitter).__name__ == "Projector":
+            kind = emitter.class_name().lower()
+            if kind in ("projector", "directionalarea"):
                 raise InputError(
-                    "estimator=silhouettes: the edges of shadows in a projector's light are not "
+                    f"estimator=silhouettes: the edges of shadows in the light of a {kind} are not "
                     "found: take estimator.shadows=0, which leaves them out"
                 )
         centre = np.array(box.center()).ravel()

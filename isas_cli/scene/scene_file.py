@@ -20,6 +20,7 @@ _REPLAY = {
     "volpath": "prbvolpath",
     "volpathmis": "prbvolpath",
     "prbvolpath": "prbvolpath",
+    "emission": "emission",
 }
 # `direct` traces one bounce: camera, surface, light.
 _DIRECT_DEPTH = 2

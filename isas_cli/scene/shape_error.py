@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 # Points on each surface, and those of the other that a triangle is looked for by.
-_POINTS, _NEAR = 40_000, 4
+_POINTS, _NEAR = 20_000, 4
 # Points of the box around both that tell how much of their insides they share.
-_WITHIN = 20_000
+_WITHIN = 5_000
 MEASURES = ("chamfer", "normals", "hausdorff", "volume", "overlap")
 
 
@@ -81,7 +81,7 @@ def apart(surface: Sampled, truth: Sampled) -> dict[str, float]:
     """``chamfer``: the mean of both mean distances, of each surface's points from the other, in
     scene units; ``normals``: the mean angle between normals there, in degrees; ``hausdorff``: the
     largest of the distances; ``volume``: over the truth's; ``overlap``: what both enclose over what
-    any of them does, to about a hundredth."""
+    any of them does, to a few hundredths."""
     there, on_truth = truth.nearest(surface.points)
     back, on_surface = surface.nearest(truth.points)
     cosines = [

@@ -65,7 +65,7 @@ class Kind:
     configuration says of it beside ``scene.unknowns``, in a text that changes as that does.
     ``uniform``: whether Adam divides the steps of all entries by one number, and steps go along
     ``smoothed``. ``texture``: whose texels, laid out on meshes, are the unknown; the meshes are
-    checked for it.
+    checked for it. ``doubtful``: whether ``doubt`` may have something to say.
     """
 
     name: ClassVar[str] = "parameter"
@@ -77,6 +77,7 @@ class Kind:
     settings: str = ""
     texture: mi.Texture | None = None
     uniform: bool = False
+    doubtful: bool = False
 
     @classmethod
     def matches(cls, params: mi.SceneParameters, key: str) -> bool:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from .environment import Environment
+from .grid import Grid
 from .kind import Kind, Loaded
 from .poses import Pose
 from .texture import Texture
 from .value import Value
 from .vertices import Vertices
 
-_KINDS: list[type[Kind]] = [Pose, Vertices, Environment, Texture, Value]
+_KINDS: list[type[Kind]] = [Pose, Vertices, Environment, Texture, Grid, Value]
 
 
 def register(kind: type[Kind]) -> type[Kind]:

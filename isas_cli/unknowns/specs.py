@@ -11,7 +11,7 @@ from ..config.schema import PoseConfig
 from ..runtime.errors import InputError, nearest
 from . import registry
 from .kind import Kind, Loaded
-from .parameters import as_numpy, is_float, is_grid, moves_geometry
+from .parameters import as_numpy, is_float, moves_geometry
 from .smoothing import stable
 from .unknowns import Unknown
 
@@ -143,11 +143,6 @@ def _unfit(params: mi.SceneParameters, key: str, valid: list[str]) -> str:
         return (
             f"'{key}' moves geometry, whose visibility path replay does not differentiate; move "
             f"the object by scene.poses and sampler=plateau; valid: {', '.join(valid)}"
-        )
-    if key in params and is_grid(params, key):
-        return (
-            f"'{key}' is the grid of a volume, and volumes' grids are not supported yet; valid: "
-            f"{', '.join(valid)}"
         )
     return f"'{key}' is no differentiable parameter; {nearest(key, valid)}"
 

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import trimesh
+from isas_cli.scenes.icosphere import icosphere
 
 import isas_cli
 from isas_cli.records import Run
@@ -48,7 +50,9 @@ class Case:
     largest final parameter error, in the unknowns' own unit; ``sky``: pixels of an environment map,
     ``(H, W, 3)``; ``side``: of the film, pixels; ``poses``: as in scene.poses; ``ends``: whether it
     is a numerical failure, since nothing can be found; ``warns``: what it warns of; ``settings``:
-    beyond SETTINGS. The figures seen: benchmarks/results/hard_cases.md."""
+    beyond SETTINGS; ``meshes``: vertices and faces by the name of a PLY file, which ``{folder}`` in
+    a start stands before; ``estimator``: settings that another sampler brings instead. The figures
+    seen: benchmarks/results/hard_cases.md."""
 
     name: str
     provokes: str
@@ -65,18 +69,25 @@ class Case:
     ends: bool = False
     warns: str = ""
     settings: tuple[str, ...] = field(default=())
+    meshes: dict[str, tuple] = field(default_factory=dict)
+    estimator: tuple[str, ...] = ()
 
     def run(self, folder: Path, *settings: str) -> Run:
         """Runs it in ``folder``, with ``settings`` beyond its own."""
         folder.mkdir(parents=True, exist_ok=True)
         if self.sky is not None:
             images.write_exr(folder / "sky.exr", self.sky.astype(np.float32), [*"RGB"], {})
+        for name, (vertices, faces) in self.meshes.items():
+            trimesh.Trimesh(vertices, faces, process=False).export(folder / name)
         shapes = self.shapes.format(bsdf=self.bsdf)
         places = {"depth": self.depth, "origin": self.origin, "side": self.side}
         text = SCENE.format(emitter=self.emitter, shapes=shapes, **places)
         (folder / "scene.xml").write_text(text)
         own = [f"scene.path={folder / 'scene.xml'}", f"hydra.run.dir={folder / 'run'}"]
-        own.append(f"scene.unknowns={json.dumps(self.unknowns)}")
+        unknowns = json.dumps(self.unknowns).replace("{folder}", str(folder))
+        own.append(f"scene.unknowns={unknowns}")
+        if not any(each.startswith("sampler=") for each in settings):
+            own += self.estimator
         own += [f"scene.poses={json.dumps(self.poses)}"] if self.poses else []
         return isas_cli.run(*SETTINGS, *own, *self.settings, *settings)
 
@@ -110,6 +121,67 @@ BLURRED = ("sampler=plateau", "estimator.batch=512", "estimator.spp=4", "optimiz
 
 def _turn(degrees: float, **blur) -> dict:
     return _start("turn", degrees, lr=2.0, blur=blur)
+
+
+SHAPES = (
+    *("estimator=silhouettes", "estimator.edges=1024", "estimator.shadows=1024"),
+    *("estimator.batch=1024",),
+)
+BALL_OF_TRIANGLES = 0.8 * icosphere(3)[0], icosphere(3)[1]
+
+
+def _shape(
+    name: str,
+    provokes: str,
+    within: float,
+    truth: tuple,
+    start,
+    warns: str = "",
+    rate: float = 0.02,
+) -> Case:
+    """A mesh, and where its vertices start."""
+    vertices, faces = truth
+    mesh = '<shape type="ply" id="thing"><string name="filename" value="thing.ply"/>{bsdf}</shape>'
+    return Case(
+        *(name, provokes, _start("thing.vertices", "{folder}/start.ply"), within),
+        shapes=mesh,
+        warns=warns,
+        settings=("optimizer.schedule=cosine", f"optimizer.lr={rate}"),
+        meshes={"thing.ply": truth, "start.ply": (np.asarray(start), faces)},
+        estimator=SHAPES,
+    )
+
+
+def _ball(**moved) -> np.ndarray:
+    """The ball's vertices: ``times`` their size, ``along`` a way, ``rough`` by so much."""
+    vertices = BALL_OF_TRIANGLES[0] * moved.get("times", 1.0) + moved.get("along", 0.0)
+    return vertices + moved.get("rough", 0.0) * np.random.default_rng(1).normal(size=vertices.shape)
+
+
+def _spike(reach: float) -> np.ndarray:
+    """The ball, its cap pulled out to ``reach`` along z."""
+    vertices = BALL_OF_TRIANGLES[0].copy()
+    vertices[vertices[:, 2] > 0.75, 2] = reach
+    return vertices
+
+
+def _slivers() -> tuple[np.ndarray, np.ndarray]:
+    vertices, faces = BALL_OF_TRIANGLES
+    stretched = vertices * [1, 1, 8]
+    return 0.8 * stretched / np.linalg.norm(stretched, axis=1, keepdims=True), faces
+
+
+def _box(low: list[float], high: list[float]) -> tuple[np.ndarray, np.ndarray]:
+    box = trimesh.creation.box(bounds=[low, high]).subdivide().subdivide()
+    return np.array(box.vertices), np.array(box.faces)
+
+
+def _grown(box: tuple[np.ndarray, np.ndarray], times: float) -> np.ndarray:
+    middle = box[0].mean(axis=0)
+    return middle + times * (box[0] - middle)
+
+
+END_ON, THIN = _box([0, 0, -0.4], [0.8, 0.8, 0.4]), _box([-0.01, -0.4, -0.4], [0.01, 0.4, 0.4])
 
 
 CASES = [
@@ -294,5 +366,48 @@ CASES = [
             },
         },
         settings=BLURRED,
+    ),
+    # One view tells nothing of their depth: what counts is that they stay sound.
+    _shape(
+        *("a ball", "nothing: what the shapes are measured against", 0.25),
+        *(BALL_OF_TRIANGLES, _ball(times=0.6)),
+    ),
+    _shape(
+        *("slivers", "triangles a hundred times as long as wide", 0.3),
+        *(_slivers(), 0.6 * _slivers()[0]),
+        warns="folded",
+    ),
+    _shape(
+        *("folded", "faces that lie on each other at the start", 0.3),
+        *(BALL_OF_TRIANGLES, _ball(rough=0.06)),
+        warns="folded",
+    ),
+    _shape(
+        *("out of view", "half of the mesh begins outside of the image", 0.4),
+        *(BALL_OF_TRIANGLES, _ball(along=np.array([1.1, 0, 0]))),
+    ),
+    _shape(
+        *("before the lens", "a spike that nearly touches the camera", 0.5),
+        *(BALL_OF_TRIANGLES, _spike(3.95)),
+        warns="as long as",
+    ),
+    _shape(
+        *("turned inside out", "a start that is the truth mirrored in its middle", 0.15),
+        *(BALL_OF_TRIANGLES, _ball(times=-0.9)),
+        warns="inside out",
+    ),
+    _shape(
+        *("edge end on", "an edge that the camera sees as a point", 0.1),
+        *(END_ON, _grown(END_ON, 0.8)),
+    ),
+    _shape(
+        *("two in a pixel", "both silhouettes of a plate within one pixel", 0.3),
+        *(THIN, THIN[0] + [0.3, 0, 0]),
+    ),
+    _shape(
+        *("a shape's rate of 100", "steps a hundred times the size of the shape", 1e3),
+        *(BALL_OF_TRIANGLES, _ball(times=0.6)),
+        warns="folded",
+        rate=100.0,
     ),
 ]

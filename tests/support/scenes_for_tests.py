@@ -99,7 +99,7 @@ def without_targets(
     result = Problem(
         "test",
         scene,
-        integrators.adapt(scene.integrator()),
+        integrators.adapt(scene.integrator(), scene=scene),
         scene.sensors_dr(),
         film,
         Views.of(film),

@@ -129,10 +129,18 @@ def test_what_a_kind_from_outside_cannot_do_is_one_line(toys, folder, capsys):
     assert "'box.swelling' moves objects, and path replay does not differentiate" in message
 
 
-def test_a_volumes_grid_is_refused_as_long_as_no_kind_has_it(folder, capsys):
-    message = refused(capsys, {GRID: {"start": 0.5}}, "sampler=uniform")
-    assert "the grid of a volume, and volumes' grids are not supported yet" in message
-    assert GRID not in message.partition("valid: ")[2]
+def test_a_grid_starts_from_a_file_of_its_own_size(folder, capsys):
+    np.save("half.npy", np.full(SHAPE, 0.5, np.float32))
+    np.save("other.npy", np.full((2, 2, 2, 3), 0.5, np.float32))
+    message = refused(capsys, {GRID: {"start": "other.npy"}}, "sampler=uniform")
+    assert "other.npy is (2, 2, 2, 3) of float32, the grid (2, 3, 4, 3)" in message
+    message = refused(capsys, {GRID: {"start": "half.png"}}, "sampler=uniform")
+    assert "a .npy or .vol file that exists" in message
+    settings = ["sampler=uniform", "budget.iterations=3", "target.spp=4"]
+    assert run({GRID: {"start": "half.npy"}}, *settings) == 0, capsys.readouterr().err
+    saved = np.array(mi.VolumeGrid(f"r/meshes/start_{GRID}.vol"))
+    np.testing.assert_array_equal(saved, np.full(SHAPE, 0.5, np.float32))
+    assert run({GRID: {"start": f"r/meshes/result_{GRID}.vol"}}, *settings, "overwrite=true") == 0
 
 
 def test_unknowns_of_one_mesh_build_upon_each_other(toys):

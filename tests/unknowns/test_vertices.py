@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 
 import mitsuba as mi
 import numpy as np
@@ -48,12 +49,33 @@ def test_steps_are_spread_by_the_laplacian_and_no_vertex_goes_farther_than_the_r
     np.testing.assert_allclose(moved, -0.01 * spread / np.abs(spread).max(), atol=1e-6)
 
 
+def test_both_solvers_spread_alike(monkeypatch):
+    pytest.importorskip("cholespy")
+    gradient, found = np.random.default_rng(3).normal(size=(642, 3)), []
+    for installed in (True, False):
+        kind = problem(views=1, side=8).unknowns[KEY].kind
+        if not installed:
+            monkeypatch.setitem(sys.modules, "cholespy", None)
+        found.append(kind.smoothed(gradient))
+    np.testing.assert_allclose(*found, atol=1e-12)
+
+
+def test_what_is_no_result_is_said():
+    kind = problem(views=1, side=8).unknowns[KEY].kind
+    assert kind.doubt(kind.present) is None
+    assert "inside out" in kind.doubt(-kind.present)
+    assert "20 times as long" in kind.doubt(20 * kind.present)
+    rough = np.random.default_rng(3).normal(size=kind.present.shape).astype(np.float32)
+    assert "folded" in kind.doubt(kind.present + rough)
+
+
 def test_errors_of_balls_are_known():
     vertices, faces = ball(4)
     one, two = Sampled.of(vertices, faces), Sampled.of(1.1 * vertices, faces, 2)
     found = apart(two, one)
     assert abs(found["chamfer"] - 0.1) < 1e-3 and abs(found["hausdorff"] - 0.1) < 3e-3
     assert found["normals"] < 3 and abs(found["volume"] - 1.1**3) < 1e-6
+    assert abs(found["overlap"] - 1.1**-3) < 0.02
     same = apart(Sampled.of(vertices, faces, 7), one)
     assert same["chamfer"] < 5e-4 and same["normals"] < 0.2
 

@@ -1,0 +1,211 @@
+"""One medium in a convex shell under light from far away: paths through it, and their derivatives.
+
+Distances are drawn by delta tracking (Woodcock 1965) with one majorant σ̄: a collision at x is real
+with probability σ(x)/σ̄. Every factor of a path's weight is replayed with its derivative (path
+replay, Vicini et al. 2021): a real collision has σ a / σ̄, a null one (σ̄ - σ) / σ̄, each over its own
+probability.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+from mitsuba.python.ad.integrators.common import RBIntegrator
+
+# σ̄ over the medium's largest σ. Were they equal, a constant grid would never have a null collision,
+# and its derivative would lack these. And the least σ̄ times the shell's size: nearly empty media
+# have derivatives, which need collisions.
+_MARGIN, _FEWEST = 1.1, 4.0
+
+
+class Emission(RBIntegrator):
+    """Integrator "emission" of a scene's description: its medium emits and absorbs (``emitted``),
+    and the albedo is the radiance that it emits. Itself it renders nothing."""
+
+    max_depth, rr_depth, hide_emitters = 2**32 - 1, 2**32 - 1, False
+
+
+mi.register_integrator("emission", Emission)
+
+
+def medium_of(scene: mi.Scene) -> mi.Medium | None:
+    """The medium, where ``trace`` simulates all that there is: one shape, a convex shell without a
+    surface of its own around one medium, and lights that are infinitely far away."""
+    shapes, emitters = scene.shapes(), scene.emitters()
+    far = all(mi.has_flag(each.flags(), mi.EmitterFlags.Infinite) for each in emitters)
+    if len(shapes) != 1 or not far:
+        return None
+    shell = shapes[0]
+    convex = shell.class_name() in ("Cube", "Sphere")
+    bare = shell.bsdf() is None or mi.has_flag(shell.bsdf().flags(), mi.BSDFFlags.Null)
+    inside = shell.interior_medium()
+    return inside if convex and bare and inside is not None else None
+
+
+def trace(
+    mode: dr.ADMode,
+    scene: mi.Scene,
+    medium: mi.Medium,
+    sampler: mi.Sampler,
+    ray: mi.Ray3f,
+    max_depth: int,
+    rr_depth: int,
+    adjoint: mi.Spectrum | None = None,
+    radiance: mi.Spectrum | None = None,
+) -> mi.Spectrum:
+    """Radiance of a path that scatters until it leaves the shell: the light from there, times its
+    weight. ``mode``, ``adjoint``, ``radiance`` and the result as in ``replayed.trace``; edges count
+    from the camera, the one to the light included. Traced.
+
+    No light is sampled from collisions: a path finds it by leaving, which is the cheaper estimate
+    under a sky without a sun.
+    """
+    primal, context = mode == dr.ADMode.Primal, mi.PhaseFunctionContext()
+    majorant = _majorant(scene, medium)
+    start, far, active = _within(scene, ray)
+    result = mi.Spectrum(0 if primal else radiance)
+
+    def event(found, β, depth, active, origin, direction, t, far, sampler):
+        t = t - dr.log(1 - sampler.next_1d()) / majorant
+        active &= t < far
+        mei = _at(origin, direction, t)
+        chance = sampler.next_1d()
+        with dr.resume_grad(when=not primal):
+            scattering, _, total = medium.get_scattering_coefficients(mei, active)
+            share = dr.detach(total.x) / majorant
+            real = active & (chance < share)
+            # The branch that is not taken must be finite too: its derivative is multiplied by 0.
+            weight = dr.select(
+                real,
+                scattering / dr.maximum(dr.detach(total.x), 1e-20),
+                (majorant - total.x) / majorant / (1 - share),
+            )
+            found = _add(mode, found, dr.select(active, weight, 1), result, adjoint)
+        β = dr.select(active, β * dr.detach(weight), β)
+        out, _, _ = medium.phase_function().sample(
+            context, mei, sampler.next_1d(), sampler.next_2d(), real
+        )
+        depth = dr.select(real, depth + 1, depth)
+        most = dr.max(β)
+        late = real & (depth >= rr_depth)
+        chance = dr.minimum(most, 0.95)
+        lost = late & (sampler.next_1d() >= chance)
+        β = dr.select(late, β * dr.rcp(chance), β)
+        lost |= real & (depth + 1 > max_depth)
+        lost |= most == 0
+        β = dr.select(active & lost, 0, β)
+        active &= ~lost
+        direction = dr.select(real, out, direction)
+        origin, t = dr.select(real, mei.p, origin), dr.select(real, 0, t)
+        ahead = scene.ray_intersect_preliminary(mi.Ray3f(origin, direction), active=active & real)
+        far = dr.select(real, dr.select(ahead.is_valid(), ahead.t, 0), far)
+        return found, β, depth, active, origin, direction, t, far, sampler
+
+    state = (
+        mi.Spectrum(0), mi.Spectrum(1), mi.UInt32(0), active, mi.Point3f(start),
+        mi.Vector3f(ray.d), mi.Float(0), far, sampler,
+    )  # fmt: skip
+    state = dr.while_loop(state, lambda *s: s[3], event, label=f"medium ({mode.name})")
+    found, β, _, _, _, direction = state[:6]
+    si = dr.zeros(mi.SurfaceInteraction3f, dr.width(direction))
+    si.wi = -direction
+    with dr.resume_grad(when=not primal):
+        light = β * scene.environment().eval(si)
+        if primal:
+            return light
+        found = _add(mode, found, light, None, adjoint)
+    return found
+
+
+def _add(mode, found, weight, radiance, adjoint):
+    """What a factor ``weight`` of a path that brought ``radiance`` adds to the derivative; None:
+    ``weight`` is the radiance. Traced, with derivatives on."""
+    if mode == dr.ADMode.Primal:
+        return found
+    part = weight if radiance is None else radiance * dr.relative_grad(weight)
+    if dr.grad_enabled(part):
+        if mode == dr.ADMode.Backward:
+            dr.backward_from(adjoint * part)
+        else:
+            found = found + dr.forward_to(part)
+    return found
+
+
+def emitted(
+    mode: dr.ADMode,
+    scene: mi.Scene,
+    medium: mi.Medium,
+    sampler: mi.Sampler,
+    ray: mi.Ray3f,
+    adjoint: mi.Spectrum | None = None,
+    radiance: mi.Spectrum | None = None,
+) -> mi.Spectrum:
+    """Radiance of a medium that emits and absorbs, and scatters nothing: at x it emits σ(x) times
+    what its albedo says, per length. By ratio tracking (Novák et al. 2014): every collision adds
+    its emission and weakens what lies behind. Else as ``trace``. Traced.
+    """
+    primal = mode == dr.ADMode.Primal
+    majorant = _majorant(scene, medium)
+    start, far, active = _within(scene, ray)
+
+    def event(L, found, β, active, t, sampler):
+        t = t - dr.log(1 - sampler.next_1d()) / majorant
+        active &= t < far
+        with dr.resume_grad(when=not primal):
+            emission, _, total = medium.get_scattering_coefficients(_at(start, ray.d, t), active)
+            own = dr.select(active, β * emission / majorant, 0)
+            left = dr.select(active, 1 - total.x / majorant, 1)
+            if primal:
+                L = L + own
+            else:
+                L = L - dr.detach(own)
+                found = _add(mode, found, own + L * dr.relative_grad(left), None, adjoint)
+        β *= dr.detach(left)
+        # Of a path that is weak already, one in so many goes on, for all of them.
+        chance = dr.select(β < _WEAK, 0.5, 1)
+        lost = sampler.next_1d() >= chance
+        β = dr.select(active, dr.select(lost, 0, β / chance), β)
+        active &= ~lost
+        return L, found, β, active, t, sampler
+
+    state = (
+        mi.Spectrum(0 if primal else radiance), mi.Spectrum(0), mi.Float(1), active, mi.Float(0),
+        sampler,
+    )  # fmt: skip
+    L, found, β = dr.while_loop(state, lambda *s: s[3], event, label=f"emission ({mode.name})")[:3]
+    si = dr.zeros(mi.SurfaceInteraction3f, dr.width(ray.d))
+    si.wi = -ray.d
+    with dr.resume_grad(when=not primal):
+        behind = β * scene.environment().eval(si)
+        if primal:
+            return L + behind
+        return _add(mode, found, behind, None, adjoint)
+
+
+_WEAK = 0.05  # throughput below which Russian roulette begins
+
+
+def _majorant(scene: mi.Scene, medium: mi.Medium) -> mi.Float:
+    largest = dr.detach(medium.get_majorant(dr.zeros(mi.MediumInteraction3f), True)).x
+    size = float(dr.max(scene.shapes()[0].bbox().extents()))
+    return dr.maximum(largest * _MARGIN, _FEWEST / size)
+
+
+def _within(scene: mi.Scene, ray: mi.Ray3f) -> tuple[mi.Point3f, mi.Float, mi.Bool]:
+    """Where a ray's way through the shell begins, its length, and whether there is one."""
+    si = scene.ray_intersect(mi.Ray3f(dr.detach(ray)))
+    hit = si.is_valid()
+    outside = dr.dot(si.n, ray.d) < 0
+    start = dr.select(hit & outside, si.p, ray.o)
+    onward = mi.Ray3f(si.spawn_ray(ray.d))
+    second = scene.ray_intersect_preliminary(onward, active=hit & outside)
+    behind = dr.select(second.is_valid(), dr.norm(onward.o + ray.d * second.t - si.p), 0)
+    return mi.Point3f(start), dr.select(outside, behind, si.t), mi.Bool(hit)
+
+
+def _at(origin: mi.Point3f, direction: mi.Vector3f, t: mi.Float) -> mi.MediumInteraction3f:
+    mei = dr.zeros(mi.MediumInteraction3f, dr.width(t))
+    mei.t, mei.p = t, origin + direction * t
+    mei.wi = -direction
+    mei.sh_frame = mi.Frame3f(mei.wi)
+    return mei

@@ -1,0 +1,71 @@
+"""The grids of volumes: densities, albedos, emission."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+
+from ..runtime.errors import InputError
+from .kind import Kind, Loaded
+from .parameters import is_differentiable, is_grid
+
+# Of a density that scatters: where there is none at all, no path tells that some is missing. And
+# the most, as paths cost by their collisions.
+_DENSITY = (1e-3, 1e4)
+# At the ends of its range a path's weight has no derivative, or none but it.
+_ALBEDO = (0.01, 0.99)
+
+
+class Grid(Kind):
+    """The points of a grid, ``(Z, Y, X, channels)``, between which a volume is interpolated."""
+
+    name = "grid"
+    axes = ((0, False), (1, False), (2, False))
+
+    @classmethod
+    def matches(cls, params: mi.SceneParameters, key: str) -> bool:
+        return is_grid(params, key) and is_differentiable(params, key)
+
+    def __init__(self, key: str, loaded: Loaded):
+        super().__init__(key, loaded)
+        if ".albedo." in key:
+            self.range, self.unit = _ALBEDO, "albedo"
+        elif ".sigma_t." in key:
+            self.range, self.unit = _DENSITY, "1/scene unit"
+
+    def start(self, spec: str, where: str) -> np.ndarray:
+        """A ``.npy`` or ``.vol`` file."""
+        path = Path(spec)
+        if path.suffix not in (".npy", ".vol") or not path.is_file():
+            raise InputError(f"{where}={spec}: a .npy or .vol file that exists")
+        try:
+            if path.suffix == ".npy":
+                found = np.load(path, allow_pickle=False)
+            else:
+                found = np.array(mi.VolumeGrid(str(path)))
+        except Exception as error:  # whatever their readers meet
+            raise InputError(f"{where}={spec}: {' '.join(str(error).split())}") from error
+        found = np.asarray(found)
+        found = found[..., None] if found.ndim == 3 else found
+        if found.shape != self.present.shape or found.dtype.kind not in "fiu":
+            raise InputError(
+                f"{where}: {spec} is {found.shape} of {found.dtype}, the grid {self.present.shape}"
+            )
+        return found.astype(np.float32)
+
+    def files(self, array: np.ndarray) -> dict[str, bytes]:
+        """Mitsuba's own format."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "grid.vol"
+            mi.VolumeGrid(array).write(str(path))
+            return {"vol": path.read_bytes()}
+
+    def pictures(self, array: np.ndarray) -> dict[str, np.ndarray]:
+        """The slice through the middle, and the largest values along z; y is up."""
+        if array.shape[3] not in (1, 3):
+            return {}
+        middle = array[array.shape[0] // 2]
+        return {"slice": middle[::-1], "largest": array.max(axis=0)[::-1]}

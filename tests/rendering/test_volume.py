@@ -1,0 +1,203 @@
+"""Media alone: against closed forms, Mitsuba's own paths, and what must hold of any derivative."""
+
+from __future__ import annotations
+
+import math
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from isas_cli.scenes.cameras import perspective
+from isas_cli.scenes.smoke import medium
+from scenes_for_tests import render_targets, without_targets
+
+from isas_cli import losses
+from isas_cli.estimators.two_path import TwoPath
+from isas_cli.rendering import rays, volume
+from isas_cli.rendering.integrators import Integrator, Medium
+from isas_cli.rendering.pixels import PixelDistribution, Tiles
+from isas_cli.unknowns.parameters import flat
+
+DENSITY, ALBEDO = "box.interior_medium.sigma_t.data", "box.interior_medium.albedo.data"
+N = 1 << 16
+SKY = 0.7
+
+
+def description(density, albedo, integrator: str = "prbvolpath", depth: int = 64) -> dict:
+    kind = {"type": integrator}
+    if integrator == "prbvolpath":
+        kind |= {"max_depth": depth, "rr_depth": depth}
+    shape = (4, 4, 4)
+    density = np.broadcast_to(np.asarray(density, np.float32), shape)
+    albedo = np.broadcast_to(np.asarray(albedo, np.float32), (*shape, 3))
+    return {
+        "type": "scene",
+        "integrator": kind,
+        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": SKY}},
+        "box": {"type": "cube", "bsdf": {"type": "null"}, "interior": medium(density, albedo)},
+        "sensor": perspective([3.0, 2.0, 3.5], (0.0, 0.0, 0.0), 35.0, 16),
+    }
+
+
+def uneven() -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(3)
+    return rng.uniform(0.2, 3.0, (4, 4, 4)), rng.uniform(0.3, 0.95, (4, 4, 4, 3))
+
+
+def problem(density, albedo, *more, **starts):
+    made = without_targets(
+        description(density, albedo, *more),
+        {DENSITY: starts.get("density", 1.0), ALBEDO: starts.get("albedo", 0.6)},
+    )
+    assert isinstance(made.integrator, Medium)
+    return made
+
+
+def through_the_middle(p) -> mi.Ray3f:
+    return mi.Ray3f(dr.full(mi.Point3f, 0, N) + [0.1, 0.2, 5], mi.Vector3f(0, 0, -1))
+
+
+def backward(p, values: dict, ray, seed: int = 1, adjoint=(1.0, 1.0, 1.0)) -> dict[str, np.ndarray]:
+    """Gradients of the mean radiance."""
+    p.unknowns.attach(values)
+    with dr.suspend_grad():
+        weights = mi.Color3f(*[dr.full(mi.Float, a / N, N) for a in adjoint])
+        p.integrator.backward(p.scene, rays.stream(mi.UInt32(seed), N), ray, weights)
+    found = {k: np.array(flat(g), np.float64) for k, g in p.unknowns.gradients().items()}
+    p.unknowns.write(values)
+    return found
+
+
+@pytest.mark.parametrize("density", [1e-3, 0.3, 4.0])
+def test_a_glowing_slab(density):
+    """L = e (1 - exp(-2σ)) + B exp(-2σ), and its derivatives by σ and e."""
+    glow = 0.4
+    p = problem(density, glow, "emission")
+    ray = through_the_middle(p)
+    radiance, _ = p.integrator.primal(p.scene, rays.stream(mi.UInt32(3), N), ray)
+    left = math.exp(-2 * density)
+    found = np.array(radiance)[0]
+    expected, error = glow * (1 - left) + SKY * left, found.std() / math.sqrt(N)
+    assert abs(found.mean() - expected) < 4 * error + 1e-5
+    repeats = [backward(p, p.unknowns.truths(), ray, seed) for seed in range(12)]
+    by_density = np.array([r[DENSITY].sum() for r in repeats])
+    by_glow = np.array([r[ALBEDO].sum() for r in repeats])
+    for name, sums, exact in (
+        ("σ", by_density, 3 * 2 * left * (glow - SKY)),
+        ("e", by_glow, 3 * (1 - left)),
+    ):
+        spread = sums.std(ddof=1) / math.sqrt(len(sums))
+        print(f"{name}: {sums.mean():.5f} ± {spread:.5f}, exactly {exact:.5f}")
+        assert abs(sums.mean() - exact) < 4 * spread + 1e-4 and spread < 0.05 * max(
+            abs(exact), 0.01
+        )
+
+
+def test_a_furnace_has_no_derivative_by_density(monkeypatch):
+    """Nothing is absorbed, and light comes alike from everywhere: the images cannot tell the
+    density. A majorant that equals a constant density has no null collisions, and is noticed."""
+
+    def found() -> tuple[float, float]:
+        p = problem(1.5, 1.0)
+        values = p.unknowns.truths()
+        sums = [backward(p, values, through_the_middle(p), s)[DENSITY].sum() for s in range(12)]
+        return float(np.mean(sums)), float(np.std(sums, ddof=1) / math.sqrt(len(sums)))
+
+    monkeypatch.setattr("isas_cli.unknowns.grid._ALBEDO", (0.01, 1.0))
+    p = problem(1.5, 1.0)
+    radiance, _ = p.integrator.primal(p.scene, rays.stream(mi.UInt32(3), N), through_the_middle(p))
+    np.testing.assert_allclose(np.array(radiance), SKY, rtol=1e-4)
+    mean, error = found()
+    print(f"{mean:.4f} ± {error:.4f}")
+    assert abs(mean) < 4 * error and error < 0.05
+    monkeypatch.setattr(volume, "_MARGIN", 1.0)
+    monkeypatch.setattr(volume, "_FEWEST", 0.0)
+    mean, error = found()
+    assert abs(mean) > 10 * error
+
+
+def test_images_and_gradients_are_those_of_prbvolpath():
+    p = problem(*uneven())
+    stock = Integrator(p.integrator.mitsuba)
+    pixel = dr.tile(dr.arange(mi.UInt32, p.views.total), N // p.views.total)
+    adjoint = np.random.default_rng(5).normal(size=p.views.total).astype(np.float32) / N
+    weight = mi.Color3f(dr.gather(mi.Float, mi.Float(adjoint), pixel))
+    values = p.unknowns.values_of(
+        {DENSITY: uneven()[0][..., None] * 0.8, ALBEDO: uneven()[1] * 0.9}
+    )
+    images, gradients = [], []
+    for integrator in (p.integrator, stock):
+        rows = {"image": [], "gradient": []}
+        for seed in range(12):
+            stream = rays.stream(mi.UInt32(seed), N)
+            ray, _ = rays.spawn(p.sensors, p.views, *p.views.locate(pixel), stream)
+            p.unknowns.attach(values)
+            with dr.suspend_grad():
+                radiance, _ = integrator.primal(p.scene, stream.clone(), ray)
+                integrator.backward(p.scene, stream, ray, weight)
+            shown = np.array(radiance, np.float64).T.reshape(-1, p.views.total, 3).mean(axis=0)
+            rows["image"].append(shown.ravel())
+            found = p.unknowns.gradients()
+            rows["gradient"].append(np.concatenate([np.array(flat(found[k])) for k in values]))
+            p.unknowns.write(values)
+        images.append(np.array(rows["image"]))
+        gradients.append(np.array(rows["gradient"], np.float64))
+    for what, (own, other) in (("image", images), ("gradient", gradients)):
+        difference = own.mean(axis=0) - other.mean(axis=0)
+        error = np.sqrt(own.var(axis=0, ddof=1) / 12 + other.var(axis=0, ddof=1) / 12)
+        z = difference[error > 0] / error[error > 0]
+        print(f"{what}: χ²/n {np.mean(z**2):.2f}, largest {np.abs(z).max():.1f}, of {z.size}")
+        # Student's t of about 20 degrees of freedom has a variance of 1.1.
+        assert 0.7 < np.mean(z**2) < 1.5 and np.abs(z).max() < 6
+        together = np.linalg.norm(difference) / np.linalg.norm(other.mean(axis=0))
+        assert together < 0.15
+
+
+@pytest.mark.parametrize("integrator", ["prbvolpath", "emission"])
+def test_forwards_is_backwards_transposed(integrator):
+    """⟨Jᵀa, z⟩ = ⟨a, Jz⟩, path by path."""
+    density, albedo = uneven()
+    p = problem(density, albedo, integrator)
+    rng = np.random.default_rng(1)
+    values = p.unknowns.truths()
+    tangents = {u.key: rng.normal(size=u.truth.shape).astype(np.float32) for u in p.unknowns}
+    ray, adjoint = through_the_middle(p), (0.3, -1.0, 0.7)
+    p.unknowns.push_tangent(values, p.unknowns.values_of(tangents))
+    with dr.suspend_grad():
+        moved = p.integrator.forward(p.scene, rays.stream(mi.UInt32(1), N), ray)
+    one = float(np.array(moved, np.float64).mean(axis=1) @ adjoint)
+    gradients = backward(p, values, ray, 1, adjoint)
+    other = sum(gradients[k] @ tangents[k].ravel() for k in gradients)
+    print(one, other)
+    assert one == pytest.approx(other, rel=2e-4)
+
+
+def test_frozen_kernels_see_every_update():
+    steps, uniform = [], None
+    for freeze in (True, False):
+        p = problem(*uneven())
+        render_targets(p, 64)
+        uniform = PixelDistribution.uniform(Tiles.over(p.views))
+        estimator, found = TwoPath(p, losses.L2(), 4096, freeze), []
+        for i in range(4):
+            # The majorant changes with the largest density.
+            arrays = {DENSITY: uneven()[0][..., None] * (0.5 + 0.7 * i), ALBEDO: uneven()[1] * 0.9}
+            arrays = {key: array.astype(np.float32) for key, array in arrays.items()}
+            gradients = estimator.estimate(p.unknowns.values_of(arrays), uniform, 1, i, 0.0)
+            found.append(np.concatenate([np.array(flat(g)) for g in gradients.values()]))
+        p.unknowns.write(p.unknowns.starts())
+        steps.append(np.stack(found))
+    assert np.isfinite(steps[0]).all() and steps[0].any(axis=1).all()
+    np.testing.assert_allclose(*steps, atol=2e-3 * np.abs(steps[1]).max())
+
+
+def test_what_is_not_one_medium_alone_keeps_mitsubas_paths():
+    scene = description(*uneven())
+    beside = {"ball": {"type": "sphere", "center": [2, 0, 0], "radius": 0.3}}
+    made = without_targets(scene | beside, {DENSITY: 1.0})
+    assert type(made.integrator) is Integrator
+    made = without_targets(
+        scene | {"lamp": {"type": "point", "position": [3, 3, 3]}}, {DENSITY: 1.0}
+    )
+    assert type(made.integrator) is Integrator
