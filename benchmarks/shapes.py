@@ -4,8 +4,8 @@ Each scene from a sphere: `estimator=silhouettes` with each of three samplers, w
 its parts brings (silhouettes drawn by length alone; no shadows' edges), and Mitsuba's own loop
 (`sampler=mitsuba`; with shadows' edges where the scene asks for them), at three rates each with the
 first seed, then each at its best with three others, which alone are reported. Writes
-results/shapes.csv (a row per scene and method), shapes_rates.csv and shapes.png (chamfer distance
-against billed time).
+results/shapes.csv (a row per scene and method), shapes_rates.csv and shapes_<scene>.png (chamfer
+distance against billed time).
 
 With `--rebuilds`: the same time on kirby with fewer and larger steps, and so fewer rebuilds of the
 tree that rays are traced with; the smallest says what a step costs without samples. Writes
@@ -131,19 +131,15 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     return pandas.DataFrame(rows)
 
 
-def draw(found: pandas.DataFrame) -> None:
-    scenes = list(dict.fromkeys(found["scene"]))
-    size = (4.2 * len(scenes), 4.2)
-    figure, axes = plt.subplots(1, len(scenes), figsize=size, layout="constrained", squeeze=False)
-    for ax, scene in zip(axes[0], scenes):
-        runs_here = found[found["scene"] == scene]
-        for number, (name, own) in enumerate(runs_here.groupby("method", sort=False)):
-            for place, history in enumerate(own["history"]):
-                label = name if place == 0 else None
-                ax.plot(history["seconds"], history[ERROR], color=f"C{number}", label=label)
-        ax.set(yscale="log", xlabel="billed seconds", ylabel="chamfer distance", title=scene)
-        ax.legend(fontsize=7)
-    figure.savefig(RESULTS / "shapes.png", dpi=90)
+def draw(found: pandas.DataFrame, scene: str) -> None:
+    figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
+    for number, (name, own) in enumerate(found.groupby("method", sort=False)):
+        for place, history in enumerate(own["history"]):
+            label = name if place == 0 else None
+            ax.plot(history["seconds"], history[ERROR], color=f"C{number}", label=label)
+    ax.set(yscale="log", xlabel="billed seconds", ylabel="chamfer distance", title=scene)
+    ax.legend(fontsize=8)
+    figure.savefig(RESULTS / f"shapes_{scene}.png", dpi=90)
     plt.close(figure)
 
 
@@ -244,12 +240,12 @@ def main() -> None:
             ]
             race(scene, Path(root) / "seeds", pairs, chosen.seeds[1:], chosen.seconds)
             everything.append(runs(Path(root) / "seeds", scene))
+            draw(everything[-1], scene)
             rates.append(first.drop(columns="history"))
         # After each scene: what is measured survives what follows.
         measured = pandas.concat([table(found, chosen.seconds) for found in everything])
         for name, rows in ("shapes", measured), ("shapes_rates", pandas.concat(rates)):
             rows.to_csv(RESULTS / f"{name}.csv", index=False, float_format="%.4g")
-        draw(pandas.concat(everything))
     print(measured.to_string())
 
 

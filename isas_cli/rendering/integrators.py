@@ -257,13 +257,13 @@ def adapt(
             f"{where} has {named}, and paths are replayed by prb (surfaces), prbvolpath or "
             "emission (media): give it one of these"
         )
-    medium = volume.medium_of(scene) if scene is not None else None
+    medium = volume.medium_of(scene) if scene is not None and not base.hide_emitters else None
     if "media" in _REPLAYED[type(base).__name__][0] and medium is not None:
         return Medium(base, medium)
     if isinstance(base, volume.Emission):
         raise InputError(
             f"{where}: the integrator emission is for one medium in a cube or sphere without a "
-            "surface, under light from far away, and nothing else"
+            "surface, under a sky, and nothing else"
         )
     if replayed.handles(base):
         return _surfaces(base, Paths(base.max_depth, base.max_depth))

@@ -1,4 +1,4 @@
-"""One medium in a convex shell under light from far away: paths through it, and their derivatives.
+"""One medium in a convex shell under a sky: paths through it, and their derivatives.
 
 Distances are drawn by delta tracking (Woodcock 1965) with one majorant σ̄: a collision at x is real
 with probability σ(x)/σ̄. Every factor of a path's weight is replayed with its derivative (path
@@ -30,10 +30,9 @@ mi.register_integrator("emission", Emission)
 
 def medium_of(scene: mi.Scene) -> mi.Medium | None:
     """The medium, where ``trace`` simulates all that there is: one shape, a convex shell without a
-    surface of its own around one medium, and lights that are infinitely far away."""
-    shapes, emitters = scene.shapes(), scene.emitters()
-    far = all(mi.has_flag(each.flags(), mi.EmitterFlags.Infinite) for each in emitters)
-    if len(shapes) != 1 or not far:
+    surface of its own around one medium, and a sky."""
+    shapes = scene.shapes()
+    if len(shapes) != 1 or scene.environment() is None or len(scene.emitters()) != 1:
         return None
     shell = shapes[0]
     convex = shell.class_name() in ("Cube", "Sphere")

@@ -17,6 +17,7 @@ from isas_cli.estimators.two_path import TwoPath
 from isas_cli.rendering import rays, volume
 from isas_cli.rendering.integrators import Integrator, Medium
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
+from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns.parameters import flat
 
 DENSITY, ALBEDO = "box.interior_medium.sigma_t.data", "box.interior_medium.albedo.data"
@@ -192,12 +193,16 @@ def test_frozen_kernels_see_every_update():
     np.testing.assert_allclose(*steps, atol=2e-3 * np.abs(steps[1]).max())
 
 
-def test_what_is_not_one_medium_alone_keeps_mitsubas_paths():
-    scene = description(*uneven())
-    beside = {"ball": {"type": "sphere", "center": [2, 0, 0], "radius": 0.3}}
-    made = without_targets(scene | beside, {DENSITY: 1.0})
-    assert type(made.integrator) is Integrator
-    made = without_targets(
-        scene | {"lamp": {"type": "point", "position": [3, 3, 3]}}, {DENSITY: 1.0}
-    )
-    assert type(made.integrator) is Integrator
+BESIDE = {
+    "a ball": {"type": "sphere", "center": [2, 0, 0], "radius": 0.3},
+    "a lamp": {"type": "point", "position": [3, 3, 3]},
+    "a sun": {"type": "directional", "direction": [0, -1, 0]},
+}
+
+
+@pytest.mark.parametrize("what", BESIDE)
+def test_what_is_not_one_medium_alone_keeps_mitsubas_paths(what):
+    scene = description(*uneven()) | {"beside": BESIDE[what]}
+    assert type(without_targets(scene, {DENSITY: 1.0}).integrator) is Integrator
+    with pytest.raises(InputError, match="emission is for one medium in a cube or sphere"):
+        without_targets(scene | {"integrator": {"type": "emission"}}, {DENSITY: 1.0})
