@@ -1,6 +1,6 @@
 """Hard cases, by isas and by Mitsuba's own derivative of whole images with the same Adam.
 
-Runs every case of tests/support/hard_cases.py both ways, a process each, and writes
+Runs every case of tests/support/hard_*.py both ways, a process each, and writes
 results/hard_cases.csv and results/hard_cases.md.
 
     .venv/bin/python benchmarks/hard_cases.py
@@ -22,17 +22,22 @@ SUPPORT = Path(__file__).parents[1] / "tests" / "support"
 WAYS = {"isas": (), "Mitsuba": ("sampler=mitsuba",)}
 
 
+def cases() -> list:
+    sys.path.insert(0, str(SUPPORT))
+    import hard_cases
+    import hard_shapes
+
+    return [*hard_cases.CASES, *hard_shapes.CASES]
+
+
 def one(name: str, way: str) -> dict:
     """What became of a case, in this process."""
     from isas_cli.runtime import backend
 
     backend.start()
-    sys.path.insert(0, str(SUPPORT))
-    import hard_cases
-
     from isas_cli.runtime.errors import IsasError
 
-    (case,) = (case for case in hard_cases.CASES if case.name == name)
+    (case,) = (case for case in cases() if case.name == name)
     row = {"case": name, "provokes": case.provokes, "way": way, "within": case.within}
     with tempfile.TemporaryDirectory() as folder:
         try:
@@ -54,7 +59,7 @@ def page(table: pandas.DataFrame) -> str:
     rows = [
         "# Hard cases",
         "",
-        "<!-- Written by benchmarks/hard_cases.py from tests/support/hard_cases.py. -->",
+        "<!-- Written by benchmarks/hard_cases.py from tests/support/hard_*.py. -->",
         "Each case is a run of 120 steps on a tiny scene. `error`: of the parameters, in their own "
         "unit, and the most that the tests allow. `loss`: at the end over that at the start; an "
         "estimate without bias, which noise may bring below 0. "
@@ -87,19 +92,17 @@ def main() -> None:
     if chosen.one:
         print(json.dumps(one(*chosen.one)))
         return
-    sys.path.insert(0, str(SUPPORT))
-    import hard_cases
-
     rows = []
-    for case in hard_cases.CASES:
+    for case in cases():
         for way in WAYS:
             command = [sys.executable, __file__, "--one", case.name, way]
             done = subprocess.run(command, capture_output=True, text=True, check=True)
             rows.append(json.loads(done.stdout.splitlines()[-1]))
             print(rows[-1], flush=True)
-    table = pandas.DataFrame(rows)
-    table.to_csv(RESULTS / "hard_cases.csv", index=False, float_format="%.4g")
-    (RESULTS / "hard_cases.md").write_text(page(table), encoding="utf-8")
+        # After each case: what is measured survives what follows.
+        table = pandas.DataFrame(rows)
+        table.to_csv(RESULTS / "hard_cases.csv", index=False, float_format="%.4g")
+        (RESULTS / "hard_cases.md").write_text(page(table), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """Writes the pages of results from the tables in results/.
 
 adaptive_sampling.md and plateau.md, a page a paper, cost.md, what steps and records cost,
-effects.md, what leaving out light transport saves, and the table in the README. What measures
-calls this at its end; all numbers in the text are filled in from the tables, by the templates in
-templates/.
+effects.md, what leaving out light transport saves, shapes.md, and the table in the README. What
+measures calls this at its end; all numbers in the text are filled in from the tables, by the
+templates in templates/.
 
     python benchmarks/pages.py
 """
@@ -18,6 +18,7 @@ import _page_adaptive
 import _page_cost
 import _page_effects
 import _page_plateau
+import _page_shapes
 import jinja2
 
 HERE = Path(__file__).parent
@@ -30,6 +31,7 @@ PAGES = {
     "plateau": _page_plateau.facts,
     "cost": _page_cost.facts,
     "effects": _page_effects.facts,
+    "shapes": _page_shapes.facts,
 }
 
 

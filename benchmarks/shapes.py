@@ -27,6 +27,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pages
 import pandas
 from reproduce import reached
 
@@ -105,10 +106,8 @@ def runs(folder: Path, scene: str) -> pandas.DataFrame:
         row |= {"image_rmse": last["image_rmse"], "iterations": int(last["iteration"])}
         rows.append(row)
     found = pandas.DataFrame(rows)
-    order = list(methods(scene))
-    return found.sort_values(
-        ["method", "seed"], key=lambda c: c.map(order.index) if c.name == "method" else c
-    )
+    found["method"] = pandas.Categorical(found["method"], list(methods(scene)), ordered=True)
+    return found.sort_values(["method", "seed"]).astype({"method": str})
 
 
 def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
@@ -220,11 +219,13 @@ def main() -> None:
         found = steps()
         found.to_csv(RESULTS / "shapes_step.csv", index=False, float_format="%.5f")
         middle = found.groupby("side")["seconds"].median()
+        pages.write()
         print(f"a step: {middle[OURS] / middle[STOCK]:.4f} of Mitsuba's")
         return
     if chosen.rebuilds:
         found = rebuilds(chosen.seeds[1:], chosen.seconds)
         found.to_csv(RESULTS / "shapes_rebuilds.csv", index=False, float_format="%.4g")
+        pages.write()
         print(found.to_string(index=False))
         return
     everything, rates = [], []
@@ -246,6 +247,7 @@ def main() -> None:
         measured = pandas.concat([table(found, chosen.seconds) for found in everything])
         for name, rows in ("shapes", measured), ("shapes_rates", pandas.concat(rates)):
             rows.to_csv(RESULTS / f"{name}.csv", index=False, float_format="%.4g")
+        pages.write()
     print(measured.to_string())
 
 

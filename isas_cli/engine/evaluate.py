@@ -16,9 +16,6 @@ from ..runtime import streams
 from ..scene.problem import Problem
 from ..unknowns.parameters import as_numpy
 
-# An unknown of at most so many numbers is followed number by number.
-_FEW = 8
-
 
 class Evaluator:
     """Loss, image error and parameter error at given values; never billed.
@@ -58,12 +55,9 @@ class Evaluator:
         self.target = dr.gather(mi.Color3f, problem.targets, self.pixels)
         self.references = (self.target, self.target)
         unknowns, self._moved_in_truth = problem.unknowns, None
-        self._moving = {
-            key.rpartition(".")[0] for name in unknowns.moving for key in unknowns.written(name)
-        }
         if problem.truth_known:
             self.references = self._halves(unknowns.truths())
-            if self._moving:
+            if unknowns.moving:
                 self._moved_in_truth = self._shown()
 
     def apart(self, problem: Problem, values: dict) -> float:
@@ -126,9 +120,9 @@ class Evaluator:
         middle = mi.Point2f(0.5)
         ray, _ = rays.through(p.sensors, p.views, view, column, row, middle, middle)
         hit = p.scene.ray_intersect_preliminary(ray)
-        found = mi.Bool(False)
+        found, moved = mi.Bool(False), p.unknowns.moved
         for shape in p.scene.shapes():
-            if shape.id() in self._moving:
+            if shape.id() in moved:
                 found |= hit.shape == mi.ShapePtr(shape)
         found &= hit.is_valid()
         dr.eval(found)

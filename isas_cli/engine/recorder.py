@@ -131,10 +131,11 @@ class Recorder:
     def _evaluated(self, row: dict) -> None:
         self._first = self._first or row
         loop = self.loop
-        for unknown in loop.problem.unknowns:
-            array = as_numpy(loop.stepper.values[unknown.key])
-            if unknown.kind.doubtful and not unknown.kind.doubt(array):
-                self._good[unknown.key] = row, array
+        with loop.clock.unbilled("evaluation"):
+            for unknown in (u for u in loop.problem.unknowns if u.kind.doubtful):
+                array = as_numpy(loop.stepper.values[unknown.key])
+                if not unknown.kind.doubt(array):
+                    self._good[unknown.key] = row, array
         with loop.clock.unbilled("writing"):
             self.writer.evaluation(row)
             self.tracker.evaluation(row)
@@ -175,6 +176,8 @@ class Recorder:
         """Checkpoint and summary: what was dear to compute. ``illustrate`` completes the record."""
         self._status = status
         self._checkpoint()
+        with self.loop.clock.unbilled("writing"):
+            self._keep_good()
         self.left_out = self.loop.left_out()
         self._summary(status, complete=False)
 
@@ -238,7 +241,11 @@ class Recorder:
                 f"'{key}' had no gradient in any step: the images do not depend on it where it is"
                 for key in self.loop.stepper.untouched
             ]
-            warnings += self._doubts()
+            for key, doubt in self._doubts().items():
+                if key in self._good:
+                    kept = f"meshes/good_{safe_name(key)}.*"
+                    doubt += f"; {kept} is as of iteration {self._good[key][0]['iteration']}"
+                warnings.append(doubt)
         if not self.loop.evaluator.loss.linear:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
         for entry in self._resumed:
@@ -251,19 +258,23 @@ class Recorder:
                 )
         return warnings
 
-    def _doubts(self) -> list[str]:
-        """Why results are not to be trusted, and where the last one lies that was."""
-        found, values = [], self.loop.stepper.values
-        for unknown in self.loop.problem.unknowns:
-            doubt = unknown.kind.doubt(as_numpy(values[unknown.key]))
-            if doubt and unknown.key in self._good:
-                row, array = self._good[unknown.key]
-                name = f"good_{safe_name(unknown.key)}"
-                for extension, content in unknown.kind.files(array).items():
-                    self.writer.mesh(f"{name}.{extension}", content)
-                doubt += f"; meshes/{name}.* is as of iteration {row['iteration']}, before that"
-            found += [doubt] if doubt else []
-        return found
+    def _doubts(self) -> dict[str, str]:
+        """By unknown, why its result is not to be trusted."""
+        values = self.loop.stepper.values
+        found = {
+            u.key: u.kind.doubt(as_numpy(values[u.key]))
+            for u in self.loop.problem.unknowns
+            if u.kind.doubtful
+        }
+        return {key: doubt for key, doubt in found.items() if doubt}
+
+    def _keep_good(self) -> None:
+        """Of what is doubted, files of the last value that was not."""
+        for key in self._doubts().keys() & self._good.keys():
+            for extension, content in (
+                self.loop.problem.unknowns[key].kind.files(self._good[key][1]).items()
+            ):
+                self.writer.mesh(f"good_{safe_name(key)}.{extension}", content)
 
     @property
     def ends(self) -> tuple[dict, dict]:

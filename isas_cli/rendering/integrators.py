@@ -174,28 +174,37 @@ class Unrolled(Surfaces, InOneGo):
         return attached.radiance(scene, sampler, ray, depth, lights)
 
 
-class Replayed(Surfaces):
-    """Long paths, replayed (``replayed``)."""
+class Twice(Integrator):
+    """Derivatives by a second pass along the paths of a first one, as ``once`` traces them."""
+
+    def once(self, mode, scene, sampler, ray, differentiated, *more) -> mi.Spectrum:
+        """``differentiated``: whether for a derivative; ``more``: adjoint, radiance."""
+        raise NotImplementedError
 
     def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, None]:
-        depth, lights = self.paths.depth, self.paths.lights[0]
-        return self._traced(dr.ADMode.Primal, scene, sampler, ray, depth, lights), None
+        return self.once(dr.ADMode.Primal, scene, sampler, ray, False), None
 
     def backward(self, scene, sampler, ray, adjoint: mi.Color3f) -> None:
-        self._replayed(dr.ADMode.Backward, scene, sampler, ray, adjoint)
+        self._twice(dr.ADMode.Backward, scene, sampler, ray, adjoint)
 
     def forward(self, scene, sampler, ray) -> mi.Color3f:
-        derivative = self._replayed(dr.ADMode.Forward, scene, sampler, ray)
+        derivative = self._twice(dr.ADMode.Forward, scene, sampler, ray)
         dr.eval(derivative)
         return derivative
 
-    def _replayed(self, mode, scene, sampler, ray, adjoint=None):
-        depth, lights, again = self.paths.derivative, self.paths.lights[1], sampler.clone()
-        radiance = self._traced(dr.ADMode.Primal, scene, sampler, ray, depth, lights)
+    def _twice(self, mode, scene, sampler, ray, adjoint=None):
+        again = sampler.clone()
+        radiance = self.once(dr.ADMode.Primal, scene, sampler, ray, True)
         dr.eval(adjoint, radiance)
-        return self._traced(mode, scene, again, ray, depth, lights, adjoint, radiance)
+        return self.once(mode, scene, again, ray, True, adjoint, radiance)
 
-    def _traced(self, mode, scene, sampler, ray, depth, lights, *more):
+
+class Replayed(Surfaces, Twice):
+    """Long paths, replayed (``replayed``)."""
+
+    def once(self, mode, scene, sampler, ray, differentiated, *more):
+        depth = self.paths.derivative if differentiated else self.paths.depth
+        lights = self.paths.lights[differentiated]
         return replayed.trace(mode, scene, sampler, ray, depth, self.rr_depth, lights, *more)
 
 
@@ -211,7 +220,7 @@ class Mixed(Surfaces):
         self.backward, self.forward = self._short.backward, self._short.forward
 
 
-class Medium(Integrator):
+class Medium(Twice):
     """Paths through one medium and nothing else, by isas's own estimators (``volume``), which
     differentiate forwards as well."""
 
@@ -222,24 +231,7 @@ class Medium(Integrator):
         self.medium, self.has_forward = medium, True
         self.emits = isinstance(base, volume.Emission)
 
-    def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, None]:
-        return self._traced(dr.ADMode.Primal, scene, sampler, ray), None
-
-    def backward(self, scene, sampler, ray, adjoint: mi.Color3f) -> None:
-        self._replayed(dr.ADMode.Backward, scene, sampler, ray, adjoint)
-
-    def forward(self, scene, sampler, ray) -> mi.Color3f:
-        derivative = self._replayed(dr.ADMode.Forward, scene, sampler, ray)
-        dr.eval(derivative)
-        return derivative
-
-    def _replayed(self, mode, scene, sampler, ray, adjoint=None):
-        again = sampler.clone()
-        radiance = self._traced(dr.ADMode.Primal, scene, sampler, ray)
-        dr.eval(adjoint, radiance)
-        return self._traced(mode, scene, again, ray, adjoint, radiance)
-
-    def _traced(self, mode, scene, sampler, ray, *more):
+    def once(self, mode, scene, sampler, ray, differentiated, *more):
         if self.emits:
             return volume.emitted(mode, scene, self.medium, sampler, ray, *more)
         depths = self.max_depth, self.rr_depth

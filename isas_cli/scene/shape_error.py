@@ -43,12 +43,6 @@ class Sampled:
         return across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
 
     @cached_property
-    def volume(self) -> float:
-        """Enclosed, where the surface is closed; negative where it is inside out."""
-        a, b, c = np.moveaxis(self.corners, 1, 0)
-        return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
-
-    @cached_property
     def _tree(self) -> cKDTree:
         return cKDTree(self.points)
 
@@ -73,6 +67,12 @@ class Sampled:
         return (np.take_along_axis(each, best, axis=1)[:, 0] for each in (distances, faces))
 
 
+def enclosed(corners: np.ndarray) -> float:
+    """The volume within triangles ``(F, 3, 3)``, where they close; negative where inside out."""
+    a, b, c = np.moveaxis(corners.astype(np.float64), 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
 def _across(corners: np.ndarray) -> np.ndarray:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
@@ -90,7 +90,8 @@ def apart(surface: Sampled, truth: Sampled) -> dict[str, float]:
     ]
     angles = [np.degrees(np.arccos(np.clip(each, -1, 1))).mean() for each in cosines]
     chamfer, farthest = (there.mean() + back.mean()) / 2, max(there.max(), back.max())
-    volume = surface.volume / truth.volume if truth.volume else float("nan")
+    volume, true = enclosed(surface.corners), enclosed(truth.corners)
+    volume = volume / true if true else float("nan")
     corners = np.concatenate([surface.corners, truth.corners]).reshape(-1, 3)
     low, high = corners.min(axis=0), corners.max(axis=0)
     points = low + (high - low) * np.random.default_rng(3).random((_WITHIN, 3))

@@ -2,6 +2,7 @@
 
 import drjit as dr
 import hard_cases
+import hard_shapes
 import numpy as np
 import pytest
 
@@ -10,9 +11,10 @@ from isas_cli.estimators.two_path import TwoPath
 from isas_cli.runtime.errors import NumericalError
 
 PLAIN = hard_cases.CASES[0]
+CASES = [*hard_cases.CASES, *hard_shapes.CASES]
 
 
-@pytest.mark.parametrize("case", hard_cases.CASES, ids=lambda case: case.name)
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_it_stays_stable(case, tmp_path):
     if case.ends:
         with pytest.raises(NumericalError, match=r"not finite.*view 0, column \d+, row \d+"):

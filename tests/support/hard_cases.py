@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from isas_cli.scenes.icosphere import icosphere
 
 import isas_cli
 from isas_cli.records import Run
@@ -105,12 +104,12 @@ def _principled(**values) -> str:
     return f'<bsdf type="principled"><rgb name="base_color" value="0.5"/>{numbers}</bsdf>'
 
 
-def _start(key: str, value: float, **more) -> dict:
+def start(key: str, value: float, **more) -> dict:
     return {key: {"start": value, **more}}
 
 
-GREY_FROM = _start(REFLECTANCE, 0.2)
-BASE_FROM = _start("thing.bsdf.base_color.value", 0.2)
+GREY_FROM = start(REFLECTANCE, 0.2)
+BASE_FROM = start("thing.bsdf.base_color.value", 0.2)
 FLOOR = """<shape type="rectangle" id="thing"><transform name="to_world">
   <scale value="4"/><rotate x="1" angle="-90"/></transform>{bsdf}</shape>"""
 
@@ -120,68 +119,7 @@ BLURRED = ("sampler=plateau", "estimator.batch=512", "estimator.spp=4", "optimiz
 
 
 def _turn(degrees: float, **blur) -> dict:
-    return _start("turn", degrees, lr=2.0, blur=blur)
-
-
-SHAPES = (
-    *("estimator=silhouettes", "estimator.edges=1024", "estimator.shadows=1024"),
-    *("estimator.batch=1024",),
-)
-BALL_OF_TRIANGLES = 0.8 * icosphere(3)[0], icosphere(3)[1]
-
-
-def _shape(
-    name: str,
-    provokes: str,
-    within: float,
-    truth: tuple,
-    start,
-    warns: str = "",
-    rate: float = 0.02,
-) -> Case:
-    """A mesh, and where its vertices start."""
-    vertices, faces = truth
-    mesh = '<shape type="ply" id="thing"><string name="filename" value="thing.ply"/>{bsdf}</shape>'
-    return Case(
-        *(name, provokes, _start("thing.vertices", "{folder}/start.ply"), within),
-        shapes=mesh,
-        warns=warns,
-        settings=("optimizer.schedule=cosine", f"optimizer.lr={rate}"),
-        meshes={"thing.ply": truth, "start.ply": (np.asarray(start), faces)},
-        estimator=SHAPES,
-    )
-
-
-def _ball(**moved) -> np.ndarray:
-    """The ball's vertices: ``times`` their size, ``along`` a way, ``rough`` by so much."""
-    vertices = BALL_OF_TRIANGLES[0] * moved.get("times", 1.0) + moved.get("along", 0.0)
-    return vertices + moved.get("rough", 0.0) * np.random.default_rng(1).normal(size=vertices.shape)
-
-
-def _spike(reach: float) -> np.ndarray:
-    """The ball, its cap pulled out to ``reach`` along z."""
-    vertices = BALL_OF_TRIANGLES[0].copy()
-    vertices[vertices[:, 2] > 0.79, 2] = reach
-    return vertices
-
-
-def _slivers() -> tuple[np.ndarray, np.ndarray]:
-    vertices, faces = BALL_OF_TRIANGLES
-    stretched = vertices * [1, 1, 8]
-    return 0.8 * stretched / np.linalg.norm(stretched, axis=1, keepdims=True), faces
-
-
-def _box(low: list[float], high: list[float]) -> tuple[np.ndarray, np.ndarray]:
-    box = trimesh.creation.box(bounds=[low, high]).subdivide().subdivide()
-    return np.array(box.vertices), np.array(box.faces)
-
-
-def _grown(box: tuple[np.ndarray, np.ndarray], times: float) -> np.ndarray:
-    middle = box[0].mean(axis=0)
-    return middle + times * (box[0] - middle)
-
-
-END_ON, THIN = _box([0, 0, -0.4], [0.8, 0.8, 0.4]), _box([-0.01, -0.4, -0.4], [0.01, 0.4, 0.4])
+    return start("turn", degrees, lr=2.0, blur=blur)
 
 
 CASES = [
@@ -212,7 +150,7 @@ CASES = [
     ),
     Case(
         *("light goes out", "a sky that is black in truth"),
-        _start("sky.radiance.value", 0.5),
+        start("sky.radiance.value", 0.5),
         *(0.01,),
         emitter=SKY.replace('value="1"', 'value="0"')
         + '<emitter type="point"><point name="position" x="2" y="2" z="3"/>'
@@ -310,7 +248,7 @@ CASES = [
     ),
     Case(
         *("solved", "residuals that are noise alone, to a sampler that looks at them"),
-        _start(REFLECTANCE, 0.5),
+        start(REFLECTANCE, 0.5),
         *(0.02,),
         settings=("sampler=progress",),
     ),
@@ -320,7 +258,7 @@ CASES = [
     ),
     Case(
         *("mirror in truth", "a roughness whose truth is the lowest that is legal"),
-        _start("thing.bsdf.roughness.value", 0.5),
+        start("thing.bsdf.roughness.value", 0.5),
         *(0.05,),
         bsdf=_principled(roughness=0.03, metallic=1),
         emitter=MAP,
@@ -329,7 +267,7 @@ CASES = [
     ),
     Case(
         *("all metal", "metallic at its end, from far away"),
-        _start("thing.bsdf.metallic.value", 0.2),
+        start("thing.bsdf.metallic.value", 0.2),
         *(0.1,),
         bsdf=_principled(roughness=0.5, metallic=1),
         emitter=MAP,
@@ -354,7 +292,7 @@ CASES = [
     Case(
         *("unlike units", "an angle of some degrees beside a shift of some thousandths"),
         _turn(20.0, start=10, end=1)
-        | _start("shift", 5e-3, lr=4e-4, blur={"start": 3e-3, "end": 4e-4}),
+        | start("shift", 5e-3, lr=4e-4, blur={"start": 3e-3, "end": 4e-4}),
         *(0.2,),
         shapes=PLATE,
         poses={
@@ -366,48 +304,5 @@ CASES = [
             },
         },
         settings=BLURRED,
-    ),
-    # One view tells nothing of their depth: what counts is that they stay sound.
-    _shape(
-        *("a ball", "nothing: what the shapes are measured against", 0.25),
-        *(BALL_OF_TRIANGLES, _ball(times=0.6)),
-    ),
-    _shape(
-        *("slivers", "triangles a hundred times as long as wide", 0.3),
-        *(_slivers(), 0.6 * _slivers()[0]),
-        warns="folded",
-    ),
-    _shape(
-        *("folded", "faces that lie on each other at the start", 0.3),
-        *(BALL_OF_TRIANGLES, _ball(rough=0.06)),
-        warns="folded",
-    ),
-    _shape(
-        *("out of view", "half of the mesh begins outside of the image", 0.4),
-        *(BALL_OF_TRIANGLES, _ball(along=np.array([1.1, 0, 0]))),
-    ),
-    _shape(
-        *("before the lens", "a spike that ends close to the camera", 0.5),
-        *(BALL_OF_TRIANGLES, _spike(3.5)),
-    ),
-    _shape(
-        *("turned inside out", "a start that is the truth mirrored in its middle", 0.15),
-        *(BALL_OF_TRIANGLES, _ball(times=-0.9)),
-        warns="inside out",
-    ),
-    _shape(
-        *("edge end on", "an edge that the camera sees as a point", 0.1),
-        *(END_ON, _grown(END_ON, 0.8)),
-    ),
-    _shape(
-        *("two in a pixel", "both silhouettes of a plate within one pixel", 0.3),
-        *(THIN, THIN[0] + [0.3, 0, 0]),
-        warns="folded",
-    ),
-    _shape(
-        *("a shape's rate of 100", "steps a hundred times the size of the shape", 1e3),
-        *(BALL_OF_TRIANGLES, _ball(times=0.6)),
-        warns="folded",
-        rate=100.0,
     ),
 ]
