@@ -130,6 +130,14 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     return pandas.DataFrame(rows)
 
 
+def write(name: str, rows: pandas.DataFrame) -> None:
+    """Rows of one scene; those of scenes that were not measured now stay."""
+    path = RESULTS / f"{name}.csv"
+    before = pandas.read_csv(path)
+    others = before[~before["scene"].isin(rows["scene"])]
+    pandas.concat([others, rows]).to_csv(path, index=False, float_format="%.4g")
+
+
 def draw(found: pandas.DataFrame, scene: str) -> None:
     figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
     for number, (name, own) in enumerate(found.groupby("method", sort=False)):
@@ -228,7 +236,6 @@ def main() -> None:
         pages.write()
         print(found.to_string(index=False))
         return
-    everything, rates = [], []
     for scene in chosen.scenes:
         with tempfile.TemporaryDirectory(prefix="isas-shapes-") as root:
             each = methods(scene)
@@ -240,15 +247,12 @@ def main() -> None:
                 each[m] | {"optimizer.factor": f} for m, f in zip(best["method"], best["factor"])
             ]
             race(scene, Path(root) / "seeds", pairs, chosen.seeds[1:], chosen.seconds)
-            everything.append(runs(Path(root) / "seeds", scene))
-            draw(everything[-1], scene)
-            rates.append(first.drop(columns="history"))
-        # After each scene: what is measured survives what follows.
-        measured = pandas.concat([table(found, chosen.seconds) for found in everything])
-        for name, rows in ("shapes", measured), ("shapes_rates", pandas.concat(rates)):
-            rows.to_csv(RESULTS / f"{name}.csv", index=False, float_format="%.4g")
-        pages.write()
-    print(measured.to_string())
+            found = runs(Path(root) / "seeds", scene)
+            draw(found, scene)
+            # After each scene: what is measured survives what follows.
+            write("shapes", table(found, chosen.seconds))
+            write("shapes_rates", first.drop(columns="history"))
+            pages.write()
 
 
 if __name__ == "__main__":
