@@ -1,9 +1,9 @@
 """Hard cases, by isas and by Mitsuba's own derivative of whole images with the same Adam.
 
 Runs every case of tests/support/hard_*.py both ways, a process each, and writes
-results/hard_cases.csv and results/hard_cases.md.
+results/hard_cases.csv and results/hard_cases.md. Named cases alone: the others keep their rows.
 
-    .venv/bin/python benchmarks/hard_cases.py
+    .venv/bin/python benchmarks/hard_cases.py [CASE …]
 """
 
 from __future__ import annotations
@@ -25,9 +25,8 @@ WAYS = {"isas": (), "Mitsuba": ("sampler=mitsuba",)}
 def cases() -> list:
     sys.path.insert(0, str(SUPPORT))
     import hard_cases
-    import hard_shapes
 
-    return [*hard_cases.CASES, *hard_shapes.CASES]
+    return hard_cases.everywhere()
 
 
 def one(name: str, way: str) -> dict:
@@ -87,21 +86,29 @@ def page(table: pandas.DataFrame) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cases", nargs="*", metavar="CASE")
     parser.add_argument("--one", nargs=2, metavar=("CASE", "WAY"), help=argparse.SUPPRESS)
     chosen = parser.parse_args()
     if chosen.one:
         print(json.dumps(one(*chosen.one)))
         return
-    rows = []
-    for case in cases():
+    order = [case.name for case in cases()]
+    unknown = set(chosen.cases) - set(order)
+    if unknown:
+        parser.error(f"no such case: {', '.join(sorted(unknown))}; there are: {', '.join(order)}")
+    path = RESULTS / "hard_cases.csv"
+    rows = pandas.read_csv(path).to_dict("records") if chosen.cases and path.exists() else []
+    for name in chosen.cases or order:
+        rows = [row for row in rows if row["case"] != name]
         for way in WAYS:
-            command = [sys.executable, __file__, "--one", case.name, way]
+            command = [sys.executable, __file__, "--one", name, way]
             done = subprocess.run(command, capture_output=True, text=True, check=True)
             rows.append(json.loads(done.stdout.splitlines()[-1]))
             print(rows[-1], flush=True)
         # After each case: what is measured survives what follows.
+        rows = sorted((r for r in rows if r["case"] in order), key=lambda r: order.index(r["case"]))
         table = pandas.DataFrame(rows)
-        table.to_csv(RESULTS / "hard_cases.csv", index=False, float_format="%.4g")
+        table.to_csv(path, index=False, float_format="%.4g")
         (RESULTS / "hard_cases.md").write_text(page(table), encoding="utf-8")
 
 

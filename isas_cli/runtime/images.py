@@ -12,12 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
+from PIL import PngImagePlugin
 
 from .. import __version__
 from . import memory
 from .errors import InputError
 from .files import write_atomically
 
+_PNG = b"\x89PNG\r\n\x1a\n"
 _INT32 = range(-(2**31), 2**31)
 _INTEGER_FORMATS = {oiio.UINT8: 255.0, oiio.UINT16: 65535.0}
 _FLOAT_FORMATS = (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
@@ -194,6 +196,7 @@ def _read_colours(path: Path) -> tuple[np.ndarray, bool]:
     """
     if not path.is_file():
         raise InputError(f"{path}: no such picture file")
+    _check_png(path)
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)  # a product with alpha could not be decoded
     source = oiio.ImageInput.open(str(path), config)
@@ -221,6 +224,19 @@ def _read_colours(path: Path) -> tuple[np.ndarray, bool]:
         source.close()
     colours = pixels[..., _colour_channels(path, spec)].astype(np.float32) / np.float32(scale)
     return _upright(colours, spec.get_int_attribute("Orientation", 1)), linear
+
+
+def _check_png(path: Path) -> None:
+    """Raises InputError for a damaged PNG, some of which OpenImageIO does not survive."""
+    with open(path, "rb") as file:
+        if file.read(len(_PNG)) != _PNG:
+            return
+    try:
+        # Not by Image.open, which takes large pictures for attacks.
+        with PngImagePlugin.PngImageFile(path) as picture:
+            picture.verify()  # the checksums; nothing is decoded
+    except Exception as error:  # whatever its reader meets
+        raise InputError(f"{path}: a damaged PNG: {' '.join(str(error).split())}") from error
 
 
 def _colour_channels(path: Path, spec: oiio.ImageSpec) -> list[int]:

@@ -61,12 +61,7 @@ def check_values(
     """
     if not faces.size:
         raise InputError(f"mesh {name} has no triangles")
-    beyond = np.flatnonzero((faces >= len(vertices)).any(axis=1))
-    if beyond.size:
-        raise InputError(
-            f"mesh {name}: triangle {beyond[0]} has the vertex {faces[beyond[0]].max()}, and there "
-            f"are {len(vertices)} vertices: export the mesh anew"
-        )
+    check_indices(faces, len(vertices), f"mesh {name}")
     for what, values, largest, hint in (
         ("position", vertices, np.inf, "export the mesh anew"),
         ("texture coordinate", texcoords, largest_texcoord, _PARTLY),
@@ -79,6 +74,19 @@ def check_values(
                 f"mesh {name}: the {what} of vertex {bad[0]} is {wrong}: {value.tolist()} "
                 f"({bad.size} of {len(values)} are such): {hint}"
             )
+
+
+def check_indices(faces: np.ndarray, count: int, where: str) -> None:
+    """Raise InputError, which begins with ``where``, where a triangle of ``faces (F, 3)`` names none
+    of ``count`` vertices."""
+    beyond = np.flatnonzero(((faces < 0) | (faces >= count)).any(axis=1))
+    if beyond.size:
+        bad = faces[beyond[0]]
+        bad = bad[(bad < 0) | (bad >= count)][0]
+        raise InputError(
+            f"{where}: triangle {beyond[0]} has the vertex {bad}, and there are {count} vertices: "
+            "export the mesh anew"
+        )
 
 
 def degenerate(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

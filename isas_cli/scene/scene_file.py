@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import mitsuba as mi
 
 from ..runtime.errors import InputError
+from . import (
+    file_checks,
+    phong,  # noqa: F401  (a BSDF that scenes may name)
+)
 
 # Which replaying integrator stands for which of the file's.
 _REPLAY = {
@@ -34,38 +40,49 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str
     the file's path depth; a file without an integrator gets Mitsuba's default (no limit).
     Raises InputError when the file is missing, cannot be loaded, or holds no scene.
     """
+    with _said(path):
+        settings, state = parse(path)
+        integrator = _integrator(state, path, max_depth)
+        description = "".join(str(node.props) for node in state.nodes)
+        mi.parser.transform_all(settings, state)
+        loaded = mi.parser.instantiate(settings, state)
+    loaded = loaded[0] if isinstance(loaded, (list, tuple)) else loaded
+    if not isinstance(loaded, mi.Scene):
+        raise InputError(f"scene.path={path}: holds no <scene>")
+    name_all(loaded)
+    return loaded, integrator, description
+
+
+def parse(path: str) -> tuple[mi.parser.ParserConfig, mi.parser.ParserState]:
+    """What an XML file says, and how it is to be made a scene, as ``load`` does. Raises InputError
+    like it."""
     file = Path(path)
     if not file.is_file():
         raise InputError(f"scene.path={path}: no such file")
     settings = mi.parser.ParserConfig(mi.variant())
     settings.merge_equivalent = settings.merge_meshes = False
     mi.file_resolver().prepend(str(file.resolve().parent))
-    try:
+    with _said(path):
         state = mi.parser.parse_file(settings, str(file))
-        integrator = _integrator(state, path, max_depth)
-        for node in state.nodes:
-            if node.props.plugin_name() != "bitmap":
-                continue
-            # Mitsuba would not survive it.
-            if not {"filename", "bitmap", "data"} & set(node.props.keys()):
-                raise InputError(f"scene.path={path}: a bitmap texture has no filename")
-            if "format" not in node.props:
-                node.props["format"] = "variant"
-        description = "".join(str(node.props) for node in state.nodes)
-        mi.parser.transform_all(settings, state)
-        loaded = mi.parser.instantiate(settings, state)
+        file_checks.check(state, f"scene.path={path}")
+    for node in state.nodes:
+        if node.props.plugin_name() == "bitmap" and "format" not in node.props:
+            node.props["format"] = "variant"
+    return settings, state
+
+
+@contextmanager
+def _said(path: str) -> Iterator[None]:
+    """Raises what Mitsuba has to say of the file as InputError."""
+    try:
+        yield
     except (RuntimeError, ValueError, OSError) as error:
         # Mitsuba begins with a place in its own source.
         text = re.sub(r"^\[\w+\.cpp:\d+\] ", "", " ".join(str(error).split()))
         raise InputError(f"scene.path={path}: Mitsuba cannot load it: {text}") from error
-    loaded = loaded[0] if isinstance(loaded, (list, tuple)) else loaded
-    if not isinstance(loaded, mi.Scene):
-        raise InputError(f"scene.path={path}: holds no <scene>")
-    _name_all(loaded)
-    return loaded, integrator, description
 
 
-def _name_all(scene: mi.Scene) -> None:
+def name_all(scene: mi.Scene) -> None:
     """Give objects without an id one in the file's order: Mitsuba would call them by their
     address in memory, and keys and content hash would differ from run to run."""
     kinds = (("emitter", scene.emitters()), ("shape", scene.shapes()), ("sensor", scene.sensors()))

@@ -70,8 +70,14 @@ def stop_after(folder: Path, rows: int, process: subprocess.Popen, number: int) 
             signal.SIGKILL,
             marks=pytest.mark.slow,
         ),
+        pytest.param(
+            ["scene=kirby", "estimator=silhouettes", "sampler=uniform"],
+            signal.SIGKILL,
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(["scene=smoke", "sampler=ours"], signal.SIGKILL, marks=pytest.mark.slow),
     ],
-    ids=("ours", "balanced", "plateau"),
+    ids=("ours", "balanced", "plateau", "silhouettes", "volume"),
 )
 def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(tmp_path, chosen, number):
     whole, cut = tmp_path / "whole", tmp_path / "cut"

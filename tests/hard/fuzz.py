@@ -82,6 +82,13 @@ SCENE = """<scene version="3.0.0">
     <bsdf type="diffuse"><rgb name="reflectance" value="0.2, 0.3, 0.4"/></bsdf></shape>
   <shape type="ply" id="other"><string name="filename" value="mesh.ply"/></shape>
 </scene>"""
+CLOUD = SCENE[: SCENE.index("  <shape")] + """  <shape type="cube" id="box"><bsdf type="null"/>
+    <medium type="heterogeneous" name="interior">
+      <volume type="gridvolume" name="sigma_t"><string name="filename" value="grid.vol"/></volume>
+      <volume type="gridvolume" name="albedo"><string name="filename" value="grid.vol"/></volume>
+    </medium></shape>
+</scene>"""
+DENSITY = "box.interior_medium.sigma_t.data"
 UNKNOWNS = {"thing.bsdf.base_color.data": 0.5, "mesh.bsdf.reflectance.value": 0.5}
 OBJ = """v -1 -1 0
 v 1 -1 0
@@ -223,6 +230,8 @@ class Reader:
         from isas_cli.runtime import images
 
         rng = np.random.default_rng(0)
+        import mitsuba as mi
+
         paint = rng.random((4, 4, 3)).astype(np.float32)
         self.sound.mkdir(parents=True)
         images.write_png(self.sound / "paint.png", (paint * 255).astype(np.uint8))
@@ -230,6 +239,9 @@ class Reader:
         (self.sound / "paint.pfm").write_bytes(b"PF\n4 4\n-1.0\n" + paint.tobytes())
         rgbe = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 4\n" + bytes(range(64))
         (self.sound / "paint.hdr").write_bytes(rgbe)
+        grid = rng.uniform(0.1, 0.9, (2, 3, 4, 1)).astype(np.float32)
+        mi.VolumeGrid(grid).write(str(self.sound / "grid.vol"))
+        np.save(self.sound / "grid.npy", grid)
         (self.sound / "scene.xml").write_text(SCENE)
         (self.sound / "mesh.obj").write_text(OBJ)
         (self.sound / "mesh.ply").write_bytes(ply())
@@ -246,24 +258,36 @@ class Reader:
 
     def scene(self, rng: random.Random, folder: Path, spoil: str | None = None) -> None:
         """A scene file, or what it names, up to where kernels would be compiled."""
-        from isas_cli.config.schema import SceneConfig, TargetConfig, UnknownConfig
-        from isas_cli.engine import assemble
-
-        names = ("scene.xml", "mesh.obj", "mesh.ply", "paint.png")
-        for name in names:
+        for name in ("scene.xml", "mesh.obj", "mesh.ply", "paint.png"):
             shutil.copy(self.sound / name, folder)
         spoilt(rng, folder / (spoil or "scene.xml"))
+        self._assembled(folder / "scene.xml", UNKNOWNS)
+
+    def _assembled(self, path: Path, starts: dict) -> None:
+        from isas_cli.config.schema import SceneConfig, TargetConfig, UnknownConfig
+        from isas_cli.engine import assemble
 
         def enough(problem) -> None:
             raise Enough
 
-        unknowns = {key: UnknownConfig(start=value) for key, value in UNKNOWNS.items()}
-        scene = SceneConfig(name="file", path=str(folder / "scene.xml"), unknowns=unknowns)
+        unknowns = {key: UnknownConfig(start=value) for key, value in starts.items()}
+        scene = SceneConfig(name="file", path=str(path), unknowns=unknowns)
         with contextlib.suppress(Enough):
             assemble.problem(scene, TargetConfig(), lambda done, total: None, check=enough)
 
     def mesh(self, rng: random.Random, folder: Path) -> None:
         self.scene(rng, folder, rng.choice(("mesh.obj", "mesh.ply")))
+
+    def grid(self, rng: random.Random, folder: Path) -> None:
+        """That of a medium, or what an unknown one starts from."""
+        (folder / "scene.xml").write_text(CLOUD)
+        for name in ("grid.vol", "grid.npy"):
+            shutil.copy(self.sound / name, folder)
+        shutil.copy(self.sound / "grid.vol", folder / "start.vol")
+        spoil = rng.choice(("grid.vol", "grid.npy", "start.vol"))
+        spoilt(rng, folder / spoil)
+        start = "start.vol" if spoil == "grid.vol" else spoil
+        self._assembled(folder / "scene.xml", {DENSITY: str(folder / start)})
 
     def picture(self, rng: random.Random, folder: Path) -> None:
         from isas_cli.runtime import images
@@ -319,7 +343,7 @@ class Reader:
             spoilt(rng, folder / "run" / name)
 
 
-KINDS = ("scene", "mesh", "picture", "configuration", "record", "checkpoint")
+KINDS = ("scene", "mesh", "picture", "configuration", "record", "checkpoint", "grid")
 
 
 def child(

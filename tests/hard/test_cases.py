@@ -2,19 +2,17 @@
 
 import drjit as dr
 import hard_cases
-import hard_shapes
 import numpy as np
 import pytest
 
 import isas_cli
 from isas_cli.estimators.two_path import TwoPath
-from isas_cli.runtime.errors import NumericalError
+from isas_cli.runtime.errors import InputError, NumericalError
 
 PLAIN = hard_cases.CASES[0]
-CASES = [*hard_cases.CASES, *hard_shapes.CASES]
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+@pytest.mark.parametrize("case", hard_cases.everywhere(), ids=lambda case: case.name)
 def test_it_stays_stable(case, tmp_path):
     if case.ends:
         with pytest.raises(NumericalError, match=r"not finite.*view 0, column \d+, row \d+"):
@@ -52,6 +50,16 @@ def test_a_gradient_that_is_no_number_for_one_iteration_costs_that_iteration(tmp
     run = PLAIN.run(tmp_path)
     last = run.history.iloc[-1]
     assert last.parameter_rmse <= PLAIN.within and last.nonfinite == 3
+
+
+def test_a_scene_without_light_is_refused(tmp_path):
+    """A black environment: every residual and every gradient would be 0."""
+    dark = np.zeros((16, 32, 3))
+    case = hard_cases.Case(
+        "no light", "", hard_cases.GREY_FROM, 0, emitter=hard_cases.MAP, sky=dark
+    )
+    with pytest.raises(InputError, match="no view sees it"):
+        case.run(tmp_path)
 
 
 def test_what_no_image_tells_is_said(tmp_path):

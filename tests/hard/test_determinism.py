@@ -1,4 +1,7 @@
-"""One thread gives the same bits; several add in another order each time, and differ by little."""
+"""One thread gives the same bits; several add in another order each time, and differ by little.
+
+By a budget in paths; tests/engine/test_resume.py has one in iterations.
+"""
 
 import os
 import subprocess
@@ -12,7 +15,7 @@ import isas_cli
 TINY = [
     *("scene=pottery", "size=tiny", "sampler=progress", "target.spp=4", "estimator.batch=1024"),
     *("frames.views=0", "frames.snapshots=0", "evaluation.pixels=256", "report=false"),
-    "budget.iterations=40",
+    "budget.paths=150000",
 ]
 
 

@@ -2,11 +2,13 @@
 
 A case is a scene file, its unknowns and what is close enough; every run of it must end with numbers
 that are finite and within their ranges, with a loss no larger than at the start, and with every
-value that was not finite counted. To add one, add a line to ``CASES``.
+value that was not finite counted. To add one, add a line to ``CASES``, here or in another
+``hard_*.py`` beside this file.
 """
 
 from __future__ import annotations
 
+import importlib
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -47,7 +49,7 @@ SETTINGS = [
 class Case:
     """``provokes``: what is hard about it; ``unknowns``: as in scene.unknowns; ``within``: the
     largest final parameter error, in the unknowns' own unit; ``sky``: pixels of an environment map,
-    ``(H, W, 3)``; ``side``: of the film, pixels; ``poses``: as in scene.poses; ``ends``: whether it
+    ``(H, W, 3)``; ``bumps``: of a normal map, ``(H, W, 3)``; ``side``: of the film, pixels; ``poses``: as in scene.poses; ``ends``: whether it
     is a numerical failure, since nothing can be found; ``warns``: what it warns of; ``settings``:
     beyond SETTINGS; ``meshes``: vertices and faces by the name of a PLY file, which ``{folder}`` in
     a start stands before; ``estimator``: settings that another sampler brings instead. The figures
@@ -63,6 +65,7 @@ class Case:
     origin: str = "0,0,4"
     depth: int = 3
     sky: np.ndarray | None = None
+    bumps: np.ndarray | None = None
     side: int = 16
     poses: dict = field(default_factory=dict)
     ends: bool = False
@@ -74,8 +77,9 @@ class Case:
     def run(self, folder: Path, *settings: str) -> Run:
         """Runs it in ``folder``, with ``settings`` beyond its own."""
         folder.mkdir(parents=True, exist_ok=True)
-        if self.sky is not None:
-            images.write_exr(folder / "sky.exr", self.sky.astype(np.float32), [*"RGB"], {})
+        for name, pixels in (("sky.exr", self.sky), ("bumps.exr", self.bumps)):
+            if pixels is not None:
+                images.write_exr(folder / name, pixels.astype(np.float32), [*"RGB"], {})
         for name, (vertices, faces) in self.meshes.items():
             trimesh.Trimesh(vertices, faces, process=False).export(folder / name)
         shapes = self.shapes.format(bsdf=self.bsdf)
@@ -89,6 +93,13 @@ class Case:
             own += self.estimator
         own += [f"scene.poses={json.dumps(self.poses)}"] if self.poses else []
         return isas_cli.run(*SETTINGS, *own, *self.settings, *settings)
+
+
+def everywhere() -> list[Case]:
+    """All cases, of this file and of the others of its kind."""
+    names = sorted(path.stem for path in Path(__file__).parent.glob("hard_*.py"))
+    modules = [importlib.import_module(name) for name in names]
+    return [case for module in modules for case in getattr(module, "CASES", [])]
 
 
 def _sky(value: float = 1.0, **texels: float) -> np.ndarray:
@@ -106,6 +117,14 @@ def _principled(**values) -> str:
 
 def start(key: str, value: float, **more) -> dict:
     return {key: {"start": value, **more}}
+
+
+def _steep(side: int = 8) -> np.ndarray:
+    """A normal map whose normals lean over by 80 degrees, each texel's away from its neighbours'."""
+    row, column = np.mgrid[:side, :side]
+    away = np.radians(80) * (1 - 2 * ((row + column) % 2))
+    normals = np.stack([np.sin(away), 0 * away, np.cos(away)], axis=-1)
+    return (normals + 1) / 2
 
 
 GREY_FROM = start(REFLECTANCE, 0.2)
@@ -281,8 +300,8 @@ CASES = [
         settings=BLURRED,
     ),
     Case(
-        *("a blur of nearly nothing", "σ of 1e-4 degrees, differences of rounding's size"),
-        _turn(3.0, start=5, end=1e-4),
+        *("a blur of nearly nothing", "σ of 1e-6 degrees, differences of rounding's size"),
+        _turn(3.0, start=5, end=1e-6),
         *(1.0,),
         shapes=PLATE,
         poses={"turn": {"kind": "rotation", "objects": ["thing"], "axis": [0, 0, 1]}},
@@ -304,5 +323,75 @@ CASES = [
             },
         },
         settings=BLURRED,
+    ),
+    Case(
+        *("differences across 180°", "the same by finite differences, as wide as the blur"),
+        *(_turn(-175.0, start=10, end=1), 2),
+        shapes=PLATE,
+        poses={"turn": {"kind": "rotation", "objects": ["thing"], "axis": [0, 0, 1], "at": [175]}},
+        settings=("sampler=finite_differences", *BLURRED[1:]),
+    ),
+    Case(
+        *("a map goes out", "an environment map that is black in truth, but for one faint texel"),
+        *(start("sky.data", 0.5), 0.05),
+        emitter=MAP,
+        sky=_sky(0.0, one=1e-3),
+        settings=("optimizer.lr=0.03", "estimator.batch=4096"),
+    ),
+    Case(
+        *("a speck", "one pixel tells of the unknown, the residuals of all others are 0"),
+        *(GREY_FROM, 0.05),
+        shapes=BALL.replace('"0.8"', '"0.06"'),
+        warns="the sampling density is not to be trusted",
+        settings=("sampler=ours", "estimator.batch=4096", "evaluation.spp=1024"),
+    ),
+    Case(
+        *("steep bumps", "a normal map whose normals lean by 80°, the other way at each texel"),
+        *(start("thing.bsdf.nested_bsdf.reflectance.value", 0.2), 0.02),
+        bsdf='<bsdf type="normalmap"><texture type="bitmap" name="normalmap">'
+        '<boolean name="raw" value="true"/><string name="filename" value="bumps.exr"/>'
+        f'<string name="filter_type" value="nearest"/></texture>{GREY}</bsdf>',
+        bumps=_steep(),
+    ),
+    Case(
+        *("no metal", "metallic 0, the other end of its range"),
+        *(start("thing.bsdf.metallic.value", 0.5), 0.1),
+        bsdf=_principled(roughness=0.5, metallic=0),
+        emitter=MAP,
+        sky=_sky(one=100, two=100),
+        settings=("estimator.batch=4096",),
+    ),
+    Case(
+        *("mirror by derivatives", "a lobe drawn for its derivative, down to the least roughness"),
+        *(start("thing.bsdf.roughness.value", 0.5), 0.05),
+        bsdf=_principled(roughness=0.03, metallic=1),
+        emitter=MAP,
+        sky=_sky(one=100, two=100),
+        settings=("estimator.batch=4096", "estimator.derivative_sampling=true"),
+    ),
+    Case(
+        *("a chequer", "a texture of texels at both ends of their range, each beside the other"),
+        *(start("thing.bsdf.base_color.data", 0.5), 0.05),
+        bsdf='<bsdf type="principled"><texture type="bitmap" name="base_color">'
+        '<boolean name="raw" value="true"/><string name="filename" value="bumps.exr"/>'
+        '<string name="filter_type" value="nearest"/></texture></bsdf>',
+        shapes='<shape type="rectangle" id="thing">{bsdf}</shape>',
+        bumps=np.broadcast_to((np.indices((8, 8)).sum(0) % 2)[..., None], (8, 8, 3)),
+        settings=("sampler=progress", "estimator.batch=4096"),
+    ),
+    Case(
+        *("hardly a step", "a rate of 1e-12: nothing moves, and nothing else happens"),
+        *(GREY_FROM, 0.301),
+        settings=("optimizer.lr=1e-12",),
+    ),
+    Case(
+        *("phong", "three numbers of one lobe at once, which can stand for each other"),
+        {f"thing.bsdf.{name}.value": {"start": 0.5} for name in ("diffuse", "specular", "roughness")},
+        *(0.1,),
+        bsdf='<bsdf type="phong"><rgb name="diffuse" value="0.2, 0.3, 0.1"/>'
+        '<rgb name="specular" value="0.4"/><float name="roughness" value="0.25"/></bsdf>',
+        emitter=MAP,
+        sky=_sky(0.2, one=50, two=50),
+        settings=("estimator.batch=4096",),
     ),
 ]

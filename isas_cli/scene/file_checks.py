@@ -1,0 +1,66 @@
+"""Files that a scene names: damage that Mitsuba would not survive, found before it reads them."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+
+from ..runtime.errors import InputError
+from .mesh_checks import check_indices
+
+# Of Mitsuba's .vol: magic bytes and version, type of the values, X, Y, Z, channels, bounding box.
+_VOLUME = struct.Struct("<3sB5i6f")
+_FLOAT32 = 1
+
+
+def check(state, where: str) -> None:
+    """Raise InputError, which begins with ``where``, for what the parsed scene ``state`` cannot be
+    loaded with. What is merely wrong is left to Mitsuba, which says so."""
+    for node in state.nodes:
+        kind, props = node.props.plugin_name(), node.props
+        if kind == "bitmap" and not {"filename", "bitmap", "data"} & set(props.keys()):
+            raise InputError(f"{where}: a bitmap texture has no filename")
+        if kind in _CHECKS and "filename" in props and isinstance(props["filename"], str):
+            path = Path(str(mi.file_resolver().resolve(props["filename"])))
+            if path.is_file():
+                _CHECKS[kind](path, f"{where}: {props['filename']}")
+
+
+def _mesh(path: Path, where: str) -> None:
+    """Of triangles that name vertices which are not there, Mitsuba would compute normals."""
+    import trimesh
+
+    try:
+        mesh = trimesh.load_mesh(
+            path, file_type="ply", process=False, fix_texture=False, skip_materials=True
+        )
+        vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    except IndexError:
+        raise InputError(f"{where}: triangles name vertices that are not there") from None
+    except Exception:  # its reader may know less than Mitsuba's
+        return
+    check_indices(faces, len(vertices), where)
+
+
+def _volume(path: Path, where: str) -> None:
+    """Mitsuba would reserve what the header says."""
+    size = path.stat().st_size
+    with open(path, "rb") as file:
+        head = file.read(_VOLUME.size)
+    if len(head) < _VOLUME.size or head[:3] != b"VOL":
+        raise InputError(f"{where}: no grid in Mitsuba's format (.vol)")
+    kind, *sides, channels = _VOLUME.unpack(head)[2:7]
+    values = (size - _VOLUME.size) // 4
+    wanted = int(np.prod([*sides, channels], dtype=object))
+    if kind != _FLOAT32 or min(*sides, channels) < 1 or wanted != values:
+        raise InputError(
+            f"{where}: its header says {' x '.join(map(str, sides))} points of {channels} values "
+            f"of type {kind}, and the file holds {values} values: float32 (type 1), as many as "
+            "the header says"
+        )
+
+
+_CHECKS = {"ply": _mesh, "gridvolume": _volume}
