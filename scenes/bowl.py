@@ -44,14 +44,14 @@ def build(views: int, resolution: int, texture: int) -> dict[str, Any]:
     """The scene with the true texture; unknown: `bowl.bsdf.base_color.data`, (texture²) x 3."""
     material = {
         "type": "principled",
-        "base_color": library.texture(_paint(texture)),
+        "base_color": library.texture(paint(texture)),
         "roughness": ROUGHNESS,
     }
     return {
         "type": "scene",
         "integrator": {"type": "prb", "max_depth": 3},
         "sky": library.environment("hdri/city.exr"),
-        "bowl": meshes.shape("bowl", turn(_profile(), 160), material),
+        "bowl": meshes.shape("bowl", turn(profile(), 160), material),
         "plinth": plinth(0.72),
         **spiral(
             views,
@@ -64,7 +64,7 @@ def build(views: int, resolution: int, texture: int) -> dict[str, Any]:
     }
 
 
-def _profile() -> np.ndarray:
+def profile() -> np.ndarray:
     """The points above on a smooth curve: foot, outside, rim, inside."""
     foot = [(0.0, 0.02), (0.22, 0.02)]
     steps = np.linspace(0, 1, 40)
@@ -77,7 +77,7 @@ def _profile() -> np.ndarray:
     return np.concatenate([foot, curve(OUTER), [(0.607, 0.62)], curve(INNER)])
 
 
-def _paint(size: int) -> np.ndarray:
+def paint(size: int) -> np.ndarray:
     """Linear albedo (size, size, 3): lines, leaves and dots on a cream glaze."""
     finer = POINTS_PER_SIDE if size <= LARGEST_AVERAGED else 1
     v, u = (np.indices((size * finer, size * finer), dtype=np.float32) + 0.5) / (size * finer)

@@ -104,6 +104,7 @@ _SUMMARIES = {
     "replay": "one iteration of a run again: what is not finite in it, and where",
     "landscape": "the loss along a run's unknowns, hard and blurred, and the way it took",
     "report": "write a run's plots and page anew",
+    "export": "write a run's result as a scene that Mitsuba renders by itself",
 }
 
 
@@ -149,6 +150,9 @@ def _parser() -> argparse.ArgumentParser:
     landscape.add_argument("--spp", type=int, default=32, help="paths a pixel and point, twice")
     report = commands.add_parser("report", help=_SUMMARIES["report"])
     report.add_argument("folder", help="a run's folder")
+    export = commands.add_parser("export", help=_SUMMARIES["export"])
+    export.add_argument("folder", help="a run's folder")
+    export.add_argument("--output", help="where to (default: FOLDER/result)")
     return parser
 
 
@@ -192,6 +196,10 @@ def _dispatch(arguments: list[str]) -> int:
 
         print(write(Path(parsed.folder)))
         return 0
+    if parsed.command == "export":
+        from .export import main as export
+
+        return export(Path(parsed.folder), Path(parsed.output) if parsed.output else None)
     _parser().print_help()
     return 0
 

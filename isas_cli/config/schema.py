@@ -78,13 +78,24 @@ class BlurConfig:
 @dataclass
 class UnknownConfig:
     """One unknown: start value (number, list, image file, ``{of: other key}`` or ``{uniform: [low,
-    high], seed: n}``), legal range, own learning rate, and the blur of ``estimator=plateau``."""
+    high], seed: n}``), legal range, own learning rate, and the blur of ``estimator=plateau``;
+    ``during``: the shares of the budget between which it moves, [from, to]; before and after it
+    keeps its value (None: it always moves)."""
 
     start: Any = None
     # How fast, and within which bounds, an unknown may move is the method's affair.
     range: Optional[List[float]] = setting(None, Role.METHOD)
     lr: Optional[float] = setting(None, Role.METHOD)
     blur: Optional[BlurConfig] = None
+    during: Optional[List[float]] = setting(None, Role.METHOD)
+
+    def __post_init__(self) -> None:
+        if self.during is not None:
+            if len(self.during) != 2 or not 0 <= self.during[0] < self.during[1] <= 1:
+                raise InputError(
+                    f"during={list(self.during)}: two shares of the budget, [from, to], with "
+                    "0 <= from < to <= 1"
+                )
 
 
 # Names of samplers that stand for an estimator with uniform pixels.

@@ -43,10 +43,13 @@ class Adam:
         return {**self._alone.state, **self._together.state}
 
     def step(self, rates: dict[str, float]) -> None:
-        """One step along the values' gradients, at each key's rate. Not evaluated."""
+        """One step along the values' gradients, at each key's rate. What has no rate rests: its
+        moments and its count of steps, by which they are corrected, stay. Not evaluated."""
         for adam in (self._alone, self._together):
-            adam.set_learning_rate({key: rate for key, rate in rates.items() if key in adam.state})
+            resting = {key: adam.state.pop(key) for key in adam.state.keys() - rates.keys()}
+            adam.set_learning_rate({key: rates[key] for key in adam.state})
             adam.step(eval=False)
+            adam.state.update(resting)
 
 
 class Stepper:
@@ -60,6 +63,7 @@ class Stepper:
       run, from a rehearsal's root mean square) brings them to order 1; Adam is invariant to it
       but for ε.
     - After the step, values are clamped to their legal ranges.
+    - An unknown whose stage it is not (``Unknown.moves``) is left out of the step.
     """
 
     def __init__(self, unknowns: Unknowns, settings: OptimizerConfig):
@@ -88,7 +92,7 @@ class Stepper:
     @property
     def taken(self) -> int:
         """Steps since the start."""
-        return int(self.adam.state[self.unknowns.keys[0]][3][0][0])
+        return max(int(self.adam.state[key][3][0][0]) for key in self.unknowns.keys)
 
     @property
     def untouched(self) -> list[str]:
@@ -105,6 +109,8 @@ class Stepper:
         rates, bad, touched = {}, mi.UInt64(0), mi.UInt64(0)
         for unknown in self.unknowns:
             key = unknown.key
+            if not unknown.moves(spent):
+                continue
             rates[key] = (unknown.lr or self.settings.lr) * factor
             # Opaque, because the factor differs from run to run and would compile anew.
             entries = flat(gradients[key]) * dr.opaque(mi.Float, self.scale[key])
@@ -174,7 +180,7 @@ class Stepper:
         β = self.settings.beta_1
         for key in self.unknowns.keys:
             t, m, v, _ = self.adam.state[key][3]
-            m, v, steps = flat(m), flat(v), int(t[0])
+            m, v, steps = flat(m), flat(v), max(int(t[0]), 1)  # 0 before its stage
             unit = dr.opaque(mi.Float, 1 / self.scale[key])
             took_part = self.visits[key] * dr.opaque(mi.Float, 1 / steps)
             forgotten = dr.power(mi.Float(β), self.visits[key])
@@ -188,7 +194,10 @@ class Stepper:
             touched = dr.select(seen > 0, v / seen, 0) * dr.square(unit)  # E[g²] where touched
             noise[key] = dr.select(part > 0, dr.square(took_part) * share * touched, 0)
         dr.eval(first, second, noise)
-        rates = {u.key: (u.lr or self.settings.lr) * self.factor(spent) for u in self.unknowns}
+        rates = {
+            u.key: (u.lr or self.settings.lr) * self.factor(spent) * u.moves(spent)
+            for u in self.unknowns
+        }
         return Moments(first, second, noise, rates)
 
     def export(self) -> tuple[dict[str, np.ndarray], dict]:

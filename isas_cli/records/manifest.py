@@ -114,6 +114,7 @@ def describe(
                 "shape": list(u.start.shape),
                 "range": [u.low, u.high],
                 "lr": u.lr,
+                "during": list(u.during),
                 "entries": int(u.start.size),
                 "entries_seen": int(u.seen.sum()),
             }

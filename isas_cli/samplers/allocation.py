@@ -30,7 +30,9 @@ def masses(sensitivity: dict, curvature: dict, moments: Moments | None, least: f
         c, h = dr.select(known, c, 0), dr.select(known, h, 0)
         c, h = _held(c, known, least), _held(h, known, least)
         mass = dr.power(c / h, 2 / 3)
-        if moments is not None:
+        if moments is not None and not moments.rate[key]:
+            mass = mi.Float(0)  # it rests until its stage
+        elif moments is not None:
             mass *= dr.power(1 + _excess(key, h, moments), -4 / 3)
         found[key] = dr.select(known, mass, 0)
     return found

@@ -13,6 +13,8 @@ _USUAL = {
     "base_color": (0.0, 1.0, ""),
     "reflectance": (0.0, 1.0, ""),
     "albedo": (0.0, 1.0, ""),
+    "diffuse": (0.0, 1.0, ""),
+    "specular": (0.0, 1.0, ""),
     "roughness": (0.03, 1.0, ""),
     "alpha": (0.03, 1.0, ""),
     "metallic": (0.0, 1.0, ""),

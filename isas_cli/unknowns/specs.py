@@ -134,7 +134,18 @@ def parse(
         found.append(_unknown(offered[key](key, loaded), spec, loaded, truth_known))
     for kind in registry.kinds():
         kind.check(loaded, list(specs))
+    _check_stages(found)
     return found
+
+
+def _check_stages(unknowns: list[Unknown]) -> None:
+    """Raise InputError where at some share of the budget nothing would move."""
+    for share in sorted({0.0, *(end for u in unknowns for end in u.during if end < 1)}):
+        if not any(u.moves(share) for u in unknowns):
+            raise InputError(
+                f"scene.unknowns: from the share {share:g} of the budget on no unknown moves: let "
+                "the stages that during gives follow one another, from 0 to 1"
+            )
 
 
 def _unfit(params: mi.SceneParameters, key: str, valid: list[str]) -> str:
@@ -167,4 +178,5 @@ def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
     reason = truth is not None and kind.refusal(truth)
     if reason:
         raise InputError(f"{where}: the scene's own value, the truth: {reason}")
-    return Unknown(kind, start, truth, low, high, spec.lr, spec.blur)
+    during = (0.0, 1.0) if spec.during is None else tuple(spec.during)
+    return Unknown(kind, start, truth, low, high, spec.lr, spec.blur, during)

@@ -18,7 +18,7 @@ class Unknown:
     """One unknown. ``start`` and ``truth`` are float32 arrays of the shape of ``kind.present``
     (``truth`` is None for photographs); ``low``, ``high``: legal range, in its unit;
     ``lr``: its own learning rate, or None for the optimiser's; ``blur``: of ``sampler=plateau``, or
-    None; ``seen``: which entries some view sees (bool, same shape), filled in by ``coverage``."""
+    None; ``during``: the shares of the budget between which it moves; ``seen``: which entries some view sees (bool, same shape), filled in by ``coverage``."""
 
     kind: Kind
     start: np.ndarray
@@ -27,6 +27,7 @@ class Unknown:
     high: float
     lr: float | None
     blur: BlurConfig | None = None
+    during: tuple[float, float] = (0.0, 1.0)
     seen: np.ndarray | None = None
 
     @property
@@ -42,6 +43,11 @@ class Unknown:
     def scale(self) -> float:
         """The size, in the unknown's unit, of what it is added to in the scene."""
         return self.kind.scale
+
+    def moves(self, spent: float) -> bool:
+        """Whether it is optimised at this share of the budget."""
+        begin, end = self.during
+        return begin <= spent < end or spent >= end == 1
 
     def error(self, array: np.ndarray) -> float:
         """How far ``array`` is from the known truth over what is seen, in the unknown's unit."""

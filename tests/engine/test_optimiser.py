@@ -48,6 +48,30 @@ def test_scaling_the_loss_changes_nothing(size):
         assert not np.allclose(ours[key], raw[key], atol=1e-3), key
 
 
+def test_an_unknown_rests_until_its_stage_and_then_begins_as_if_nothing_had_been():
+    """Resting costs no bias correction: the first steps are as long as they are at the start."""
+    p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5})
+    p.unknowns[TEXTURE].during = (0.5, 1.0)
+    p.unknowns[ROUGHNESS].during = (0.0, 0.5)
+    rng = np.random.default_rng(5)
+    batches = [gradients(p, rng) for _ in range(3)]
+    stepper, fresh = Stepper(p.unknowns, settings()), Stepper(p.unknowns, settings())
+    for _ in range(40):
+        stepper.step(batches[0], 0.2)
+    assert np.all(as_numpy(stepper.values[TEXTURE]) == 0.5) and stepper.taken == 40
+    moments = stepper.moments(0.2)
+    assert moments.rate[TEXTURE] == 0 < moments.rate[ROUGHNESS]
+    assert np.all(np.isfinite(moments.second[TEXTURE]))
+    number = as_numpy(stepper.values[ROUGHNESS])
+    assert number != 0.5
+    for batch in batches:
+        stepper.step(batch, 0.7)
+        fresh.step(batch, 0.7)
+    assert np.array_equal(as_numpy(stepper.values[TEXTURE]), as_numpy(fresh.values[TEXTURE]))
+    assert not np.all(as_numpy(fresh.values[TEXTURE]) == 0.5)
+    assert np.array_equal(as_numpy(stepper.values[ROUGHNESS]), number)
+
+
 def test_first_steps_follow_the_published_update():
     """Kingma & Ba, with bias correction, in NumPy."""
     p, rng = problem({TEXTURE: 0.5}), np.random.default_rng(2)

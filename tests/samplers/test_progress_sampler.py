@@ -144,6 +144,8 @@ def test_unknowns_that_are_done_or_out_of_reach_are_dropped():
     rate = {"a": 0.02, "b": 0.02}
     found = masses(c, h, Moments(first, second, both, rate), 1e-3)
     assert float(dr.sum(found["b"])[0]) < 0.3 * float(dr.sum(found["a"])[0])
+    resting = masses(c, h, Moments(first, second, both, rate | {"a": 0.0}), 1e-3)
+    assert not dr.any(resting["a"] > 0) and dr.all(resting["b"] == found["b"])
 
     noisy = np.ones(count)
     noisy[0] = 1e8

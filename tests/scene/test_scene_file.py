@@ -307,6 +307,8 @@ BAD_UNKNOWNS = {
     "above": (unknowns(start="1.5"), ["[0, 1]"]),
     "range": (unknowns(more=', "range": [1, 0]'), ["low < high"]),
     "rate": (unknowns(more=', "lr": 0'), ["lr=0.0"]),
+    "stage": (unknowns(more=', "during": [0.5, 0.2]'), ["during=[0.5, 0.2]", "from < to"]),
+    "a gap": (unknowns(more=', "during": [0.5, 1]'), ["the share 0 ", "no unknown moves"]),
     "shape": (unknowns(start="[1, 2]"), ["(8, 8, 3)"]),
     "kind": (unknowns(start="true"), ["start=True"]),
     "no start": (unknowns(start="null"), ["has no start"]),

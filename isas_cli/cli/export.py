@@ -1,0 +1,27 @@
+"""`isas export`: a run's result as a scene that Mitsuba renders by itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .. import records
+from ..config import schema
+from ..engine import resumption
+from ..runtime import backend, interrupt
+
+
+def main(folder: Path, output: Path | None) -> int:
+    """Write the result of the run in ``folder`` into ``output`` (None: ``folder/result``). Raises
+    InputError; returns 0."""
+    run = records.load(folder)
+    arrays = run.parameters()
+    cfg, _ = resumption.configuration(folder, run.config, {})
+    typed = schema.typed(cfg)
+    with interrupt.prompt():
+        backend.start(typed.variant, typed.threads)
+        # Mitsuba's types exist only once the backend has started.
+        from ..scene import export
+
+        path = export.write(typed.scene, arrays, output or folder / "result")
+    print(f"result: {path}")
+    return 0

@@ -1,0 +1,140 @@
+"""`isas export`: what was found, in the user's own file, as Mitsuba reads it."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import trimesh
+
+from isas_cli.cli.app import main
+from isas_cli.config.schema import PoseConfig, SceneConfig, UnknownConfig
+from isas_cli.runtime import images
+from isas_cli.runtime.errors import InputError
+from isas_cli.scene import export, scene_file
+
+SCENE = """<scene version="3.0.0">
+  <integrator type="path"><integer name="max_depth" value="3"/></integrator>
+  <emitter type="envmap" id="sky"><string name="filename" value="sky.exr"/></emitter>
+  <emitter type="point"><point name="position" x="1" y="2" z="3"/>
+    <rgb name="intensity" value="2, 1, 1"/></emitter>
+  <sensor type="perspective"><float name="fov" value="40"/>
+    <transform name="to_world"><lookat origin="0,1,4" target="0,0,0" up="0,1,0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="12"/>
+    </film></sensor>
+  <bsdf type="twosided" id="paint"><bsdf type="principled">
+    <texture type="bitmap" name="base_color"><string name="filename" value="paint.png"/></texture>
+    <float name="roughness" value="0.4"/></bsdf></bsdf>
+  <shape type="rectangle" id="floor"><ref id="paint"/></shape>
+  <shape type="ply" id="figure"><string name="filename" value="figure.ply"/>
+    <transform name="to_world"><translate y="0.3"/></transform>
+    <bsdf type="diffuse"><rgb name="reflectance" value="0.2, 0.3, 0.4"/></bsdf></shape>
+  <shape type="sphere" id="ball"><float name="radius" value="0.2"/>
+    <bsdf type="diffuse"><texture type="bitmap" name="reflectance">
+      <string name="filename" value="other.png"/></texture></bsdf></shape>
+</scene>"""
+CLOUD = """<scene version="3.0.0">
+  <integrator type="volpath"/><emitter type="constant" id="sky"/>
+  <sensor type="perspective"><film type="hdrfilm"><integer name="width" value="4"/>
+    <integer name="height" value="4"/></film></sensor>
+  <shape type="cube" id="box"><bsdf type="null"/><medium type="heterogeneous" name="interior">
+    <volume type="gridvolume" name="sigma_t"><string name="filename" value="grid.vol"/></volume>
+    <volume type="constvolume" name="albedo"><rgb name="value" value="0.5"/></volume>
+  </medium></shape></scene>"""
+PAINT, SKY, RED = "paint.brdf_0.base_color.data", "sky.data", "figure.bsdf.reflectance.value"
+ROUGH, LAMP = "paint.brdf_0.roughness.value", "emitter_1.intensity.value"
+
+
+@pytest.fixture
+def folder(tmp_path, rng):
+    for name in ("paint", "other"):
+        images.write_png(tmp_path / f"{name}.png", rng.integers(0, 255, (4, 6, 3), dtype=np.uint8))
+    images.write_exr(tmp_path / "sky.exr", rng.random((8, 16, 3)), [*"RGB"], {})
+    trimesh.creation.icosphere(1, 0.5).export(tmp_path / "figure.ply")
+    grid = rng.uniform(0.1, 0.9, (2, 3, 4, 1)).astype(np.float32)
+    mi.VolumeGrid(grid).write(str(tmp_path / "grid.vol"))
+    (tmp_path / "scene.xml").write_text(SCENE)
+    (tmp_path / "cloud.xml").write_text(CLOUD)
+    return tmp_path
+
+
+def scene(path, keys, poses=None) -> SceneConfig:
+    unknowns = {key: UnknownConfig(start=0.5) for key in keys}
+    return SceneConfig(name="file", path=str(path), unknowns=unknowns, poses=poses or {})
+
+
+def found(path, shapes: dict) -> dict:
+    """Each parameter's value in the scene at ``path``, in a shape."""
+    params = mi.traverse(mi.load_file(str(path), optimize=False))
+    return {key: np.array(params[key]).reshape(shape) for key, shape in shapes.items()}
+
+
+def test_the_result_stands_in_the_users_own_file(folder, rng):
+    arrays = {
+        PAINT: rng.random((4, 6, 3)),
+        SKY: rng.random((8, 16, 3)) + 0.1,
+        RED: np.array([0.7, 0.1, 0.2]),
+        ROUGH: np.array([0.25]),
+        LAMP: np.array([5.0, 6.0, 7.0]),
+    }
+    arrays = {key: array.astype(np.float32) for key, array in arrays.items()}
+    path = export.write(scene(folder / "scene.xml", arrays), arrays, folder / "result")
+    # Nothing of the user's is needed to read it, or has changed.
+    for name in ("paint.png", "other.png", "sky.exr", "figure.ply"):
+        (folder / name).unlink()
+    assert (folder / "scene.xml").read_text() == SCENE
+    shapes = {key: array.shape for key, array in arrays.items() if key not in (SKY, LAMP)}
+    for key, value in found(path, shapes).items():
+        assert np.allclose(value, arrays[key], atol=1e-6), key
+    params = mi.traverse(mi.load_file(str(path), optimize=False))
+    assert np.allclose(np.array(params[SKY])[:, 1:-1], arrays[SKY], atol=1e-6)
+    (lamp,) = (params[key] for key in params.keys() if key.endswith("intensity.value"))
+    assert np.allclose(np.array(lamp).ravel(), arrays[LAMP])
+
+
+def test_a_moved_mesh_and_a_turned_ball_are_where_they_were_found(folder):
+    poses = {
+        "up": PoseConfig(kind="translation", objects=["figure", "ball"], directions=[[0, 1, 0]])
+    }
+    arrays = {"up": np.array([0.25], np.float32)}
+    path = export.write(scene(folder / "scene.xml", arrays, poses), arrays, folder / "result")
+    shapes = {"figure.vertex_positions": (-1, 3)}
+    before, after = (found(each, shapes) for each in (folder / "scene.xml", path))
+    moved = after["figure.vertex_positions"] - before["figure.vertex_positions"]
+    assert np.allclose(moved, [0, 0.25, 0], atol=1e-6)
+    balls = []
+    for each in (folder / "scene.xml", path):
+        (ball,) = (s for s in mi.load_file(str(each)).shapes() if s.id() == "ball")
+        balls.append(np.array(ball.bbox().center()))
+    assert np.allclose(balls[1] - balls[0], [0, 0.25, 0], atol=1e-6)
+
+
+def test_a_grid_is_written_in_mitsubas_format(folder, rng):
+    key = "box.interior_medium.sigma_t.data"
+    arrays = {key: rng.uniform(0.1, 2, (2, 3, 4, 1)).astype(np.float32)}
+    path = export.write(scene(folder / "cloud.xml", arrays), arrays, folder / "result")
+    (folder / "grid.vol").unlink()
+    assert np.allclose(found(path, {key: (2, 3, 4, 1)})[key], arrays[key])
+
+
+def test_what_was_found_is_rendered_as_it_was(folder, rng):
+    """The scene that a run would render its result from, and the file, with the same numbers."""
+    arrays = {PAINT: rng.random((4, 6, 3)).astype(np.float32)}
+    path = export.write(scene(folder / "scene.xml", arrays), arrays, folder / "result")
+    own, *_ = scene_file.load(str(folder / "scene.xml"), None)
+    params = mi.traverse(own)
+    untouched = np.array(mi.render(own, spp=16, seed=1))
+    params[PAINT] = mi.TensorXf(arrays[PAINT])
+    params.update()
+    wanted, got = (
+        np.array(mi.render(each, spp=16, seed=1))
+        for each in (own, mi.load_file(str(path), optimize=False))
+    )
+    assert np.abs(got - wanted).mean() < 1e-4 < 1e-2 < np.abs(got - untouched).mean()
+
+
+def test_what_cannot_be_exported_is_one_line(folder, tmp_path, capsys):
+    built = SceneConfig(name="pottery", builder="isas_cli.scenes.pottery.build")
+    with pytest.raises(InputError, match="scene=pottery is built by a program"):
+        export.write(built, {}, folder / "result")
+    assert main(["export", str(tmp_path / "nowhere")]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and "nowhere" in told
