@@ -26,8 +26,9 @@ def cases() -> list:
     sys.path.insert(0, str(SUPPORT))
     import hard_cases
     import hard_shapes
+    import hard_volumes
 
-    return [*hard_cases.CASES, *hard_shapes.CASES]
+    return [*hard_cases.CASES, *hard_shapes.CASES, *hard_volumes.CASES]
 
 
 def one(name: str, way: str) -> dict:

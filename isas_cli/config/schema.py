@@ -78,13 +78,16 @@ class BlurConfig:
 @dataclass
 class UnknownConfig:
     """One unknown: start value (number, list, image file, ``{of: other key}`` or ``{uniform: [low,
-    high], seed: n}``), legal range, own learning rate, and the blur of ``estimator=plateau``."""
+    high], seed: n}``), legal range, own learning rate, and the blur of ``estimator=plateau``.
+    ``levels``: of a grid, how many resolutions it passes through, each twice the last, or the
+    shares of the budget at which it doubles."""
 
     start: Any = None
     # How fast, and within which bounds, an unknown may move is the method's affair.
     range: Optional[List[float]] = setting(None, Role.METHOD)
     lr: Optional[float] = setting(None, Role.METHOD)
     blur: Optional[BlurConfig] = None
+    levels: Any = setting(1, Role.METHOD)
 
 
 # Names of samplers that stand for an estimator with uniform pixels.
@@ -313,6 +316,11 @@ class Config:
                     f"scene.unknowns['{key}'] has no blur, which "
                     f"estimator={self.estimator['name']} needs: "
                     "give blur: {start: 0.5, end: 0.01}, widths of a Gaussian in its unit"
+                )
+            if unknown.levels != 1 and self.estimator.get("name") in _BLURRING:
+                raise InputError(
+                    f"scene.unknowns['{key}'].levels={unknown.levels}: "
+                    f"estimator={self.estimator['name']} moves whole grids; leave levels out"
                 )
         # A preset names the estimator that it picks.
         preset, picked = self.sampler.get("name"), self.estimator.get("name")

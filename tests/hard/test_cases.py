@@ -3,6 +3,7 @@
 import drjit as dr
 import hard_cases
 import hard_shapes
+import hard_volumes
 import numpy as np
 import pytest
 
@@ -11,7 +12,7 @@ from isas_cli.estimators.two_path import TwoPath
 from isas_cli.runtime.errors import NumericalError
 
 PLAIN = hard_cases.CASES[0]
-CASES = [*hard_cases.CASES, *hard_shapes.CASES]
+CASES = [*hard_cases.CASES, *hard_shapes.CASES, *hard_volumes.CASES]
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
