@@ -31,16 +31,18 @@ def decided(p, seconds=None, **settings):
     return effects.decide(p, Effects(**settings), made, L2(), seconds)
 
 
-def filled(density: float, albedo: float):
-    p = problem(density, albedo, "prbvolpath", 8, density=0.8 * density, albedo=0.8 * albedo)
+def filled(density: float, albedo: float, times: float = 0.6):
+    """From ``times`` the density that it has."""
+    start = {"density": times * density, "albedo": 0.8 * albedo}
+    p = problem(density, albedo, "prbvolpath", 8, **start)
     render_targets(p, 64)
     return p
 
 
 def test_thin_media_need_fewer_scatterings_than_thick_ones():
     found = {}
-    for name, (density, albedo) in {"thin": (0.05, 0.5), "thick": (3.0, 0.95)}.items():
-        p = filled(density, albedo)
+    for name, of in {"thin": (0.03, 0.5, 4.0), "thick": (3.0, 0.95, 0.5)}.items():
+        p = filled(*of)
         plan = found[name] = decided(p, 60.0)
         p.unknowns.write(p.unknowns.starts())
         print(name, plan.paths, plan.work, plan.statements)
@@ -50,8 +52,8 @@ def test_thin_media_need_fewer_scatterings_than_thick_ones():
     first = {name: plan.derivatives[0].gradient[DENSITY].value for name, plan in found.items()}
     assert first["thin"] < 0.2 < first["thick"]
     assert found["thin"].paths.derivative < found["thick"].paths.derivative
-    # Of some hundred rays four in ten miss the box: no more than the longest way at the majorant.
-    assert 1 < found["thin"].work < found["thick"].work < 1.1 * 2.4 * math.sqrt(12) * 3
+    # By the least majorant, 2, on ways of at most √12 where nothing scatters, some of which miss.
+    assert 0.5 < found["thin"].work < 2 * math.sqrt(12) and found["thick"].work > 0.5
 
 
 def test_depths_can_be_set_and_no_light_samples():

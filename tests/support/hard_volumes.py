@@ -68,7 +68,7 @@ def _spike(most: float, least: float = 1e-3) -> np.ndarray:
 
 
 FROM_ONE = start(DENSITY, 1.0)
-TIGHT = ("sampler=ours", "sampler.refresh=30", "optimizer.lr=20", "optimizer.schedule=constant")
+TIGHT = ("sampler=ours", "sampler.refresh=30", "optimizer.lr=2", "budget.iterations=90")
 
 CASES = [
     _volume("a cloud", "nothing: what the volumes are measured against", 1.0, _uneven(), FROM_ONE),
@@ -83,13 +83,13 @@ CASES = [
         settings=("optimizer.lr=100", "target.spp=16"),
     ),
     _volume(
-        *("a spike in emptiness", "a majorant 1e7 times most densities, at the start", 3e3),
-        *(_spike(1.0), start(DENSITY, "{folder}/spike.vol", lr=1.0)),
-        files={"spike.vol": vol(_spike(1e4)[..., None])},
+        *("a spike in emptiness", "a majorant 1e7 times the densities that are looked for", 1.0),
+        *(_spike(1e4), start(DENSITY, "{folder}/spike.vol")),
+        files={"spike.vol": vol(_spike(1e4, 1.0)[..., None])},
         settings=FEW,
     ),
     _volume(
-        *("a peak between looks", "a density that grows by 20 in a step, its majorant behind", 300),
+        *("a peak between looks", "a density that grows by 2 in a step, its majorant with it", 300),
         *(_spike(300.0, 0.1), FROM_ONE),
         settings=TIGHT,
     ),
@@ -104,7 +104,7 @@ CASES = [
         integrator=GLOWS,
     ),
     _volume(
-        *("soot", "an albedo of 0 in truth", 0.2, _uneven(), start(ALBEDO, 0.5, range=[0, 1])),
+        *("soot", "an albedo of 0 in truth", 0.3, _uneven(), start(ALBEDO, 0.5, range=[0, 1])),
         albedo=0.0,
         settings=("optimizer.lr=0.03",),
     ),

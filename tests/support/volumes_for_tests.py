@@ -41,7 +41,7 @@ def uneven(side: int = 4) -> tuple[np.ndarray, np.ndarray]:
     return rng.uniform(0.2, 3.0, (side,) * 3), rng.uniform(0.3, 0.95, (side,) * 3 + (3,))
 
 
-def problem(density, albedo, *more, levels=1, **starts):
+def problem(density, albedo, /, *more, levels=1, **starts):
     made = without_targets(
         description(density, albedo, *more),
         {
