@@ -117,7 +117,7 @@ class Progress(Sampler):
     ) -> mi.Float:
         # Anew at the first look of a run and of a level, which has no moments yet, and is billed
         # there. A continued run has none and finds the same numbers again.
-        shapes = {k: tuple(value.shape) for k, value in values.items() if dr.is_tensor_v(value)}
+        shapes = {k: tuple(value.shape) for k, value in values.items()}
         key = seed, *shapes.items()
         if moments is None or key not in self._surveys:
             self._surveys[key] = self._survey(seed, shapes)
