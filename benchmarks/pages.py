@@ -1,9 +1,9 @@
 """Writes the pages of results from the tables in results/.
 
 adaptive_sampling.md and plateau.md, a page a paper, cost.md, what steps and records cost,
-effects.md, what leaving out light transport saves, shapes.md, and the table in the README. What
-measures calls this at its end; all numbers in the text are filled in from the tables, by the
-templates in templates/.
+effects.md, what leaving out light transport saves, shapes.md, volumes.md, once there was a race on
+them, and the table in the README. What measures calls this at its end; all numbers in the text are
+filled in from the tables, by the templates in templates/.
 
     python benchmarks/pages.py
 """
@@ -19,6 +19,7 @@ import _page_cost
 import _page_effects
 import _page_plateau
 import _page_shapes
+import _page_volumes
 import jinja2
 
 HERE = Path(__file__).parent
@@ -32,6 +33,7 @@ PAGES = {
     "cost": _page_cost.facts,
     "effects": _page_effects.facts,
     "shapes": _page_shapes.facts,
+    "volumes": _page_volumes.facts,
 }
 
 
@@ -72,6 +74,7 @@ def rendered(results: Path = RESULTS) -> dict[Path, str]:
     texts = {
         HERE / f"{name}.md": environment.get_template(f"{name}.md.j2").render(own)
         for name, own in found.items()
+        if own is not None
     }
     before, rest = README.read_text(encoding="utf-8").split(BEGIN)
     after = rest.split(END)[1]

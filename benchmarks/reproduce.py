@@ -12,6 +12,7 @@ pages (`pages.py`). The whole takes hours.
 
     make reproduce SCENES="pottery bowl"
     make reproduce SCENES="dodoco_b kirby"       shapes: see shapes.py
+    make reproduce SCENES="smoke lego"           volumes: see volumes.py
 """
 
 from __future__ import annotations
@@ -131,10 +132,10 @@ def worst_twentieth(folder: Path) -> float:
     return float(np.mean(shares)) if shares else float("nan")
 
 
-def reached(history: pandas.DataFrame, goal: float) -> float:
+def reached(history: pandas.DataFrame, goal: float, measure: str = MEASURE) -> float:
     """Billed seconds from which on the error stays at or below ``goal``, linear between
     evaluations; infinite if it is not."""
-    seconds, error = history["seconds"].to_numpy(), history[MEASURE].to_numpy()
+    seconds, error = history["seconds"].to_numpy(), history[measure].to_numpy()
     above = np.flatnonzero(error > goal)
     if above.size == 0:
         return float(seconds[0])
@@ -230,17 +231,20 @@ def main() -> None:
         sys.argv += ["--folder", str(chosen.folder)] if chosen.folder else []
         _plateau.main()
         return
-    import shapes  # which looks at a history as this module does
+    import shapes  # which look at a history as this module does
+    import volumes
 
-    if chosen.scenes and set(chosen.scenes) <= set(shapes.SCENES):
-        sys.argv = [sys.argv[0], "--scenes", *chosen.scenes]
-        sys.argv += ["--seeds", *map(str, chosen.seeds)]
-        sys.argv += ["--seconds", str(chosen.seconds)] if chosen.seconds else []
-        shapes.main()
-        return
+    for script in (shapes, volumes):
+        if chosen.scenes and set(chosen.scenes) <= set(script.SCENES):
+            sys.argv = [sys.argv[0], "--scenes", *chosen.scenes]
+            sys.argv += ["--seeds", *map(str, chosen.seeds)]
+            sys.argv += ["--seconds", str(chosen.seconds)] if chosen.seconds else []
+            script.main()
+            return
     strange = [scene for scene in chosen.scenes if scene not in SCENES]
     if strange:
-        valid = f"{', '.join(SCENES)}; or, by themselves, {', '.join(shapes.SCENES)}"
+        others = "; or, by themselves, ".join(", ".join(s.SCENES) for s in (shapes, volumes))
+        valid = f"{', '.join(SCENES)}; or, by themselves, {others}"
         parser.error(f"{strange[0]}: no such scene; valid: {valid}")
     if len(chosen.seeds) < 2:
         parser.error("--seeds: at least two; the first is for the rates")

@@ -106,7 +106,8 @@ def _measured(problem, cfg: DictConfig, run, names: list[str], spp: int, phases)
 def _last(problem, folder: Path) -> dict:
     """The values that the run ended with."""
     arrays, _ = records.load_checkpoint(folder)
-    return problem.unknowns.values_of({k: arrays[f"value/{k}"] for k in problem.unknowns.keys})
+    values = problem.unknowns.values_of({k: arrays[f"value/{k}"] for k in problem.unknowns.keys})
+    return problem.unknowns.values_of(problem.unknowns.arrays(values))
 
 
 def _places(problem) -> dict[str, int]:

@@ -80,13 +80,15 @@ class UnknownConfig:
     """One unknown: start value (number, list, image file, ``{of: other key}`` or ``{uniform: [low,
     high], seed: n}``), legal range, own learning rate, and the blur of ``estimator=plateau``;
     ``during``: the shares of the budget between which it moves, [from, to]; before and after it
-    keeps its value (None: it always moves)."""
+    keeps its value (None: it always moves); ``levels``: of a grid, how many resolutions it passes
+    through, each twice the last, or the shares of the budget at which it doubles."""
 
     start: Any = None
     # How fast, and within which bounds, an unknown may move is the method's affair.
     range: Optional[List[float]] = setting(None, Role.METHOD)
     lr: Optional[float] = setting(None, Role.METHOD)
     blur: Optional[BlurConfig] = None
+    levels: Any = setting(1, Role.METHOD)
     during: Optional[List[float]] = setting(None, Role.METHOD)
 
     def __post_init__(self) -> None:
@@ -324,6 +326,11 @@ class Config:
                     f"scene.unknowns['{key}'] has no blur, which "
                     f"estimator={self.estimator['name']} needs: "
                     "give blur: {start: 0.5, end: 0.01}, widths of a Gaussian in its unit"
+                )
+            if unknown.levels != 1 and self.estimator.get("name") in _BLURRING:
+                raise InputError(
+                    f"scene.unknowns['{key}'].levels={unknown.levels}: "
+                    f"estimator={self.estimator['name']} moves whole grids; leave levels out"
                 )
         # A preset names the estimator that it picks.
         preset, picked = self.sampler.get("name"), self.estimator.get("name")

@@ -30,7 +30,7 @@ _LIGHTS = ((1, 1), (4, 1), (4, 4))
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
 # Of the entries that any view sees, the share that may lose all of their derivative.
 _LOST = 0.01
-_FORMAT = 8
+_FORMAT = 9
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class Plan:
     """``paths``: as they are simulated; ``finish``: the last share of the budget with all effects;
     ``views``: those that are drawn from (None: all);
     ``statements``: effect → what is done about it, and why; ``cuts`` (of paths), ``derivatives``
-    (of what is differentiated), ``samples``: what the probe measured; ``seconds``: what it is
-    billed."""
+    (of what is differentiated), ``samples``: what the probe measured; ``work``: collisions of a
+    path in a medium, at the start; ``seconds``: what it is billed."""
 
     paths: Paths
     finish: float
@@ -48,6 +48,7 @@ class Plan:
     cuts: tuple[Cut, ...] = ()
     derivatives: tuple[Cut, ...] = ()
     samples: tuple[Lights, ...] = ()
+    work: float = 0.0
     seconds: float = 0.0
 
     def on(self, problem: "Problem", finish: bool = False) -> "Problem":
@@ -76,6 +77,7 @@ class Plan:
             "views": None if self.views is None else list(self.views),
             "finish": self.finish,
             "probe_seconds": self.seconds,
+            "work": self.work,
             "depths": [dataclasses.asdict(each) for each in self.cuts],
             "derivatives": [dataclasses.asdict(each) for each in self.derivatives],
             "lights": [dataclasses.asdict(each) for each in self.samples],
@@ -144,6 +146,8 @@ def decide(
     if plan.paths.roulette is not None:
         told["roulette"] = f"from vertex {plan.paths.roulette} on, as set"
     told["light samples"] = f"{lights[0]} for a residual, {lights[1]} for a derivative"
+    if not whole.samples_lights:
+        told["light samples"] = "none: a path finds its light by leaving the medium"
     for effect, reason in why.items():
         told[effect] += f": {reason}"
     if plan.staged(problem):
@@ -158,6 +162,11 @@ def _as_set(problem: "Problem", settings: Effects) -> Paths:
     derivative = _at_most(
         depth, settings.derivative_depth, "derivative_depth", "the paths to differentiate have"
     )
+    if settings.light_samples is not None and not whole.samples_lights:
+        raise InputError(
+            f"effects.light_samples={list(settings.light_samples)}: no light is sampled in a "
+            "medium, a path finds it by leaving: leave it out"
+        )
     lights = tuple(settings.light_samples or (1, 1))
     paths = Paths(depth, derivative, lights, settings.roulette)
     for name, edges in (("max_depth", depth), ("derivative_depth", derivative)):
@@ -198,9 +207,11 @@ def _chosen(problem: "Problem", settings: Effects, found: Plan) -> tuple[Plan, d
         paths = dataclasses.replace(paths, derivative=derivative)
     if settings.light_samples is not None:
         why["light samples"] = "as set"
-    elif found.seconds:
+    elif found.seconds and problem.integrator.samples_lights:
         lights, why["light samples"] = _lights(found.samples)
         paths = dataclasses.replace(paths, lights=lights)
+    if found.work:
+        why["media"] = f"{found.work:.3g} collisions a path at the start"
     return dataclasses.replace(found, paths=paths), why
 
 
@@ -243,6 +254,7 @@ def _probed(
         samples=tuple(
             Lights(**row | {"samples": tuple(row["samples"])}) for row in found["lights"]
         ),
+        work=found["work"],
         seconds=found["probe_seconds"],
     )
 
@@ -258,6 +270,7 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
     shortest up to one that does; the paths' own from the longest down to one that does not."""
     paths, cuts, derivatives, samples = plan.paths, [], [], []
     views, checks = probe.views(), 0.0
+    work = 0.0 if problem.integrator.samples_lights else probe.work()
     ladder = [depth for depth in _LADDER if depth < paths.depth]
     if settings.derivative_depth is None:
         for depth in ladder:
@@ -274,7 +287,8 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
                     paths = dataclasses.replace(paths, derivative=depth)
                     break
                 derivatives[-1] = dataclasses.replace(found, lost=lost)
-    if settings.light_samples is None and paths.depth > 1:
+    asked = settings.light_samples is None and problem.integrator.samples_lights
+    if asked and paths.depth > 1:
         samples = probe.lights(paths, list(_LIGHTS))
     if settings.max_depth is None:
         for depth in reversed(ladder):
@@ -290,6 +304,7 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
         cuts=tuple(cuts),
         derivatives=tuple(derivatives),
         samples=tuple(samples),
+        work=work,
         seconds=probe.seconds + checks,
     )
 

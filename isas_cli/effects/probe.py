@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..rendering import rays
-from ..rendering.integrators import Paths, Replayed
+from ..rendering.integrators import Paths
 from ..rendering.pixels import PixelDistribution, Tiles
 from ..runtime import streams
 from ..runtime.backend import sync
@@ -103,6 +103,22 @@ class Probe:
                 self.seconds += time.perf_counter() - begun
         unknowns.write(self.values)
         return None if seen.all() or not seen.any() else tuple(np.flatnonzero(seen).tolist())
+
+    def work(self) -> float:
+        """Of a path through a random pixel, the mean (``Integrator.work``)."""
+        p = self.problem
+        p.unknowns.write(self.values)
+        for compiled in (False, True):
+            begun = time.perf_counter()
+            with dr.suspend_grad():
+                drawn = dr.opaque(mi.UInt32, streams.seed(self.seed, _FAR, "draw"))
+                view, column, row, _ = self.pixels.draw(self.lanes, drawn)
+                stream = rays.stream(streams.seed(self.seed, _FAR, "cost"), self.lanes)
+                ray, _ = rays.spawn(p.sensors, p.views, view, column, row, stream)
+                found = float(dr.mean(p.integrator.work(p.scene, stream, ray))[0])
+            if compiled:
+                self.seconds += time.perf_counter() - begun
+        return found
 
     def _met(self) -> np.ndarray:
         """Whether any path of each view has a derivative along the pushed tangent, ``(V,)``."""
@@ -212,14 +228,14 @@ class Probe:
     def _kernel(self, integrator, of_targets: bool):
         """One estimate of the gradient. ``integrator``: None for paths as long as is asked for;
         ``of_targets``: the residual is towards the targets, else towards an earlier rendering."""
-        base, loss, lanes = self.problem.integrator.mitsuba, self.loss, self.lanes
-        roulette = self.problem.integrator.paths.roulette
+        whole, loss, lanes = self.problem.integrator, self.loss, self.lanes
+        roulette = whole.paths.roulette
 
         def kernel(
             scene, sensors, views, leaves, pixels, targets, mask, earlier, depths, seeds, share
         ):
             with dr.suspend_grad():
-                paths = integrator or Replayed(base, Paths(*depths, roulette=roulette))
+                paths = integrator or whole.deep(Paths(*depths, roulette=roulette))
                 view, column, row, probability = pixels.draw(lanes, seeds[0])
                 pixel = views.index(view, column, row)
                 dr.eval(view, column, row, pixel, probability)

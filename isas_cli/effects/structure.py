@@ -26,7 +26,7 @@ def statements(problem: "Problem", derivatives: str) -> dict[str, str]:
     depth = problem.integrator.max_depth
     told = {
         "light": _counted([e.class_name() for e in problem.scene.emitters()]),
-        "paths": _depth(depth),
+        "paths": (_depth if problem.integrator.samples_lights else _scatterings)(depth),
         "refraction": _transmission(shapes),
         "media": _media(shapes, problem.integrator.simulates),
         "moving silhouettes": _moving(problem.unknowns.moving),
@@ -61,6 +61,16 @@ def _depth(depth: int) -> str:
     bounces = depth - 2
     indirect = f"interreflection of up to {bounces} bounces" if bounces else "no interreflection"
     return f"of up to {depth} edges: direct light, {indirect}"
+
+
+def _scatterings(depth: int) -> str:
+    """What a longest path of so many edges has in a medium."""
+    if depth == UNLIMITED:
+        return "of any length, ended by Russian roulette: all scattering"
+    if depth <= 1:
+        return "of 1 edge: nothing scatters"
+    times = {2: "once", 3: "twice"}.get(depth, f"up to {depth - 1} times")
+    return f"of up to {depth} edges: light scatters {times}"
 
 
 def _transmission(shapes: list) -> str:

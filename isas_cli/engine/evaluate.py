@@ -14,7 +14,6 @@ from ..rendering import rays
 from ..rendering.renderer import Renderer
 from ..runtime import streams
 from ..scene.problem import Problem
-from ..unknowns.parameters import as_numpy
 
 
 class Evaluator:
@@ -133,7 +132,7 @@ class Evaluator:
         return {
             f"{VALUE_PREFIX}{u.key}/{name}".rstrip("/"): number
             for u in self.problem.unknowns
-            for name, number in u.kind.numbers(as_numpy(values[u.key]), u.truth).items()
+            for name, number in u.kind.numbers(u.kind.whole(values[u.key]), u.truth).items()
         }
 
     def parameter_errors(self, values: dict) -> dict[str, float]:
@@ -147,7 +146,7 @@ class Evaluator:
         if not self.problem.truth_known:
             return {}
         unknowns = self.problem.unknowns
-        errors = {u.key: u.error(as_numpy(values[u.key])) for u in unknowns}
+        errors = {u.key: u.error(u.kind.whole(values[u.key])) for u in unknowns}
         squares = [(error / self._sizes[key]) ** 2 for key, error in errors.items()]
         together = math.sqrt(sum(squares) / len(squares))
         return {"parameter_rmse": together} | {f"{KEY_PREFIX}{k}": e for k, e in errors.items()}

@@ -26,9 +26,11 @@ def check(problem: "Problem", lanes: int) -> None:
     if not mi.variant().startswith("llvm"):
         return
     entries = sum(u.start.size for u in problem.unknowns)
+    largest = max(problem.unknowns, key=lambda u: u.start.size)
+    size = f"the size of the {largest.kind.name} '{largest.key}', {largest.start.shape}"
     parts = {
         "targets": (problem.views.total * _TARGET, "the resolution of the views"),
-        "unknowns": (entries * _ENTRY, "the size of the textures"),
+        "unknowns": (entries * _ENTRY, size),
         "a step": (lanes * _LANE, "estimator.batch"),
     }
     needed, most = sum(size for size, _ in parts.values()), memory.available()

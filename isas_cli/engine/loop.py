@@ -106,23 +106,29 @@ class Loop:
     def rehearse(self) -> None:
         """Compile everything the run will launch, measure the gradient's scale, start afresh."""
         with self.clock.unbilled("rehearsal"):
-            gradients = []
-            for i in range(_REHEARSAL_STEPS):
-                iteration = _REHEARSAL_BASE + i
-                # Twice, because the first expansion of the cells is still being recorded.
-                if i < 2 or self.sampler.refresh:
-                    self._look(iteration)
-                gradients.append(self._estimate(iteration))
-                self.stepper.step(gradients[-1], 0.0)
-            for share in getattr(self.estimator, "stages", ())[1:]:
-                for i in range(_REHEARSAL_STEPS):
-                    self._estimate(_REHEARSAL_BASE + i, share)
-            self.stepper.calibrate(gradients)
-            starts = self.problem.unknowns.starts()
-            doubt = reliability.warning(self.sampler, starts, self.seed, _REHEARSAL_BASE)
+            for level in range(len(self.problem.unknowns.switches)):
+                self._rehearse_level(level)
+            self.stepper.restart()
+            values = self.stepper.values
+            doubt = reliability.warning(self.sampler, values, self.seed, _REHEARSAL_BASE)
             self.warnings = [doubt] if doubt else []
-            self.stepper.restart(starts)
             self._weights = self._distribution = None
+
+    def _rehearse_level(self, level: int) -> None:
+        if level > self.stepper.level:
+            self.stepper.refine(level)
+        gradients = []
+        for i in range(_REHEARSAL_STEPS):
+            iteration = _REHEARSAL_BASE + i
+            # Twice, because the first expansion of the cells is still being recorded.
+            if i < 2 or self.sampler.refresh:
+                self._look(iteration)
+            gradients.append(self._estimate(iteration))
+            self.stepper.step(gradients[-1], 0.0)
+        for share in getattr(self.estimator, "stages", ())[1:]:
+            for i in range(_REHEARSAL_STEPS):
+                self._estimate(_REHEARSAL_BASE + i, share)
+        self.stepper.calibrate(gradients)
 
     def run(self, hooks: Hooks) -> str:
         """Go on until the budget is spent. Returns 'done' or 'interrupted'.
@@ -179,11 +185,13 @@ class Loop:
 
     def _iterate(self) -> None:
         p = self.position
-        if self.sampler.due(p.iteration):
+        # A level begins as a run does.
+        begins = self._finer() or p.iteration == 0
+        if begins or self.sampler.due(p.iteration):
             with self.clock.billed("stage1"):
                 self._look(p.iteration)
             p.paths += self.sampler.paths_per_look
-            if p.iteration == 0:
+            if begins:
                 p.paths += self.sampler.paths_before
         if p.iteration == 0:
             p.before = self.clock.seconds, p.paths
@@ -193,6 +201,16 @@ class Loop:
             self.stepper.step(self._gradients, scheduled)
         p.paths += self.estimator.paths_per_step
         p.iteration += 1
+
+    def _finer(self) -> bool:
+        """Go on to the level that is due, if that is a finer one: with a larger budget, it may be
+        coarser."""
+        level = self.problem.unknowns.level(self.spent)
+        if level <= self.stepper.level:
+            return False
+        with self.clock.billed("step"):
+            self.stepper.refine(level)
+        return True
 
     def _look(self, iteration: int) -> None:
         moments = None

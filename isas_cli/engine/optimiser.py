@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -64,18 +66,23 @@ class Stepper:
       but for ε.
     - After the step, values are clamped to their legal ranges.
     - An unknown whose stage it is not (``Unknown.moves``) is left out of the step.
+    - Where unknowns pass through levels of resolution, what becomes finer begins with fresh
+      moments; each level has a ``scale`` of its own (``scales``).
     """
 
     def __init__(self, unknowns: Unknowns, settings: OptimizerConfig):
         self.unknowns, self.settings = unknowns, settings
         scheduled = factor(settings.schedule, settings.final)
         self.factor = lambda spent: settings.factor * scheduled(spent)
-        self.scale = {key: 1.0 for key in unknowns.keys}
-        self.restart(unknowns.starts())
+        self.scales = [dict.fromkeys(unknowns.keys, 1.0) for _ in unknowns.switches]
+        self.restart()
 
-    def restart(self, values: dict) -> None:
-        """Fresh moments, given values."""
+    def restart(self, level: int = 0, values: dict | None = None) -> None:
+        """Fresh moments at a level, at the start unless ``values`` are given."""
         s = self.settings
+        self.level = level
+        if values is None:
+            values = self.unknowns.starts(self.unknowns.shapes(level))
         self.adam = Adam([u.key for u in self.unknowns if u.kind.uniform], s)
         for key, value in values.items():
             self.adam[key] = value
@@ -86,13 +93,34 @@ class Stepper:
         dr.make_opaque(self.nonfinite, self.touched, self.visits)
 
     @property
+    def scale(self) -> dict[str, float]:
+        """Of the present level, by key."""
+        return self.scales[self.level]
+
+    def refine(self, level: int) -> None:
+        """Go on at a finer level. What the images show stays, or nearly where a level between two
+        is met. Evaluates."""
+        shapes, self.level = self.unknowns.shapes(level), level
+        for u in self.unknowns:
+            coarse = dr.detach(self.adam[u.key])
+            fine = u.kind.fine(coarse, shapes[u.key])
+            if fine is not coarse:
+                # Adam begins anew where a shape is new.
+                self.adam[u.key] = dr.clip(fine, u.low, u.high)
+                self.visits[u.key] = dr.zeros(mi.Float, dr.width(flat(fine)))
+        dr.make_opaque(self.visits)
+        dr.eval(self.adam.state)
+
+    @property
     def values(self) -> dict:
         return {key: dr.detach(self.adam[key]) for key in self.unknowns.keys}
 
     @property
     def taken(self) -> int:
-        """Steps since the start."""
-        return max(int(self.adam.state[key][3][0][0]) for key in self.unknowns.keys)
+        """Steps since the start, or since the latest unknown became finer; of those whose stage has
+        begun."""
+        steps = [int(self.adam.state[key][3][0][0]) for key in self.unknowns.keys]
+        return min((number for number in steps if number), default=0)
 
     @property
     def untouched(self) -> list[str]:
@@ -143,11 +171,19 @@ class Stepper:
         return kind.smoothed(clean.reshape(kind.present.shape)).ravel()
 
     def calibrate(self, gradients: list[dict]) -> None:
-        """Fix ``scale`` as 1 / (root mean square of the non-zero finite entries), per unknown."""
+        """Fix ``scale`` as 1 / (root mean square of the non-zero finite entries), per unknown; of
+        one that is no finer than at the level before, whose moments go on, as it was there."""
+        shapes = self.unknowns.shapes
         for key in self.unknowns.keys:
-            entries = np.concatenate([self._along(key, g[key]) for g in gradients])
-            entries = entries[np.isfinite(entries) & (entries != 0)]
-            size = float(np.sqrt(np.mean(entries**2))) if entries.size else 0.0
+            if self.level and shapes(self.level)[key] == shapes(self.level - 1)[key]:
+                self.scale[key] = self.scales[self.level - 1][key]
+                continue
+            squares, count = 0.0, 0
+            for gradient in gradients:  # one by one: large grids side by side fill a memory
+                entries = self._along(key, gradient[key])
+                entries = entries[np.isfinite(entries) & (entries != 0)]
+                squares, count = squares + float(np.sum(entries**2)), count + entries.size
+            size = math.sqrt(squares / count) if count else 0.0
             self.scale[key] = 1.0 / size if size > 0 else 1.0
 
     def noise(self, gradients: dict) -> float:
@@ -211,19 +247,21 @@ class Stepper:
             arrays[f"visits/{key}"] = np.array(self.visits[key])
             steps[key] = int(count[0])
         counters = {"nonfinite": int(self.nonfinite[0]), "touched": int(self.touched[0])}
-        return arrays, {"steps": steps, "scale": self.scale, **counters}
+        levels = {"level": self.level, "scales": self.scales}
+        return arrays, {"steps": steps, "scale": self.scale, **levels, **counters}
 
     def restore(self, arrays: dict[str, np.ndarray], state: dict) -> None:
         """Take over what ``export`` gave, to the last bit. KeyError where something is missing."""
         values = {key: arrays[f"value/{key}"] for key in self.unknowns.keys}
-        self.restart(self.unknowns.values_of(values))
+        # Checkpoints of earlier versions have one level.
+        self.scales = [dict(scale) for scale in state.get("scales", [state["scale"]])]
+        self.restart(state.get("level", 0), self.unknowns.values_of(values))
         for key in self.unknowns.keys:
             value, promoted, rate, (count, first, second, most) = self.adam.state[key]
             moments = [type(first)(arrays[f"{name}/{key}"]) for name in ("first", "second")]
             steps = type(count)(state["steps"][key])
             self.adam.of(key).state[key] = value, promoted, rate, (steps, *moments, most)
             self.visits[key] = mi.Float(arrays[f"visits/{key}"])
-        self.scale = dict(state["scale"])
         self.nonfinite = mi.UInt64(state["nonfinite"])
         self.touched = mi.UInt64(state["touched"])
         dr.make_opaque(self.nonfinite, self.touched)

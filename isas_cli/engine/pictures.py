@@ -10,7 +10,6 @@ from ..rendering import turntable
 from ..rendering.renderer import Renderer
 from ..runtime import images, streams
 from ..scene.problem import Problem
-from ..unknowns.parameters import as_numpy
 
 _RGB = ["R", "G", "B"]
 # Snapshots: about a million paths each, whatever the films' size.
@@ -62,9 +61,10 @@ class Pictures:
             if kind == "result":
                 error = np.abs(image - self.problem.target_image(view))
                 self._write(f"error_v{view:02d}", error, _RGB, "|result - target|", **tags)
-        self._unknowns(kind, {k: as_numpy(v) for k, v in values.items()}, iteration)
+        arrays = self.problem.unknowns.arrays(values)
+        self._unknowns(kind, arrays, iteration)
         if kind == "result":
-            self._turntables({k: as_numpy(v) for k, v in values.items()})
+            self._turntables(arrays)
 
     def _turntables(self, arrays: dict[str, np.ndarray]) -> None:
         for unknown in self.problem.unknowns:
@@ -76,6 +76,10 @@ class Pictures:
             if surfaces["result"] and all(np.isfinite(each).all() for each in shown.values()):
                 content = turntable.made(surfaces)
                 self.writer.mesh(f"turntable_{safe_name(unknown.key)}.webp", content)
+            volumes = {what: unknown.kind.volume(each) for what, each in shown.items()}
+            if volumes["result"] is not None and np.isfinite(volumes["result"]).all():
+                content = turntable.of_volumes(volumes)
+                self.writer.mesh(f"turning_{safe_name(unknown.key)}.webp", content)
 
     def snapshot(self, values: dict, iteration: int, seconds: float) -> np.ndarray:
         """The first view at ``values``, every n-th pixel of it, for an animation afterwards.

@@ -4,9 +4,11 @@
 
 over the K entries of each key that has neighbours: texels along both sides of a texture, of an
 environment map (which closes on itself sideways), channels each by itself. An entry at an open end
-has no neighbour there. R is a function of θ alone, so its gradient has no noise and no bias; it is
-billed with the step. Entries that no pixel touched move as well, towards their neighbours: where
-``optimizer.mask_updates`` would have left them, they are touched now.
+has no neighbour there. Differences are those over the distance of two entries of the whole unknown:
+where it is coarser for now, they are divided by how much farther its entries are apart, so that the
+weight means the same at every level. R is a function of θ alone, so its gradient has no noise and
+no bias; it is billed with the step. Entries that no pixel touched move as well, towards their
+neighbours: where ``optimizer.mask_updates`` would have left them, they are touched now.
 """
 
 from __future__ import annotations
@@ -63,7 +65,7 @@ class Prior:
             )
         chosen = self.keys or valid
         shapes = {u.key: u.start.shape for u in unknowns}
-        return OnUnknowns(self, {key: Neighbours.of(shapes[key], axes[key]) for key in chosen})
+        return OnUnknowns(self, {key: (shapes[key], axes[key]) for key in chosen})
 
     def energy(self, steps: list[mi.Float]) -> mi.Float:
         """ρ of every entry from its steps to the next entry along each axis. Traced."""
@@ -114,17 +116,22 @@ class TotalVariation(Prior):
 @dataclass
 class Neighbours:
     """For each entry of a flat array, along each axis: the next one and the one before, itself at
-    an open end. ``(K,) uint32`` each."""
+    an open end. ``(K,) uint32`` each. ``closer``: along each axis, how many times closer the
+    entries of the whole unknown are, opaque."""
 
     following: list
     preceding: list
+    closer: list
     count: int
 
     @staticmethod
-    def of(shape: tuple[int, ...], axes: tuple[tuple[int, bool], ...]) -> "Neighbours":
-        """``axes``: (axis, whether it closes on itself) of an array of this shape."""
+    def of(
+        shape: tuple[int, ...], axes: tuple[tuple[int, bool], ...], whole: tuple[int, ...]
+    ) -> "Neighbours":
+        """``axes``: (axis, whether it closes on itself) of an array of this shape; ``whole``: the
+        unknown's own."""
         index = np.arange(np.prod(shape), dtype=np.uint32).reshape(shape)
-        following, preceding = [], []
+        following, preceding, closer = [], [], []
         for axis, wraps in axes:
             after, before = np.roll(index, -1, axis), np.roll(index, 1, axis)
             if not wraps:
@@ -135,37 +142,49 @@ class Neighbours:
                 before[tuple(last)] = index[tuple(last)]
             following.append(mi.UInt32(after.ravel()))
             preceding.append(mi.UInt32(before.ravel()))
-        return Neighbours(following, preceding, index.size)
+            closer.append(dr.opaque(mi.Float, whole[axis] / shape[axis]))
+        return Neighbours(following, preceding, closer, index.size)
 
 
 class OnUnknowns:
-    """A prior on the unknowns of one problem."""
+    """A prior on the unknowns of one problem. ``laid_out``: shape and axes by key."""
 
-    def __init__(self, prior: Prior, neighbours: dict[str, Neighbours]):
-        self.prior, self.neighbours = prior, neighbours
+    def __init__(self, prior: Prior, laid_out: dict[str, tuple]):
+        self.prior, self.laid_out = prior, laid_out
         self._slope = dr.freeze(self._traced_slope)
+        self._found: dict[tuple, Neighbours] = {}
+
+    def _around(self, key: str, value) -> Neighbours:
+        whole, axes = self.laid_out[key]
+        shape = tuple(value.shape)
+        if (key, shape) not in self._found:
+            self._found[key, shape] = Neighbours.of(shape, axes, whole)
+        return self._found[key, shape]
 
     def value(self, values: dict) -> float:
         """``weight`` R at ``values``. Waits."""
         total = 0.0
-        for key, around in self.neighbours.items():
-            x = flat(values[key])
-            found = self.prior.energy(_steps(x, around.following))
+        for key in self.laid_out:
+            x, around = flat(values[key]), self._around(key, values[key])
+            found = self.prior.energy(_steps(x, around.following, around.closer))
             total += float(dr.sum(mi.Float64(found))[0]) / around.count
         return self.prior.weight * total
 
     def add(self, values: dict, gradients: dict) -> dict:
         """``gradients`` with ``weight`` ∂R/∂θ added, by key."""
         result = dict(gradients)
-        for key, around in self.neighbours.items():
+        for key in self.laid_out:
+            around = self._around(key, values[key])
             # Opaque: weights differ between runs that share a recording.
             scale = dr.opaque(mi.Float, self.prior.weight / around.count)
-            slope = self._slope(flat(values[key]), around.following, around.preceding, scale)
+            places = around.following, around.preceding, around.closer
+            slope = self._slope(flat(values[key]), *places, scale)
             result[key] = unflat(gradients[key], flat(gradients[key]) + slope)
         return result
 
-    def _traced_slope(self, x, following, preceding, scale):
-        slopes = self.prior.slopes(_steps(x, following))
+    def _traced_slope(self, x, following, preceding, closer, scale):
+        slopes = self.prior.slopes(_steps(x, following, closer))
+        slopes = [slope / times for slope, times in zip(slopes, closer)]
         dr.eval(slopes)
         total = mi.Float(0)
         own = dr.arange(mi.UInt32, dr.width(x))
@@ -177,5 +196,6 @@ class OnUnknowns:
         return total * scale
 
 
-def _steps(x: mi.Float, following: list) -> list[mi.Float]:
-    return [dr.gather(mi.Float, x, after) - x for after in following]
+def _steps(x: mi.Float, following: list, closer: list) -> list[mi.Float]:
+    pairs = zip(following, closer)
+    return [(dr.gather(mi.Float, x, after) - x) / times for after, times in pairs]

@@ -33,7 +33,8 @@ def fill_in(problem: Problem, seed: int) -> None:
     Of what moves geometry all entries count. The others are judged by what path replay
     differentiates, at the start values; where something moves and the truth is known, also with
     that at its true place: an entry counts that is seen from either. One that shows itself only on
-    the way between is left out of the errors.
+    the way between is left out of the errors. Where entries hide each other, as those of volumes
+    do, they are judged with all unknowns at the truth, where that is known and shows any.
 
     Raises InputError for an unknown that no view sees: nothing could be learnt about it. Where
     something moves that cannot be told, and all entries of such an unknown count.
@@ -67,26 +68,31 @@ def _key(problem: Problem, seed: int) -> str:
     ]
     masked = "" if problem.mask is None else problem.target_hash
     what = problem.content_hash, unknowns, masked, seed
-    return "coverage-" + digest("coverage", 5, *what, mi.__version__, THRESHOLD, WELL_SEEN)
+    return "coverage-" + digest("coverage", 6, *what, mi.__version__, THRESHOLD, WELL_SEEN)
 
 
 def _judge(problem: Problem, judged: list[Unknown], seed: int) -> dict[str, np.ndarray]:
     """Which entries count as seen, by ``seen<index>`` among ``judged``."""
     unknowns = problem.unknowns
     starts = {u.key: u.start for u in unknowns}
-    places = [starts]
+    seen = {u.key: np.zeros(u.start.shape, bool) for u in judged}
+
+    def look(values: dict[str, np.ndarray], at: list[Unknown]) -> None:
+        if at:
+            unknowns.write(unknowns.values_of(values))
+            found = measure(problem, {u.key: values[u.key] for u in at}, seed)
+            for u in at:
+                seen[u.key] |= u.kind.seen(found[u.key])
+
+    if problem.truth_known:
+        truths = {u.key: u.truth for u in unknowns}
+        look(truths, [u for u in judged if u.kind.hides])
+    others = [u for u in judged if not seen[u.key].any()]
+    look(starts, others)
     if unknowns.moving and problem.truth_known:
-        places.append(starts | {key: unknowns[key].truth for key in unknowns.moving})
-    arrays: dict[str, np.ndarray] = {}
-    for values in places:
-        unknowns.write(unknowns.values_of(values))
-        found = measure(problem, {u.key: values[u.key] for u in judged}, seed)
-        for index, unknown in enumerate(judged):
-            seen = unknown.kind.seen(found[unknown.key])
-            name = f"seen{index}"
-            arrays[name] = arrays[name] | seen if name in arrays else seen
+        look(starts | {key: truths[key] for key in unknowns.moving}, others)
     unknowns.write(unknowns.starts())
-    return arrays
+    return {f"seen{index}": seen[u.key] for index, u in enumerate(judged)}
 
 
 def measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[str, np.ndarray]:
@@ -106,6 +112,7 @@ def measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[
     largest: dict[str, np.ndarray] = {}
     for signed in (False, True):
         unknowns.attach(unknowns.values_of(values))
+        sums: dict[str, np.ndarray] = {}
         for i in range(passes * samples):
             chunk, stride = i % passes, total / visited
             run(
@@ -120,9 +127,11 @@ def measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[
                 dr.opaque(mi.Bool, signed),
             )
             dr.sync_thread()
-        gradients = unknowns.gradients()
+            for key, gradient in unknowns.taken().items():
+                if key in values:
+                    sums[key] = sums.get(key, 0) + as_numpy(gradient)
         for key in values:
-            found = np.abs(as_numpy(gradients[key]))
+            found = np.abs(sums[key])
             largest[key] = np.fmax(largest[key], found) if key in largest else found
     return largest
 

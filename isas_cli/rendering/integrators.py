@@ -5,9 +5,10 @@ Everything that traces goes through an ``Integrator`` of this module, which says
 - ``primal``: radiance of one path per ray;
 - ``backward``: adds ⟨adjoint, dL/dθ⟩ to the gradients of the scene;
 - ``forward``: the derivative along a tangent, where ``has_forward``;
+- ``work``: what a path's time grows with;
 - ``simulates``: the effects that its paths have: 'surfaces', 'media';
 - ``cut``: the same with other ``Paths``, shorter or with more light samples, where it can have
-  them (``cuts``).
+  them (``cuts``); ``deep``: with depths that only the traced program knows.
 
 The order of events matters, so it is kept in one place: a replay must see the random numbers of
 the primal pass again (the sampler is cloned before it), nothing may track derivatives but the
@@ -33,10 +34,15 @@ _REPLAYED = {
 }
 
 
+# Points of a path at which its work is counted: beyond, the mean path of any scene has ended.
+_MOST_VERTICES = 8
+
+
 class Integrator:
     """Path replay backpropagation by an integrator of Mitsuba's, ``mitsuba``.
 
     ``moves``: whether derivatives by what moves surfaces are among its own, silhouettes left out.
+    ``samples_lights``: whether light is sampled where a path scatters.
     ``max_depth``: edges of the longest path (2^32 - 1: no limit); ``paths_per_derivative``: light
     paths behind one estimate of a pixel's derivative.
     """
@@ -45,6 +51,7 @@ class Integrator:
     derivatives = "path replay backpropagation"
     cuts = False
     moves = False
+    samples_lights = True
 
     def __init__(self, base: mi.Integrator):
         self.mitsuba = base
@@ -85,6 +92,23 @@ class Integrator:
         derivative, _ = self._sample(dr.ADMode.Forward, scene, replayed, ray, None, state)
         dr.eval(derivative)
         return derivative
+
+    def work(self, scene, sampler, ray) -> mi.Float:
+        """Surface points of each path at which light is gathered: there it samples an emitter,
+        traces a shadow ray, evaluates the BSDF and samples where to go on, which is what its time
+        grows with. Followed without Russian roulette, up to eight points. Traced."""
+        met, active = dr.zeros(mi.Float, dr.width(ray.o)), mi.Bool(True)
+        # The last edge of a path of greatest length only looks for emitters.
+        for _ in range(min(self.max_depth - 1, _MOST_VERTICES)):
+            si = scene.ray_intersect(ray, active)
+            active &= si.is_valid()
+            met += dr.select(active, mi.Float(1), 0)
+            sample, weight = si.bsdf(ray).sample(
+                mi.BSDFContext(), si, sampler.next_1d(), sampler.next_2d(), active
+            )
+            active &= dr.max(weight) > 0
+            ray = si.spawn_ray(si.to_world(sample.wo))
+        return met
 
     def _sample(self, *arguments):
         return sampled(self.mitsuba, *arguments)
@@ -159,6 +183,9 @@ class Surfaces(Integrator):
     def cut(self, paths: Paths) -> "Integrator":
         return _surfaces(self.mitsuba, paths)
 
+    def deep(self, paths: Paths) -> "Integrator":
+        return Replayed(self.mitsuba, paths)
+
 
 class Unrolled(Surfaces, InOneGo):
     """Short paths, unrolled (``attached``)."""
@@ -225,17 +252,32 @@ class Medium(Twice):
     differentiate forwards as well."""
 
     derivatives = "path replay through the medium"
+    samples_lights = False
 
-    def __init__(self, base: mi.Integrator, medium: mi.Medium):
+    def __init__(self, base: mi.Integrator, medium: mi.Medium, paths: Paths | None = None):
         super().__init__(base)
         self.medium, self.has_forward = medium, True
         self.emits = isinstance(base, volume.Emission)
+        self.cuts = not self.emits
+        self.paths = paths or self.paths
+        self.max_depth, self.rr_depth = self.paths.depth, _roulette(base, self.paths)
+
+    def cut(self, paths: Paths) -> "Integrator":
+        return Medium(self.mitsuba, self.medium, paths)
+
+    deep = cut
 
     def once(self, mode, scene, sampler, ray, differentiated, *more):
         if self.emits:
             return volume.emitted(mode, scene, self.medium, sampler, ray, *more)
-        depths = self.max_depth, self.rr_depth
+        depth = self.paths.derivative if differentiated else self.paths.depth
+        depths = depth, self.rr_depth
         return volume.trace(mode, scene, self.medium, sampler, ray, *depths, *more)
+
+    def work(self, scene, sampler, ray) -> mi.Float:
+        """Collisions of each path, real or not. Traced."""
+        depths = self.max_depth, self.rr_depth
+        return volume.collisions(scene, self.medium, sampler, ray, self.emits, *depths)
 
 
 def adapt(
@@ -248,6 +290,11 @@ def adapt(
         raise InputError(
             f"{where} has {named}, and paths are replayed by prb (surfaces), prbvolpath or "
             "emission (media): give it one of these"
+        )
+    if getattr(base, "strange", None):
+        raise InputError(
+            f"{where}: the integrator emission has no {base.strange[0]}, as nothing scatters: "
+            "leave it out"
         )
     medium = volume.medium_of(scene) if scene is not None and not base.hide_emitters else None
     if "media" in _REPLAYED[type(base).__name__][0] and medium is not None:

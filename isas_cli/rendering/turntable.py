@@ -1,4 +1,4 @@
-"""Surfaces side by side on a turntable: an animation for a page."""
+"""Surfaces, or volumes, side by side on a turntable: an animation for a page."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import io
 
 import mitsuba as mi
 import numpy as np
+from scipy import ndimage
 
 from ..unknowns.kind import Surface
 
@@ -19,7 +20,6 @@ def made(surfaces: dict[str, Surface]) -> bytes:
     colours of its distances from the truth (viridis, dark for 0, bright from their 95th percentile
     on) where these are known. All turn once; the camera is the same."""
     import matplotlib
-    from PIL import Image
 
     grey = np.array([0.6, 0.6, 0.6])
     columns = [(each, np.broadcast_to(grey, each.vertices.shape)) for each in surfaces.values()]
@@ -38,12 +38,42 @@ def made(surfaces: dict[str, Surface]) -> bytes:
         strip = [mi.render(each, sensor=sensor, spp=_SPP, seed=number) for each in scenes]
         pixels = mi.Bitmap(np.concatenate([np.array(each) for each in strip], axis=1))
         pixels = pixels.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, srgb_gamma=True)
-        frames.append(Image.fromarray(np.array(pixels)))
-    file = io.BytesIO()
-    frames[0].save(
-        file, "WEBP", save_all=True, append_images=frames[1:], duration=_MILLISECONDS, loop=0
+        frames.append(np.array(pixels))
+    return _animated(frames)
+
+
+def _animated(frames: list[np.ndarray]) -> bytes:
+    from PIL import Image
+
+    images, file = [Image.fromarray(frame) for frame in frames], io.BytesIO()
+    images[0].save(
+        file, "WEBP", save_all=True, append_images=images[1:], duration=_MILLISECONDS, loop=0
     )
     return file.getvalue()
+
+
+def of_volumes(volumes: dict[str, np.ndarray]) -> bytes:
+    """An animated WebP: of each of ``volumes (Z, Y, X)``, y up, the largest values along lines of
+    sight, white for the largest of the first, as all turn once about their middle."""
+    from PIL import Image
+
+    first = next(iter(volumes.values()))
+    brightest = max(float(first.max()), 1e-30)
+    frames = []
+    for number in range(_FRAMES):
+        angle, strip = 360.0 * number / _FRAMES, []
+        for each in volumes.values():
+            # Shown whole from every side: what is outside of the grid is empty.
+            turned = ndimage.rotate(each, angle, axes=(2, 0), order=1)
+            shown = np.clip(turned.max(axis=0)[::-1] / brightest, 0, 1) ** (1 / 2.2)
+            picture = Image.fromarray(np.uint8(255 * shown + 0.5))
+            scale = _SIDE / max(np.hypot(*each.shape[::2]), each.shape[1])
+            size = [max(1, round(scale * side)) for side in picture.size]
+            frame = Image.new("L", (_SIDE, _SIDE))
+            frame.paste(picture.resize(size), [(_SIDE - side) // 2 for side in size])
+            strip.append(np.array(frame))
+        frames.append(np.concatenate(strip, axis=1))
+    return _animated(frames)
 
 
 def _scene(surface: Surface, colours: np.ndarray, middle: np.ndarray, radius: float) -> mi.Scene:

@@ -20,9 +20,17 @@ _MARGIN, _FEWEST = 1.1, 4.0
 
 class Emission(RBIntegrator):
     """Integrator "emission" of a scene's description: its medium emits and absorbs (``emitted``),
-    and the albedo is the radiance that it emits. Itself it renders nothing."""
+    and the albedo is the radiance that it emits. Itself it renders nothing. ``strange``: what it
+    was given that means nothing to it."""
 
-    max_depth, rr_depth, hide_emitters = 2**32 - 1, 2**32 - 1, False
+    hide_emitters = False
+
+    def __init__(self, props: mi.Properties):
+        names = ("max_depth", "rr_depth", "hide_emitters")
+        strange = [name for name in names if name in props]
+        super().__init__(props)
+        self.strange = strange
+        self.max_depth, self.rr_depth = 1, 2**32 - 1  # nothing scatters
 
 
 mi.register_integrator("emission", Emission)
@@ -59,14 +67,21 @@ def trace(
     No light is sampled from collisions: a path finds it by leaving, which is the cheaper estimate
     under a sky without a sun.
     """
+    depths = max_depth, rr_depth
+    return _trace(mode, scene, medium, sampler, ray, *depths, adjoint, radiance)[0]
+
+
+def _trace(mode, scene, medium, sampler, ray, max_depth, rr_depth, adjoint=None, radiance=None):
+    """What ``trace`` returns, and each path's collisions, real or not."""
     primal, context = mode == dr.ADMode.Primal, mi.PhaseFunctionContext()
     majorant = _majorant(scene, medium)
     start, far, active = _within(scene, ray)
     result = mi.Spectrum(0 if primal else radiance)
 
-    def event(found, β, depth, active, origin, direction, t, far, sampler):
+    def event(found, β, depth, met, active, origin, direction, t, far, sampler):
         t = t - dr.log(1 - sampler.next_1d()) / majorant
         active &= t < far
+        met = met + dr.select(active, mi.UInt32(1), 0)
         mei = _at(origin, direction, t)
         chance = sampler.next_1d()
         with dr.resume_grad(when=not primal):
@@ -98,22 +113,22 @@ def trace(
         origin, t = dr.select(real, mei.p, origin), dr.select(real, 0, t)
         ahead = scene.ray_intersect_preliminary(mi.Ray3f(origin, direction), active=active & real)
         far = dr.select(real, dr.select(ahead.is_valid(), ahead.t, 0), far)
-        return found, β, depth, active, origin, direction, t, far, sampler
+        return found, β, depth, met, active, origin, direction, t, far, sampler
 
     state = (
-        mi.Spectrum(0), mi.Spectrum(1), mi.UInt32(0), active, mi.Point3f(start),
+        mi.Spectrum(0), mi.Spectrum(1), mi.UInt32(0), mi.UInt32(0), active, mi.Point3f(start),
         mi.Vector3f(ray.d), mi.Float(0), far, sampler,
     )  # fmt: skip
-    state = dr.while_loop(state, lambda *s: s[3], event, label=f"medium ({mode.name})")
-    found, β, _, _, _, direction = state[:6]
+    state = dr.while_loop(state, lambda *s: s[4], event, label=f"medium ({mode.name})")
+    found, β, _, met, _, _, direction = state[:7]
     si = dr.zeros(mi.SurfaceInteraction3f, dr.width(direction))
     si.wi = -direction
     with dr.resume_grad(when=not primal):
         light = β * scene.environment().eval(si)
         if primal:
-            return light
+            return light, met
         found = _add(mode, found, light, None, adjoint)
-    return found
+    return found, met
 
 
 def _add(mode, found, weight, radiance, adjoint):
@@ -143,13 +158,36 @@ def emitted(
     what its albedo says, per length. By ratio tracking (Novák et al. 2014): every collision adds
     its emission and weakens what lies behind. Else as ``trace``. Traced.
     """
+    return _emitted(mode, scene, medium, sampler, ray, adjoint, radiance)[0]
+
+
+def collisions(
+    scene: mi.Scene,
+    medium: mi.Medium,
+    sampler: mi.Sampler,
+    ray: mi.Ray3f,
+    emits: bool,
+    max_depth: int,
+    rr_depth: int,
+) -> mi.Float:
+    """At how many places each path looks a density up: what its time grows with. Of ``emitted``
+    where the medium ``emits``, else of ``trace``. Traced."""
+    primal = dr.ADMode.Primal
+    if emits:
+        return mi.Float(_emitted(primal, scene, medium, sampler, ray)[1])
+    return mi.Float(_trace(primal, scene, medium, sampler, ray, max_depth, rr_depth)[1])
+
+
+def _emitted(mode, scene, medium, sampler, ray, adjoint=None, radiance=None):
+    """What ``emitted`` returns, and each path's collisions."""
     primal = mode == dr.ADMode.Primal
     majorant = _majorant(scene, medium)
     start, far, active = _within(scene, ray)
 
-    def event(L, found, β, active, t, sampler):
+    def event(L, found, β, met, active, t, sampler):
         t = t - dr.log(1 - sampler.next_1d()) / majorant
         active &= t < far
+        met = met + dr.select(active, mi.UInt32(1), 0)
         with dr.resume_grad(when=not primal):
             emission, _, total = medium.get_scattering_coefficients(_at(start, ray.d, t), active)
             own = dr.select(active, β * emission / majorant, 0)
@@ -165,20 +203,21 @@ def emitted(
         lost = sampler.next_1d() >= chance
         β = dr.select(active, dr.select(lost, 0, β / chance), β)
         active &= ~lost
-        return L, found, β, active, t, sampler
+        return L, found, β, met, active, t, sampler
 
     state = (
-        mi.Spectrum(0 if primal else radiance), mi.Spectrum(0), mi.Float(1), active, mi.Float(0),
-        sampler,
+        mi.Spectrum(0 if primal else radiance), mi.Spectrum(0), mi.Float(1), mi.UInt32(0), active,
+        mi.Float(0), sampler,
     )  # fmt: skip
-    L, found, β = dr.while_loop(state, lambda *s: s[3], event, label=f"emission ({mode.name})")[:3]
+    state = dr.while_loop(state, lambda *s: s[4], event, label=f"emission ({mode.name})")
+    L, found, β, met = state[:4]
     si = dr.zeros(mi.SurfaceInteraction3f, dr.width(ray.d))
     si.wi = -ray.d
     with dr.resume_grad(when=not primal):
         behind = β * scene.environment().eval(si)
         if primal:
-            return L + behind
-        return _add(mode, found, behind, None, adjoint)
+            return L + behind, met
+        return _add(mode, found, behind, None, adjoint), met
 
 
 _WEAK = 0.05  # throughput below which Russian roulette begins

@@ -26,8 +26,8 @@ _CELL, _GAP, _LEFT, _TOP, _BOTTOM = 2.1, 0.08, 0.4, 0.55, 0.75  # inches
 def write_sheets(folder: Path) -> list[Picture]:
     """Writes plots/sheet.png (views) and plots/textures.png (unknown textures) from frames/*.exr.
 
-    Returns those for which there were frames, and the turntables of unknown shapes. A frame that is
-    missing or cannot be read leaves a grey field that says so.
+    Returns those for which there were frames, and the turntables of shapes and volumes. A frame
+    that is missing or cannot be read leaves a grey field that says so.
     """
     views, textures = read(folder)
     made = []
@@ -48,6 +48,13 @@ def _turntables(folder: Path) -> list[Picture]:
             " as its farthest twentieth).",
         )
         for path in sorted(Path(folder).glob("meshes/turntable_*.webp"))
+    ] + [
+        Picture(
+            path,
+            f"{key_of(path.stem.removeprefix('turning_'))}: truth (where it is known), start and "
+            "result, the largest values along lines of sight.",
+        )
+        for path in sorted(Path(folder).glob("meshes/turning_*.webp"))
     ]
 
 

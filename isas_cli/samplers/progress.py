@@ -64,11 +64,12 @@ class Progress(Sampler):
     from one along P_k/C_k. Per unknown, by backward passes with these images as adjoints: C_k, and
     h_k = Σ_j ℓ''_j J_j J_jk with J_j = Σ_k J_jk, the curvature along an error that all entries of a
     key share. Curvature and costs (``PathCost``; a path that meets nothing costs ``overhead``
-    vertices) are taken once, at the start values. A run's first look takes everything ``passes``
-    times and x_k ≪ 1. Later looks, after ``refresh``, 2 ``refresh``, 4 ``refresh`` … iterations as
-    the unknowns slow down, take it once, with x_k from Adam's moments, and are averaged with the
-    earlier ones. Derivatives of one sign are assumed within a pixel and key (reflectances,
-    roughness, radiances have them); of others the absolute value of their sum is used.
+    vertices or collisions) are taken once at each resolution of the unknowns, at the start values.
+    The first look there takes everything ``passes`` times and x_k ≪ 1. Later looks, after
+    ``refresh``, 2 ``refresh``, 4 ``refresh`` … iterations as the unknowns slow down, take it once,
+    with x_k from Adam's moments, and are averaged with the earlier ones. Derivatives of one sign
+    are assumed within a pixel and key (reflectances, roughness, radiances have them); of others the
+    absolute value of their sum is used.
     """
 
     refresh: int = 200
@@ -109,16 +110,18 @@ class Progress(Sampler):
         self._cost = PathCost(problem, self.cells, spp, freeze)
         denoise = self.stage1.denoise
         self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
-        self._surveys: dict = {}  # by base seed
+        self._surveys: dict = {}  # by base seed and the unknowns' shapes
 
     def look(
         self, values: dict, seed: int, iteration: int, moments: Moments | None = None
     ) -> mi.Float:
-        # Anew at a run's first look, where it is billed. A continued run has none and finds the
-        # same numbers again.
-        if iteration == 0 or seed not in self._surveys:
-            self._surveys[seed] = self._survey(seed)
-        curvature, cost = self._surveys[seed]
+        # Anew at the first look of a run and of a level, which has no moments yet, and is billed
+        # there. A continued run has none and finds the same numbers again.
+        shapes = {k: tuple(value.shape) for k, value in values.items()}
+        key = seed, *shapes.items()
+        if moments is None or key not in self._surveys:
+            self._surveys[key] = self._survey(seed, shapes)
+        curvature, cost = self._surveys[key]
         # As many in a rehearsal, so that nothing is left to compile in a run's first look.
         passes = self.passes if moments is None else 1
         first = iteration * self.passes
@@ -150,10 +153,10 @@ class Progress(Sampler):
         share = [dr.sum(dr.sqrt(cost) * weights) for weights in (image, exact)]
         return exact * dr.select(share[1] > 0, share[0] / share[1], 0)
 
-    def _survey(self, seed: int) -> tuple[dict, mi.Float]:
-        """h by key, flat, and c per cell, at the start values."""
+    def _survey(self, seed: int, shapes: dict) -> tuple[dict, mi.Float]:
+        """h by key, flat, and c per cell, at the start values in these shapes."""
         unknowns = self.problem.unknowns
-        starts = unknowns.starts()
+        starts = unknowns.starts(shapes)
         unknowns.write(starts)
         cost = sum(self._cost(seed, i) for i in range(self.passes)) / self.passes + self.overhead
         weight = self._stage1.curvature(seed, _SURVEY) * self.problem.share

@@ -95,7 +95,7 @@ def name_all(scene: mi.Scene) -> None:
 
 
 def _integrator(state, path: str, max_depth: int | None) -> mi.Integrator:
-    described = {"type": "prb", "max_depth": -1}
+    described = {"type": "prb"}
     for node in state.nodes:
         if node.type != mi.ObjectType.Integrator:
             continue
@@ -116,4 +116,6 @@ def _integrator(state, path: str, max_depth: int | None) -> mi.Integrator:
             described["max_depth"] = _DIRECT_DEPTH
     if max_depth is not None:
         described["max_depth"] = max_depth
+    elif described["type"] != "emission":  # whose paths have no depth
+        described.setdefault("max_depth", -1)
     return mi.load_dict(described)

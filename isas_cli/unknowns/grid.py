@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -15,14 +16,23 @@ from .parameters import is_differentiable, is_grid
 # Of a density that scatters: where there is none at all, no path tells that some is missing. And
 # the most, as paths cost by their collisions.
 _DENSITY = (1e-3, 1e4)
+# Points a side of what is turned before a reader.
+_SHOWN = 64
 # At the ends of its range a path's weight has no derivative, or none but it.
 _ALBEDO = (0.01, 0.99)
 
 
 class Grid(Kind):
-    """The points of a grid, ``(Z, Y, X, channels)``, between which a volume is interpolated."""
+    """The points of a grid, ``(Z, Y, X, channels)``, between which a volume is interpolated.
+
+    A coarser version has half as many along each side, rounded up: each the mean over its part of
+    the whole. It stands for what is interpolated between them at the whole grid's points, by which
+    the scene always has the whole one. Constants survive both ways, and so do means, on the way
+    back where sides are multiples.
+    """
 
     name = "grid"
+    hides = True
     axes = ((0, False), (1, False), (2, False))
 
     @classmethod
@@ -35,6 +45,28 @@ class Grid(Kind):
             self.range, self.unit = _ALBEDO, "albedo"
         elif ".sigma_t." in key:
             self.range, self.unit = _DENSITY, "1/scene unit"
+        # Down to two points along the longest side.
+        self.doublings = max(0, (max(self.present.shape[:3]) - 1).bit_length() - 1)
+
+    def shape(self, doublings: int) -> tuple[int, ...]:
+        *sides, channels = self.present.shape
+        return (*(-(-side >> doublings) for side in sides), channels)
+
+    def coarse(self, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+        found = array.astype(np.float64)
+        for axis, side in enumerate(shape[:3]):
+            if side != array.shape[axis]:
+                means = _means(array.shape[axis], side)
+                found = np.moveaxis(np.tensordot(means, found, (1, axis)), 0, axis)
+        return found.astype(np.float32)
+
+    def fine(self, leaf: mi.TensorXf, shape: tuple[int, ...]) -> mi.TensorXf:
+        if tuple(leaf.shape) == tuple(shape):
+            return leaf
+        return dr.resample(leaf, shape, filter="linear", boundary="nearest")
+
+    def write(self, leaf: mi.TensorXf, written: dict) -> None:
+        written[self.key] = self.fine(leaf, self.present.shape)
 
     def start(self, spec: str, where: str) -> np.ndarray:
         """A ``.npy`` or ``.vol`` file."""
@@ -63,9 +95,22 @@ class Grid(Kind):
             mi.VolumeGrid(array).write(str(path))
             return {"vol": path.read_bytes()}
 
+    def volume(self, array: np.ndarray) -> "np.ndarray | None":
+        if array.shape[3] > 1:
+            return None
+        doublings = next(n for n in range(32) if max(self.shape(n)[:3]) <= _SHOWN)
+        return self.coarse(array, self.shape(doublings))[..., 0]
+
     def pictures(self, array: np.ndarray) -> dict[str, np.ndarray]:
         """The slice through the middle, and the largest values along z; y is up."""
         if array.shape[3] not in (1, 3):
             return {}
         middle = array[array.shape[0] // 2]
         return {"slice": middle[::-1], "largest": array.max(axis=0)[::-1]}
+
+
+def _means(many: int, few: int) -> np.ndarray:
+    """``(few, many)``: of ``many`` equal parts of a line, the mean over each of ``few``."""
+    ends = np.arange(many + 1) / many * few
+    parts = np.arange(few)[:, None]
+    return np.diff(np.clip(ends, parts, parts + 1), axis=1)

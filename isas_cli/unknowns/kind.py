@@ -58,11 +58,13 @@ class Kind:
     is added to in the scene, whose rounding limits how finely it can be moved.
 
     ``moves_geometry``: whether it changes what is visible: path replay cannot differentiate it, and
-    no entry of it is ever judged unseen. ``axes``: (axis of the array, whether its last entry is
-    the first one's neighbour), for each axis along which neighbours are alike.
+    no entry of it is ever judged unseen. ``hides``: whether its entries hide each other from view,
+    so that its value decides which are seen. ``axes``: (axis of the array, whether its last entry
+    is the first one's neighbour), for each axis along which neighbours are alike.
 
     ``order``: of those that write the same parameter, the lower comes first. ``settings``: what the
     configuration says of it beside ``scene.unknowns``, in a text that changes as that does.
+    ``doublings``: how often a coarser version of it may double its resolution before it is whole.
     ``uniform``: whether Adam divides the steps of all entries by one number, and steps go along
     ``smoothed``. ``texture``: whose texels, laid out on meshes, are the unknown; the meshes are
     checked for it. ``doubtful``: whether ``doubt`` may have something to say.
@@ -70,6 +72,7 @@ class Kind:
 
     name: ClassVar[str] = "parameter"
     moves_geometry: bool = False
+    hides: bool = False
     period: float | None = None
     scale: float = 1.0
     axes: tuple[tuple[int, bool], ...] = ()
@@ -78,6 +81,7 @@ class Kind:
     texture: mi.Texture | None = None
     uniform: bool = False
     doubtful: bool = False
+    doublings: int = 0
 
     @classmethod
     def matches(cls, params: mi.SceneParameters, key: str) -> bool:
@@ -114,6 +118,23 @@ class Kind:
         leaf that is put there itself is read back from the scene, as Mitsuba keeps it.
         """
         written[self.key] = leaf
+
+    def shape(self, doublings: int) -> tuple[int, ...]:
+        """Of a version that doubles its resolution so often before it is whole."""
+        return self.present.shape
+
+    def coarse(self, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+        """The whole ``array`` in a coarser ``shape``."""
+        return array
+
+    def fine(self, leaf, shape: tuple[int, ...]):
+        """What ``leaf`` stands for in a finer ``shape``; itself where that is its own. Traced and
+        differentiable."""
+        return leaf
+
+    def whole(self, leaf) -> np.ndarray:
+        """What ``leaf`` stands for, in the shape of the unknown."""
+        return as_numpy(self.fine(leaf, self.present.shape))
 
     def start(self, spec: str, where: str) -> np.ndarray:
         """The start that the configuration calls ``spec``: a file. Raises InputError, naming
@@ -168,6 +189,11 @@ class Kind:
 
     def surface(self, array: np.ndarray, truth: np.ndarray | None) -> "Surface | None":
         """The surface that ``array`` is, where it is one, and how far it is from the truth."""
+        return None
+
+    def volume(self, array: np.ndarray) -> "np.ndarray | None":
+        """A density that ``array`` is, ``(Z, Y, X)``, y up, at most 64 points a side, where it is
+        one."""
         return None
 
     def pictures(self, array: np.ndarray) -> dict[str, np.ndarray]:

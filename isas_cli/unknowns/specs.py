@@ -92,6 +92,32 @@ def _given(spec, key: str) -> list[float]:
     return spec
 
 
+def _doubled(levels, kind: Kind) -> tuple[float, ...]:
+    """The shares of the budget at which resolutions double: ``levels`` is their number, of equal
+    shares, or those shares themselves."""
+    where = f"scene.unknowns['{kind.key}'].levels={levels}"
+    if isinstance(levels, int) and not isinstance(levels, bool) and levels >= 1:
+        shares = [number / levels for number in range(1, levels)]
+    else:
+        try:
+            shares = [float(share) for share in levels]
+            if any(not 0 < a < b < 1 for a, b in zip(shares, [*shares[1:], 1 - 1e-9])):
+                raise ValueError
+        except (TypeError, ValueError):
+            raise InputError(
+                f"{where}: a number of levels, at least 1, or the shares of the budget at which "
+                "the resolution doubles, rising between 0 and 1, such as [0.3, 0.6]"
+            ) from None
+    if len(shares) > kind.doublings:
+        least = kind.shape(kind.doublings)
+        most = f"at most {kind.doublings + 1}, the coarsest of {least}"
+        raise InputError(
+            f"{where}: this {kind.name} of {kind.present.shape} has "
+            f"{most if kind.doublings else 'one level; leave it out'}"
+        )
+    return tuple(shares)
+
+
 def narrow_blurs(unknowns: list[Unknown]) -> list[str]:
     """A warning for each unknown whose last blur is narrower than single precision resolves."""
     found = []
@@ -114,7 +140,8 @@ def parse(
 ) -> list[Unknown]:
     """Check the configured unknowns against the scene and read starts and truths.
 
-    ``specs``: key → object with ``start``, ``range``, ``lr``, ``blur`` (``config.UnknownConfig``);
+    ``specs``: key → object with ``start``, ``range``, ``lr``, ``blur``, ``levels``
+    (``config.UnknownConfig``);
     ``poses``: those of the configuration, by name.
     Raises InputError for an unknown key (nearest and all that a kind offers listed), for one that
     no kind can handle, an illegal range, a start outside it, or when there is no unknown.
@@ -179,4 +206,7 @@ def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
     if reason:
         raise InputError(f"{where}: the scene's own value, the truth: {reason}")
     during = (0.0, 1.0) if spec.during is None else tuple(spec.during)
-    return Unknown(kind, start, truth, low, high, spec.lr, spec.blur, during)
+    doubled = _doubled(spec.levels, kind)
+    return Unknown(
+        *(kind, start, truth, low, high, spec.lr, spec.blur), during=during, doubled=doubled
+    )

@@ -18,7 +18,9 @@ class Unknown:
     """One unknown. ``start`` and ``truth`` are float32 arrays of the shape of ``kind.present``
     (``truth`` is None for photographs); ``low``, ``high``: legal range, in its unit;
     ``lr``: its own learning rate, or None for the optimiser's; ``blur``: of ``sampler=plateau``, or
-    None; ``during``: the shares of the budget between which it moves; ``seen``: which entries some view sees (bool, same shape), filled in by ``coverage``."""
+    None; ``during``: the shares of the budget between which it moves; ``seen``: which entries some
+    view sees (bool, same shape), filled in by ``coverage``; ``doubled``: the shares of the budget at
+    which its resolution doubles until it is whole."""
 
     kind: Kind
     start: np.ndarray
@@ -29,6 +31,7 @@ class Unknown:
     blur: BlurConfig | None = None
     during: tuple[float, float] = (0.0, 1.0)
     seen: np.ndarray | None = None
+    doubled: tuple[float, ...] = ()
 
     @property
     def key(self) -> str:
@@ -121,13 +124,36 @@ class Unknowns:
         """NumPy arrays by key → Dr.Jit values of the scene's types."""
         return {key: self[key].kind.value(array) for key, array in arrays.items()}
 
-    def starts(self) -> dict:
-        return self.values_of({u.key: u.start for u in self.items})
+    def starts(self, shapes: dict | None = None) -> dict:
+        """``shapes``: by key, of those that are to be coarser."""
+        coarse = shapes or {}
+        return self.values_of(
+            {u.key: u.kind.coarse(u.start, coarse.get(u.key, u.start.shape)) for u in self.items}
+        )
 
     def truths(self) -> dict | None:
         if any(u.truth is None for u in self.items):
             return None
         return self.values_of({u.key: u.truth for u in self.items})
+
+    @property
+    def switches(self) -> list[float]:
+        """The shares of the budget at which levels begin: at each some unknown is finer than
+        before. The first is 0."""
+        return sorted({0.0}.union(*(u.doubled for u in self.items)))
+
+    def level(self, spent: float) -> int:
+        """The level at the share ``spent`` of the budget."""
+        return sum(share <= spent for share in self.switches[1:])
+
+    def shapes(self, level: int) -> dict[str, tuple[int, ...]]:
+        """Of all leaves at a level, by key."""
+        since = self.switches[level]
+        return {u.key: u.kind.shape(sum(share > since for share in u.doubled)) for u in self.items}
+
+    def arrays(self, values: dict) -> dict[str, np.ndarray]:
+        """What values stand for, whole, by key. Waits for them."""
+        return {key: self[key].kind.whole(value) for key, value in values.items()}
 
     def write(self, values: dict) -> None:
         """Put values into the scene, without derivatives (for evaluation). What is not among them

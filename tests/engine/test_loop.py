@@ -232,7 +232,7 @@ def test_gradient_noise_is_the_distance_from_adams_mean():
     """PBDR Eq. (9) over the touched entries, against NumPy's own running mean."""
     p, rng = problem({TEXTURE: 0.5}, constant_target=None), np.random.default_rng(4)
     stepper = Stepper(p.unknowns, OptimizerConfig(mask_updates=False))
-    stepper.scale = {TEXTURE: 1e3}
+    stepper.scales = [{TEXTURE: 1e3}]
     mean, size = 0.0, as_numpy(stepper.values[TEXTURE]).size
     zero = {TEXTURE: unflat(stepper.values[TEXTURE], dr.zeros(mi.Float, size))}
     assert np.isnan(stepper.noise(zero)), "before the first step there is no mean"

@@ -64,6 +64,8 @@ def stop_after(folder: Path, rows: int, process: subprocess.Popen, number: int) 
     "chosen, number",
     [
         (["scene=pottery", "sampler=ours"], signal.SIGKILL),
+        # From one level of resolution to the next on the way.
+        (["scene=lego", "sampler=progress"], signal.SIGKILL),
         pytest.param(["scene=pottery", "sampler=balanced"], signal.SIGINT, marks=pytest.mark.slow),
         pytest.param(
             ["scene=occlusion", "sampler=plateau", "sampler.base=differences"],
@@ -77,7 +79,7 @@ def stop_after(folder: Path, rows: int, process: subprocess.Popen, number: int) 
         ),
         pytest.param(["scene=smoke", "sampler=ours"], signal.SIGKILL, marks=pytest.mark.slow),
     ],
-    ids=("ours", "balanced", "plateau", "silhouettes", "volume"),
+    ids=("ours", "levels", "balanced", "plateau", "silhouettes", "volume"),
 )
 def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(tmp_path, chosen, number):
     whole, cut = tmp_path / "whole", tmp_path / "cut"
@@ -100,7 +102,7 @@ def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(tmp_path, chosen, 
     assert a.keys() == b.keys() and any(name.startswith("second/") for name in a)
     for name in a:
         assert np.array_equal(a[name], b[name]), name
-    for name in ("iteration", "paths", "touched", "nonfinite", "steps", "scale"):
+    for name in ("iteration", "paths", "touched", "nonfinite", "steps", "level", "scales"):
         assert of_whole[name] == of_cut[name], name
     histories = [records.load(folder).history for folder in (whole, cut)]
     shared = [set(history["iteration"]) for history in histories]

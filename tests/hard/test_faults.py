@@ -10,6 +10,7 @@ import sys
 import time
 import zlib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -169,6 +170,25 @@ def test_the_largest_part_is_named(monkeypatch):
         monkeypatch.setattr(memory, "available", lambda: 1000.0)
         with pytest.raises(InputError, match=f"are free: lower {words}"):
             footprint.check(made, lanes)
+
+
+def test_grids_of_256_points_a_side_fit_into_two_gibibytes(monkeypatch):
+    def asked(side: int, free: float) -> None:
+        def unknown(key: str, channels: int):
+            start = np.broadcast_to(np.float32(0), (side, side, side, channels))
+            return SimpleNamespace(key=key, start=start, kind=SimpleNamespace(name="grid"))
+
+        monkeypatch.setattr(memory, "available", lambda: free)
+        views = SimpleNamespace(total=32 * 96**2)
+        grids = [unknown("density", 1), unknown("colour", 3)]
+        footprint.check(SimpleNamespace(views=views, unknowns=grids), 16384)
+
+    asked(256, 2 * 2**30)
+    told = r"unknowns .* GiB.*lower the size of the grid 'colour', \({0}, {0}, {0}, 3\)"
+    with pytest.raises(InputError, match=told.format(256)):
+        asked(256, 2**30)
+    with pytest.raises(InputError, match=told.format(512)):
+        asked(512, 8 * 2**30)
 
 
 def test_a_picture_that_claims_to_be_huge_is_refused(tmp_path):

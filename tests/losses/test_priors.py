@@ -9,7 +9,7 @@ from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
 from isas_cli import losses
 from isas_cli.losses import priors
-from isas_cli.losses.priors import Neighbours, Nothing, OnUnknowns, Smoothness, TotalVariation
+from isas_cli.losses.priors import Nothing, OnUnknowns, Smoothness, TotalVariation
 from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns.parameters import as_numpy, flat
 
@@ -42,8 +42,8 @@ def reference(prior, x: np.ndarray, axes) -> float:
     return prior.weight * total / x.size
 
 
-def on(prior, x: np.ndarray, axes) -> tuple[OnUnknowns, dict]:
-    made = OnUnknowns(prior, {"x": Neighbours.of(x.shape, axes)})
+def on(prior, x: np.ndarray, axes, whole: tuple | None = None) -> tuple[OnUnknowns, dict]:
+    made = OnUnknowns(prior, {"x": (whole or x.shape, axes)})
     return made, {"x": mi.TensorXf(np.ascontiguousarray(x, np.float32))}
 
 
@@ -69,13 +69,31 @@ def test_value_and_gradient_are_those_of_the_formula(name, shape, rng):
 def test_a_gradient_without_the_step_before_is_noticed(rng, monkeypatch):
     """The power of the test above."""
 
-    def careless(self, x, following, preceding, scale):
-        slopes = self.prior.slopes(priors._steps(x, following))
+    def careless(self, x, following, preceding, closer, scale):
+        slopes = self.prior.slopes(priors._steps(x, following, closer))
         return -sum(slopes, mi.Float(0)) * scale
 
     monkeypatch.setattr(OnUnknowns, "_traced_slope", careless)
     with pytest.raises(AssertionError):
         test_value_and_gradient_are_those_of_the_formula("smoothness", "map", rng)
+
+
+def test_of_a_coarser_grid_the_weight_means_the_same(rng):
+    """A ramp of eight points, or as four that are twice as far apart: the same slope everywhere,
+    but for the open ends."""
+    ramp = np.linspace(0, 1, 8).reshape(8, 1, 1, 1) * np.ones((1, 4, 4, 1))
+    coarse = ramp.reshape(4, 2, 2, 2, 2, 2, 1).mean(axis=(1, 3, 5))
+    for prior in PRIORS.values():
+        (fine, values), (less, fewer) = on(prior, ramp, BOX), on(prior, coarse, BOX, ramp.shape)
+        inside = fine.value(values) / (7 / 8), less.value(fewer) / (3 / 4)
+        assert inside[0] == pytest.approx(inside[1], rel=1e-4) and inside[0] > 0
+        x, h = rng.uniform(0, 1, coarse.shape), 1e-3
+        made, at = on(prior, x, BOX, ramp.shape)
+        direction = rng.normal(size=x.shape)
+        along = np.array(made.add(at, {"x": at["x"] * 0})["x"]).ravel() @ direction.ravel()
+        ends = [on(prior, x + s * h * direction, BOX, ramp.shape) for s in (1, -1)]
+        quotient = (ends[0][0].value(ends[0][1]) - ends[1][0].value(ends[1][1])) / (2 * h)
+        assert along == pytest.approx(quotient, rel=2e-2)
 
 
 def test_a_constant_has_no_prior():

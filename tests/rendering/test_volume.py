@@ -8,66 +8,28 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from isas_cli.scenes.cameras import perspective
-from isas_cli.scenes.smoke import medium
 from scenes_for_tests import render_targets, without_targets
+from volumes_for_tests import (
+    ALBEDO,
+    DENSITY,
+    SKY,
+    N,
+    backward,
+    description,
+    forward,
+    problem,
+    smooth_rays,
+    through_the_middle,
+    uneven,
+)
 
 from isas_cli import losses
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.rendering import rays, volume
-from isas_cli.rendering.integrators import Integrator, Medium
+from isas_cli.rendering.integrators import Integrator
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns.parameters import flat
-
-DENSITY, ALBEDO = "box.interior_medium.sigma_t.data", "box.interior_medium.albedo.data"
-N = 1 << 16
-SKY = 0.7
-
-
-def description(density, albedo, integrator: str = "prbvolpath", depth: int = 64) -> dict:
-    kind = {"type": integrator}
-    if integrator == "prbvolpath":
-        kind |= {"max_depth": depth, "rr_depth": depth}
-    shape = (4, 4, 4)
-    density = np.broadcast_to(np.asarray(density, np.float32), shape)
-    albedo = np.broadcast_to(np.asarray(albedo, np.float32), (*shape, 3))
-    return {
-        "type": "scene",
-        "integrator": kind,
-        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": SKY}},
-        "box": {"type": "cube", "bsdf": {"type": "null"}, "interior": medium(density, albedo)},
-        "sensor": perspective([3.0, 2.0, 3.5], (0.0, 0.0, 0.0), 35.0, 16),
-    }
-
-
-def uneven() -> tuple[np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(3)
-    return rng.uniform(0.2, 3.0, (4, 4, 4)), rng.uniform(0.3, 0.95, (4, 4, 4, 3))
-
-
-def problem(density, albedo, *more, **starts):
-    made = without_targets(
-        description(density, albedo, *more),
-        {DENSITY: starts.get("density", 1.0), ALBEDO: starts.get("albedo", 0.6)},
-    )
-    assert isinstance(made.integrator, Medium)
-    return made
-
-
-def through_the_middle(p) -> mi.Ray3f:
-    return mi.Ray3f(dr.full(mi.Point3f, 0, N) + [0.1, 0.2, 5], mi.Vector3f(0, 0, -1))
-
-
-def backward(p, values: dict, ray, seed: int = 1, adjoint=(1.0, 1.0, 1.0)) -> dict[str, np.ndarray]:
-    """Gradients of the mean radiance."""
-    p.unknowns.attach(values)
-    with dr.suspend_grad():
-        weights = mi.Color3f(*[dr.full(mi.Float, a / N, N) for a in adjoint])
-        p.integrator.backward(p.scene, rays.stream(mi.UInt32(seed), N), ray, weights)
-    found = {k: np.array(flat(g), np.float64) for k, g in p.unknowns.gradients().items()}
-    p.unknowns.write(values)
-    return found
 
 
 @pytest.mark.parametrize("density", [1e-3, 0.3, 4.0])
@@ -155,23 +117,63 @@ def test_images_and_gradients_are_those_of_prbvolpath():
         assert together < 0.15
 
 
+@pytest.mark.parametrize("levels", [1, 2])
 @pytest.mark.parametrize("integrator", ["prbvolpath", "emission"])
-def test_forwards_is_backwards_transposed(integrator):
-    """⟨Jᵀa, z⟩ = ⟨a, Jz⟩, path by path."""
-    density, albedo = uneven()
-    p = problem(density, albedo, integrator)
-    rng = np.random.default_rng(1)
-    values = p.unknowns.truths()
-    tangents = {u.key: rng.normal(size=u.truth.shape).astype(np.float32) for u in p.unknowns}
-    ray, adjoint = through_the_middle(p), (0.3, -1.0, 0.7)
-    p.unknowns.push_tangent(values, p.unknowns.values_of(tangents))
-    with dr.suspend_grad():
-        moved = p.integrator.forward(p.scene, rays.stream(mi.UInt32(1), N), ray)
-    one = float(np.array(moved, np.float64).mean(axis=1) @ adjoint)
+def test_forwards_is_backwards_transposed(integrator, levels):
+    """⟨Jᵀa, z⟩ = ⟨a, Jz⟩, path by path, at the coarsest level too."""
+    p = problem(*uneven(), integrator, levels=levels)
+    rng, shapes = np.random.default_rng(1), p.unknowns.shapes(0)
+    arrays = {u.key: u.kind.coarse(u.truth, shapes[u.key]) for u in p.unknowns}
+    values = p.unknowns.values_of(arrays)
+    tangents = {key: rng.normal(size=shape).astype(np.float32) for key, shape in shapes.items()}
+    ray, adjoint = smooth_rays(p), (0.3, -1.0, 0.7)
+    one = forward(p, values, tangents, ray, adjoint)
     gradients = backward(p, values, ray, 1, adjoint)
+    assert [g.size for g in gradients.values()] == [t.size for t in tangents.values()]
     other = sum(gradients[k] @ tangents[k].ravel() for k in gradients)
     print(one, other)
     assert one == pytest.approx(other, rel=2e-4)
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_emission_is_differentiated_as_finite_differences_are(levels, monkeypatch):
+    """With the same random numbers no decision depends on the unknowns, roulette left out: the
+    derivative of the estimate itself, along a direction that leaves the majorant alone."""
+    monkeypatch.setattr(volume, "_WEAK", 0.0)
+    density, albedo = uneven()
+    density[1, 2, 1] = 6.0  # by far the most, also where it is coarse
+    p = problem(density, albedo, "emission", levels=levels)
+    rng, shapes, ray = np.random.default_rng(1), p.unknowns.shapes(0), smooth_rays(p)
+    at = {u.key: u.kind.coarse(u.truth, shapes[u.key]) for u in p.unknowns}
+    towards = {k: rng.normal(size=s).astype(np.float32) for k, s in shapes.items()}
+    towards[DENSITY][at[DENSITY] == at[DENSITY].max()] = 0
+    if levels > 1:  # between points the majorant's may be another's
+        towards[DENSITY] *= 0.2
+    gradients = backward(p, p.unknowns.values_of(at), ray)
+    for key in (DENSITY, ALBEDO):
+        ends, h = [], 0.02
+        for sign in (1, -1):
+            moved = at | {key: at[key] + np.float32(sign * h) * towards[key]}
+            p.unknowns.write(p.unknowns.values_of(moved))
+            radiance, _ = p.integrator.primal(p.scene, rays.stream(mi.UInt32(1), N), ray)
+            ends.append(np.array(radiance, np.float64).mean(axis=1).sum())
+        quotient, along = (ends[0] - ends[1]) / (2 * h), gradients[key] @ towards[key].ravel()
+        print(key, along, quotient)
+        assert along == pytest.approx(quotient, rel=5e-3)
+
+
+@pytest.mark.parametrize("integrator", ["prbvolpath", "emission"])
+@pytest.mark.parametrize("density", [1e-3, 0.5, 3.0])
+def test_what_is_left_of_the_light_behind(integrator, density, monkeypatch):
+    """Transmittance exp(-2σ) through a medium that neither scatters nor glows."""
+    monkeypatch.setattr("isas_cli.unknowns.grid._ALBEDO", (0.0, 1.0))
+    p = problem(density, 0.0, integrator)
+    found = np.array(
+        p.integrator.primal(p.scene, rays.stream(mi.UInt32(3), N), through_the_middle(p))[0]
+    )[0]
+    expected, error = SKY * math.exp(-2 * density), found.std() / math.sqrt(N)
+    print(found.mean(), expected, error)
+    assert error < 0.01 and abs(found.mean() - expected) < 4 * error + 1e-5
 
 
 def test_frozen_kernels_see_every_update():

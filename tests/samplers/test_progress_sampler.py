@@ -33,6 +33,11 @@ def first_look(p, sampler: Progress, base: int = 1) -> np.ndarray:
     return weights / weights.sum()
 
 
+def _survey(sampler: Progress) -> tuple:
+    (found,) = sampler._surveys.values()
+    return found
+
+
 def distance(a: np.ndarray, b: np.ndarray) -> float:
     """Total variation between two pmfs, in [0, 1]."""
     return float(np.abs(a / a.sum() - b / b.sum()).sum() / 2)
@@ -49,7 +54,7 @@ def test_one_unknown_is_drawn_by_least_variance_per_time():
     derivative = per_path_derivatives(p, cells, 1024, 9, 0)[0]
     p.unknowns.write(p.unknowns.starts())
     first, second = (cell_means(x**2, 1024) for x in (residual, derivative))
-    cost = np.array(sampler._surveys[1][1])
+    cost = np.array(_survey(sampler)[1])
     least_variance = np.sqrt((first * second).sum(axis=0) / cost)
     size = np.sqrt(first * second).sum(axis=0) / np.sqrt(cost)
     by_mean = (np.sqrt(first) * cell_means(np.abs(derivative), 1024)).sum(axis=0) / np.sqrt(cost)

@@ -69,6 +69,9 @@ def test_three_iterations(workshop, sampler):
     if workshop.problem.name != "caustic_failure":
         assert loop.warnings == []
     measured = {k: v for k, v in last.items() if isinstance(v, float)}
+    if len(workshop.problem.unknowns.switches) > 1:
+        # The last of these few steps is the first of its level: no mean to be apart from.
+        measured.pop("gradient_noise")
     assert {"loss", "image_rmse", "parameter_rmse", "gradient_norm"} <= measured.keys()
     assert all(np.isfinite(v) for v in measured.values()), measured
 
@@ -141,4 +144,4 @@ def test_choices_compose_together(scene):
         chosen = f"scene={scene}", f"sampler={sampler}", f"loss={loss}", f"size={size}"
         cfg, typed, _ = configured(*chosen)
         assert (cfg.scene.name, cfg.sampler.name, cfg.loss.name) == (scene, sampler, loss)
-        assert typed.size == size and typed.scene.arguments == sizes[size]
+        assert typed.size == size and typed.scene.arguments.items() <= sizes[size].items()

@@ -115,8 +115,9 @@ class Gradients:
         """Where each unknown's entries are in a row of estimates."""
         result, end = {}, 0
         for unknown in self.problem.unknowns:
-            result[unknown.key] = slice(end, end + unknown.start.size)
-            end += unknown.start.size
+            size = dr.width(flat(self.values[unknown.key]))
+            result[unknown.key] = slice(end, end + size)
+            end += size
         return result
 
     def components(self, rows: np.ndarray, reference: np.ndarray) -> np.ndarray:

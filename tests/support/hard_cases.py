@@ -25,8 +25,9 @@ SKY = '<emitter type="constant" id="sky"><rgb name="radiance" value="1"/></emitt
 MAP = """<emitter type="envmap" id="sky"><string name="filename" value="sky.exr"/></emitter>"""
 GREY = '<bsdf type="diffuse"><rgb name="reflectance" value="0.5"/></bsdf>'
 BALL = '<shape type="sphere" id="thing"><float name="radius" value="0.8"/>{bsdf}</shape>'
+PATHS = '<integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>'
 SCENE = """<scene version="3.0.0">
-  <integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>
+  {integrator}
   <sensor type="perspective" id="camera">
     <float name="fov" value="30"/>
     <transform name="to_world"><lookat origin="{origin}" target="0,0,0" up="0,1,0"/></transform>
@@ -52,8 +53,9 @@ class Case:
     ``(H, W, 3)``; ``bumps``: of a normal map, ``(H, W, 3)``; ``side``: of the film, pixels; ``poses``: as in scene.poses; ``ends``: whether it
     is a numerical failure, since nothing can be found; ``warns``: what it warns of; ``settings``:
     beyond SETTINGS; ``meshes``: vertices and faces by the name of a PLY file, which ``{folder}`` in
-    a start stands before; ``estimator``: settings that another sampler brings instead. The figures
-    seen: benchmarks/results/hard_cases.md."""
+    a start stands before; ``files``: others, by name; ``integrator``: the file's; ``estimator``:
+    settings that another sampler brings instead. The figures seen:
+    benchmarks/results/hard_cases.md."""
 
     name: str
     provokes: str
@@ -72,6 +74,8 @@ class Case:
     warns: str = ""
     settings: tuple[str, ...] = field(default=())
     meshes: dict[str, tuple] = field(default_factory=dict)
+    files: dict[str, bytes] = field(default_factory=dict)
+    integrator: str = PATHS
     estimator: tuple[str, ...] = ()
 
     def run(self, folder: Path, *settings: str) -> Run:
@@ -82,8 +86,11 @@ class Case:
                 images.write_exr(folder / name, pixels.astype(np.float32), [*"RGB"], {})
         for name, (vertices, faces) in self.meshes.items():
             trimesh.Trimesh(vertices, faces, process=False).export(folder / name)
+        for name, content in self.files.items():
+            (folder / name).write_bytes(content)
         shapes = self.shapes.format(bsdf=self.bsdf)
-        places = {"depth": self.depth, "origin": self.origin, "side": self.side}
+        places = {"origin": self.origin, "side": self.side}
+        places["integrator"] = self.integrator.format(depth=self.depth)
         text = SCENE.format(emitter=self.emitter, shapes=shapes, **places)
         (folder / "scene.xml").write_text(text)
         own = [f"scene.path={folder / 'scene.xml'}", f"hydra.run.dir={folder / 'run'}"]

@@ -78,6 +78,8 @@ def run(plan: Plan) -> int:
                 "gradient: leave it out"
             )
         problem = estimator.on(built(typed, phases, plan.cfgs.values()))
+        for unknown in problem.unknowns:
+            unknown.doubled = ()  # at a fixed point all are whole
         bench, contestants, best = _prepared(plan, typed, problem, phases)
         with interrupt.graceful(display.interrupted) as stop:
             return _Record(plan, typed, machine, bench, contestants, best, display).make(stop)

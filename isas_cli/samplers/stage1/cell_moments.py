@@ -87,11 +87,14 @@ class Stage1:
         """
         unknowns = self.problem.unknowns
         unknowns.attach(values)
+        total: dict = {}
         for i in range(passes):
             # Streams of their own: a derivative must not be divided by a sum of itself.
             seeds = self._seeds(seed, iteration + i, "balance_place", "balance_adjoint")
             self._sensitivity(*self._arguments(), image, seeds)
-        return {k: dr.abs(flat(g)) / passes for k, g in unknowns.gradients().items()}
+            for key, gradient in unknowns.taken().items():
+                total[key] = total.get(key, 0) + flat(gradient)
+        return {key: dr.abs(sums) / passes for key, sums in total.items()}
 
 
 def random_signs(values: dict, seed: int, scale: dict | None = None) -> dict:

@@ -1,0 +1,158 @@
+"""Volumes from images: samplers race at equal time, from coarse to fine and on the fine grid alone.
+
+On smoke and lego every sampler from coarse to fine, and `uniform` and `progress` on the fine grid
+from the start, at three factors on the scene's rates each with the first seed, then each at its
+best, by the final image error, with three others, which alone are reported: what no image tells is
+in the parameters' error. Contestants take turns. Writes results/volumes.csv (a row per scene and
+method), volumes_rates.csv and volumes_<scene>.png (image error against billed time).
+
+    make reproduce SCENES="smoke lego"
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pages
+import pandas
+from reproduce import reached
+
+from isas_cli import records
+
+RESULTS = Path(__file__).parent / "results"
+ERROR, BASE, FINE = "image_rmse", "uniform", ", fine"
+SCENES = {"smoke": 30.0, "lego": 30.0}  # billed seconds
+SAMPLERS = ("uniform", "relevant", "gradient", "ours", "multiresolution", "progress")
+FACTORS = (0.3, 1.0, 3.0)  # of the scene's rates
+SETTINGS = ["estimator.batch=16384", "target.spp=256", "evaluation.count=24", "effects=full"]
+SETTINGS += ["frames.views=1", "frames.snapshots=0", "report=false"]
+
+
+def methods() -> dict[str, dict]:
+    """Settings by name."""
+    found = {name: {"sampler": name} for name in SAMPLERS}
+    for name in (BASE, "progress"):
+        found[name + FINE] = {"sampler": name, "scene.sizes.default.levels": 1}
+    return found
+
+
+def race(
+    scene: str, folder: Path, contestants: list[dict], seeds: list[int], seconds: float
+) -> None:
+    listed = [",".join(f"{k}:{v}" for k, v in each.items()) for each in contestants]
+    command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *SETTINGS]
+    command += [f"budget.seconds={seconds}", f"seed=[{','.join(map(str, seeds))}]"]
+    command += ["contestants=[" + ",".join(f"{{{each}}}" for each in listed) + "]"]
+    subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
+
+
+def name_of(config: dict) -> str:
+    """Of the method that a run's configuration is."""
+    fine = all(unknown["levels"] == 1 for unknown in config["scene"]["unknowns"].values())
+    return config["sampler"]["name"] + (FINE if fine else "")
+
+
+def runs(folder: Path, scene: str) -> pandas.DataFrame:
+    """A row per run, in the order of ``methods``."""
+    rows = []
+    for path in sorted(folder.rglob("summary.json")):
+        run = records.load(path.parent)
+        first, last = run.history.iloc[0], run.history.iloc[-1]
+        rows.append(
+            {
+                "scene": scene,
+                "method": name_of(run.config),
+                "factor": run.config["optimizer"]["factor"],
+                "seed": run.config["seed"],
+                "history": run.history,
+                "start": first[ERROR],
+                ERROR: last[ERROR],
+                "parameter_rmse": last["parameter_rmse"],
+                "iterations": int(last["iteration"]),
+                "stage1_share": last["stage1_seconds"] / last["seconds"],
+            }
+        )
+    found = pandas.DataFrame(rows)
+    found["method"] = pandas.Categorical(found["method"], list(methods()), ordered=True)
+    return found.sort_values(["method", "seed"]).astype({"method": str})
+
+
+def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
+    """Medians; ``time_to_uniform``: share of the budget to the median final image error of
+    `uniform`; ``time_to_fine``: to that of `uniform` on the fine grid alone."""
+    finals = found.groupby("method")[ERROR].median()
+    rows = []
+    for name, own in found.groupby("method", sort=False):
+        row = {"scene": own["scene"].iloc[0], "method": name, "factor": own["factor"].iloc[0]}
+        row |= {"seeds": len(own), "seconds": seconds, "start": own["start"].median()}
+        for measure in (ERROR, "parameter_rmse"):
+            row[measure] = own[measure].median()
+            row |= {f"{measure}_low": own[measure].min(), f"{measure}_high": own[measure].max()}
+        for measure in ("iterations", "stage1_share"):
+            row[measure] = own[measure].median()
+        for column, rival in (("time_to_uniform", BASE), ("time_to_fine", BASE + FINE)):
+            times = [reached(h, finals[rival], ERROR) / seconds for h in own["history"]]
+            row[column] = np.median(times)
+        rows.append(row)
+    return pandas.DataFrame(rows)
+
+
+def write(name: str, rows: pandas.DataFrame) -> None:
+    """Rows of one scene; those of scenes that were not measured now stay."""
+    path = RESULTS / f"{name}.csv"
+    if path.exists():
+        before = pandas.read_csv(path)
+        rows = pandas.concat([before[~before["scene"].isin(rows["scene"])], rows])
+    rows.to_csv(path, index=False, float_format="%.4g")
+
+
+def draw(found: pandas.DataFrame, scene: str) -> None:
+    figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
+    for number, (name, own) in enumerate(found.groupby("method", sort=False)):
+        for place, history in enumerate(own["history"]):
+            label = name if place == 0 else None
+            style = ":" if name.endswith(FINE) else "-"
+            colour = f"C{number}"
+            ax.plot(history["seconds"], history[ERROR], style, color=colour, label=label)
+    ax.set(yscale="log", xlabel="billed seconds", ylabel="image error", title=scene)
+    ax.legend(fontsize=8)
+    figure.savefig(RESULTS / f"volumes_{scene}.png", dpi=90)
+    plt.close(figure)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, help="budget of each run, instead of the scene's")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
+    parser.add_argument("--scenes", nargs="+", default=[*SCENES])
+    chosen = parser.parse_args()
+    for scene in chosen.scenes:
+        seconds = chosen.seconds or SCENES[scene]
+        with tempfile.TemporaryDirectory(prefix="isas-volumes-") as root:
+            each = methods()
+            every = [m | {"optimizer.factor": f} for m in each.values() for f in FACTORS]
+            race(scene, Path(root) / "rates", every, chosen.seeds[:1], seconds)
+            first = runs(Path(root) / "rates", scene)
+            best = first.loc[first.groupby("method", sort=False)[ERROR].idxmin()]
+            pairs = [
+                each[m] | {"optimizer.factor": f} for m, f in zip(best["method"], best["factor"])
+            ]
+            race(scene, Path(root) / "seeds", pairs, chosen.seeds[1:], seconds)
+            found = runs(Path(root) / "seeds", scene)
+            draw(found, scene)
+            # After each scene: what is measured survives what follows.
+            made = table(found, seconds)
+            print(made.to_string(index=False), flush=True)
+            write("volumes", made)
+            write("volumes_rates", first.drop(columns="history"))
+            pages.write()
+
+
+if __name__ == "__main__":
+    main()
