@@ -26,12 +26,13 @@ COUNT = 12  # of estimates
 EXACT = 0.02  # what the step of the differences is wrong by
 
 
-def agrees(found: np.ndarray, exact: np.ndarray) -> bool:
-    """Within three standard errors of both, and what the differences' step is good for."""
+def agrees(found: np.ndarray, exact: np.ndarray, wrong: float = EXACT) -> bool:
+    """Within three standard errors of both, and ``wrong``: what the differences' step is good for.
+    """
     error = math.hypot(*(each.std(ddof=1) / math.sqrt(len(each)) for each in (found, exact)))
     size = abs(exact.mean())
     print(f"{found.mean() / exact.mean():.3f} ± {error / size:.3f} of the differences")
-    return abs(found.mean() - exact.mean()) < 3 * error + EXACT * size
+    return abs(found.mean() - exact.mean()) < 3 * error + wrong * size
 
 
 def shaped(vertices: np.ndarray, faces: np.ndarray, id: str = "figure", colour=kirby.COLOUR):
