@@ -24,6 +24,7 @@ def facts(results: Path) -> dict:
         "seconds": table["seconds"].max(),
         "seeds": table["seeds"].min(),
         "best": dict(zip(best["scene"], best["method"])),
+        "left": dict(zip(best["scene"], best["chamfer_share"])),
         "sooner": list(ours["time_to_stock"]),
         "step": step["silhouettes"] / step[STOCK],
         "rebuilds": pandas.read_csv(rebuilds).to_dict("records") if rebuilds.exists() else [],

@@ -1,15 +1,15 @@
 """Shapes from images: estimators and samplers race at equal time, and what a step costs.
 
-Each scene from a sphere: `estimator=silhouettes` with each of three samplers, without what each of
-its parts brings (silhouettes drawn by length alone; no shadows' edges), and Mitsuba's own loop
-(`sampler=mitsuba`; with shadows' edges where the scene asks for them), at three rates each with the
-first seed, then each at its best with three others, which alone are reported. Writes
-results/shapes.csv (a row per scene and method), shapes_rates.csv and shapes_<scene>.png (chamfer
-distance against billed time).
+Each scene from a sphere: `estimator=silhouettes` with each of three samplers (`progress` is
+refused), with silhouettes drawn by residuals and by length alone, with shadows' edges and without,
+and Mitsuba's own loop (`sampler=mitsuba`; with shadows' edges where the scene asks for them), at
+three rates each with the first seed, then each at its best with three others, which alone are
+reported. Writes results/shapes.csv (a row per scene and method), shapes_rates.csv and
+shapes_<scene>.png (chamfer distance against billed time).
 
 With `--rebuilds`: the same time on kirby with fewer and larger steps, and so fewer rebuilds of the
-tree that rays are traced with; the smallest says what a step costs without samples. Writes
-results/shapes_rebuilds.csv.
+tree that rays are traced with, each at its own best rate; the smallest says what a step costs
+without samples. Writes results/shapes_rebuilds.csv.
 
 With `--step`: one step's time with films of 16 × 512² and 20,480 triangles, `silhouettes` against
 Mitsuba's loop at one path a pixel, in turns; prints the ratio, writes results/shapes_step.csv.
@@ -47,8 +47,8 @@ def methods(scene: str) -> dict[str, dict]:
     shadows = SHADOWS[scene]
     base = {"estimator": OURS, "estimator.batch": 16384, "estimator.shadows": shadows}
     found = {f"{OURS}, {s}": base | {"sampler": s} for s in SAMPLERS}
-    uniform = base | {"sampler": "uniform"}
-    found[f"{OURS}, uniform, by length"] = uniform | {"estimator.adaptive": "false"}
+    uniform, by_length = base | {"sampler": "uniform"}, {"estimator.adaptive": "false"}
+    found |= {f"{name}, by length": each | by_length for name, each in found.items()}
     other, shadows = ("no shadows", 0) if shadows else ("and shadows", 4096)
     found[f"{OURS}, uniform, {other}"] = uniform | {"estimator.shadows": shadows}
     kind = "uniform" if SHADOWS[scene] else "direct"
@@ -68,6 +68,20 @@ def race(
     command += [f"budget.seconds={seconds}", f"seed=[{','.join(map(str, seeds))}]"]
     command += ["contestants=[" + ",".join(f"{{{each}}}" for each in listed) + "]"]
     subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
+
+
+def judged(
+    scene: str, root: Path, contestants: dict, by: str, seeds: list[int], seconds: float
+) -> tuple[pandas.DataFrame, pandas.DataFrame]:
+    """The runs of ``contestants``, settings by what they have in the column ``by``: with the first
+    seed at each rate; with the others, each at its best."""
+    every = [each | {"optimizer.factor": f} for each in contestants.values() for f in FACTORS]
+    race(scene, root / "rates", every, seeds[:1], seconds)
+    first = runs(root / "rates", scene)
+    best = first.loc[first.groupby(by, sort=False)["chamfer"].idxmin()]
+    pairs = [contestants[k] | {"optimizer.factor": f} for k, f in zip(best[by], best["factor"])]
+    race(scene, root / "seeds", pairs, seeds[1:], seconds)
+    return first, runs(root / "seeds", scene)
 
 
 def name_of(config: dict, scene: str) -> str:
@@ -193,26 +207,23 @@ def steps(rounds: int = 5) -> pandas.DataFrame:
 
 def rebuilds(seeds: list[int], seconds: float) -> pandas.DataFrame:
     """A row for each number of samples a step, over the usual one: medians."""
-    rows = []
+    usual, rows = 16384, []
+    contestants = {
+        int(usual * times): methods("kirby")[f"{OURS}, uniform"]
+        | {"estimator.batch": int(usual * times), "estimator.edges": int(usual * times / 4)}
+        for times in (1 / 64, 1 / 4, 1, 4)
+    }
     with tempfile.TemporaryDirectory(prefix="isas-shapes-") as root:
-        sizes = {f"{OURS}, {times:g}": times for times in (1 / 64, 1 / 4, 1, 4)}
-        contestants = [
-            methods("kirby")[f"{OURS}, uniform"]
-            | {"estimator.batch": int(16384 * times), "estimator.edges": int(4096 * times)}
-            for times in sizes.values()
-        ]
-        race("kirby", Path(root), contestants, seeds, seconds)
-        found = runs(Path(root), "kirby")
+        _, found = judged("kirby", Path(root), contestants, "batch", seeds, seconds)
         for batch, own in found.groupby("batch"):
-            row = {"samples": batch / 16384, "seeds": len(own), "seconds": seconds}
-            row |= {"iterations": own["iterations"].median()}
-            row["step"] = seconds / row["iterations"]
+            row = {"samples": batch / usual, "factor": own["factor"].iloc[0], "seeds": len(own)}
+            row |= {"seconds": seconds, "iterations": own["iterations"].median()}
             row |= {"chamfer": own["chamfer"].median()}
             row |= {"chamfer_low": own["chamfer"].min(), "chamfer_high": own["chamfer"].max()}
             rows.append(row)
     table = pandas.DataFrame(rows)
-    table["step"] /= table["step"].iloc[-2]  # of the usual one
-    return table
+    (steps,) = table.loc[table["samples"] == 1, "iterations"]
+    return table.assign(step=steps / table["iterations"])
 
 
 def main() -> None:
@@ -231,23 +242,16 @@ def main() -> None:
         print(f"a step: {middle[OURS] / middle[STOCK]:.4f} of Mitsuba's")
         return
     if chosen.rebuilds:
-        found = rebuilds(chosen.seeds[1:], chosen.seconds)
+        found = rebuilds(chosen.seeds, chosen.seconds)
         found.to_csv(RESULTS / "shapes_rebuilds.csv", index=False, float_format="%.4g")
         pages.write()
         print(found.to_string(index=False))
         return
     for scene in chosen.scenes:
         with tempfile.TemporaryDirectory(prefix="isas-shapes-") as root:
-            each = methods(scene)
-            every = [m | {"optimizer.factor": f} for m in each.values() for f in FACTORS]
-            race(scene, Path(root) / "rates", every, chosen.seeds[:1], chosen.seconds)
-            first = runs(Path(root) / "rates", scene)
-            best = first.loc[first.groupby("method", sort=False)["chamfer"].idxmin()]
-            pairs = [
-                each[m] | {"optimizer.factor": f} for m, f in zip(best["method"], best["factor"])
-            ]
-            race(scene, Path(root) / "seeds", pairs, chosen.seeds[1:], chosen.seconds)
-            found = runs(Path(root) / "seeds", scene)
+            first, found = judged(
+                *(scene, Path(root), methods(scene), "method"), chosen.seeds, chosen.seconds
+            )
             draw(found, scene)
             # After each scene: what is measured survives what follows.
             write("shapes", table(found, chosen.seconds))

@@ -103,12 +103,13 @@ class UnknownConfig:
 # Names of samplers that stand for an estimator with uniform pixels.
 PRESETS = ("plateau", "mitsuba", "finite_differences")
 _BLURRING = ("plateau", "finite_differences")  # estimators that need every unknown's blur
-# Which kind of pose a setting is of.
+# Which kinds of pose there are, and which ones a setting is of.
+_KINDS = ("rotation", "translation", "scale")
 _POSE_KINDS = {
-    "axis": "rotation",
-    "origin": "rotation",
-    "period": "rotation",
-    "directions": "translation",
+    "axis": ("rotation",),
+    "origin": ("rotation", "scale"),
+    "period": ("rotation",),
+    "directions": ("translation",),
 }
 
 
@@ -116,11 +117,12 @@ _POSE_KINDS = {
 class PoseConfig:
     """A movement of ``objects`` (ids, or patterns of them), an unknown of a name of its own.
 
-    ``kind``: rotation, by one angle in degrees about ``axis`` through ``origin``; or translation,
-    by one length per entry of ``directions``, in scene units. ``at``: the value at which the scene
-    stands as it was loaded (None: 0). ``parts``: a mesh is as many equal runs of vertices, each
-    moved by itself (of several meshes: the first part of each alike, and so on). ``period``: the
-    degrees after which a turned object looks the same, by which errors are counted.
+    ``kind``: rotation, by one angle in degrees about ``axis`` through ``origin``; translation, by
+    one length per entry of ``directions``, in scene units; or scale, about ``origin``, by one
+    number of doublings: 1 is twice as large. ``at``: the value at which the scene stands as it was
+    loaded (None: 0). ``parts``: a mesh is as many equal runs of vertices, each moved by itself (of
+    several meshes: the first part of each alike, and so on). ``period``: the degrees after which a
+    turned object looks the same, by which errors are counted.
     """
 
     kind: str = MISSING
@@ -138,13 +140,13 @@ class PoseConfig:
     def __post_init__(self) -> None:
         if not 0 < self.period <= 360:
             raise InputError(f"pose.period={self.period}: degrees, above 0, at most 360")
-        if self.kind not in (MISSING, "rotation", "translation"):
-            raise InputError(f"pose.kind={self.kind}: valid: rotation, translation")
+        if self.kind not in (MISSING, *_KINDS):
+            raise InputError(f"pose.kind={self.kind}: valid: {', '.join(_KINDS)}")
         _at_least(1, pose__parts=self.parts)
         usual = {f.name: f.default_factory for f in fields(self) if f.name in _POSE_KINDS}
         usual["period"] = lambda: 360.0
-        for name, kind in _POSE_KINDS.items():
-            if self.kind not in (MISSING, kind) and getattr(self, name) != usual[name]():
+        for name, kinds in _POSE_KINDS.items():
+            if self.kind not in (MISSING, *kinds) and getattr(self, name) != usual[name]():
                 raise InputError(f"pose.{name}: a {self.kind} has no use for it; leave it out")
         for name in ("objects", "directions"):
             if not getattr(self, name):

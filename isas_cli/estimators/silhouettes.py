@@ -17,6 +17,8 @@ from ..runtime import streams
 from ..runtime.errors import InputError
 from ..samplers.sampler import Sampler
 from ..scene.topology import Topology
+from ..unknowns.parameters import own
+from ..unknowns.vertices import POSITIONS
 from .estimator import Estimator, at_least_one
 from .two_path import TwoPath
 
@@ -33,7 +35,8 @@ class Settings(Estimator):
     """``ByShape``. ``edges``: samples of silhouettes a step; ``adaptive``: drawn by the residuals
     around them; ``shadows``: samples of the edges of shadows a step, 0 to leave these out, None
     for as many as ``edges`` where there are lamps, and 0 under a sky alone, whose shadows are soft:
-    there they bring more noise than they tell; ``lamps``: points of lamps that these are found for;
+    there they bring more noise than they tell (where other meshes stand beside what moves, as many
+    again for their shadows); ``lamps``: points of lamps that these are found for;
     ``paths``: of each sample's pixel, for its residual; ``freeze``: record kernels once instead of
     tracing every iteration."""
 
@@ -77,19 +80,41 @@ class Settings(Estimator):
     def made(self, problem: "Problem", loss) -> "ByShape":
         return ByShape(problem, loss, self)
 
+    def shadowed(self, problem: "Problem") -> int:
+        """Samples of the edges of shadows a step."""
+        if problem.integrator.max_depth < 2:
+            return 0
+        if self.shadows is not None:
+            return self.shadows
+        skies = 0 if problem.scene.environment() is None else 1
+        return self.edges if len(problem.scene.emitters()) > skies else 0
+
     def derivatives(self, problem: "Problem") -> str:
-        return Attached.derivatives
+        count = self.shadowed(problem)
+        told = f"{Attached.derivatives}, and {count or 'none'} a step of the edges of shadows"
+        mirrors = [
+            shape.id()
+            for shape in problem.scene.shapes()
+            if shape.bsdf() is not None and mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Delta)
+        ]
+        if mirrors:
+            told += f"; silhouettes that are seen by way of {', '.join(mirrors)} are left out"
+        return told
 
 
 class ByShape:
     """dℒ/dθ for unknowns that move meshes, beside others: the part at fixed visibility from
     ``batch`` drawn pixels (``TwoPath`` with paths that follow the surfaces, ``Attached``), the part
     of moving silhouettes from ``edges`` samples (``Silhouettes``) and that of the edges of shadows
-    from ``shadows`` (``Shadows``), shared out over the meshes. No film is filled: a step costs what
+    from ``shadows`` (``Shadows``), shared out over the meshes that move; as many more are drawn of
+    the shadows that all other meshes together throw on these. No film is filled: a step costs what
     its samples cost, whatever the films' sizes.
 
-    Bias: that of all parts. Silhouettes that other surfaces show (reflections, shadows in light
-    that was scattered before) are left out. Traced once and frozen, but for ``params.update()``.
+    What shadows are followed: of moving meshes, on themselves, on each other and on what stands
+    still; of meshes that stand still, on moving ones. In direct light, seen directly; the rest is
+    the bias of ``Shadows``. Bias: that of all parts. Silhouettes that other surfaces show
+    (reflections, shadows in light that was scattered before) are left out. Traced once and frozen,
+    but for ``params.update()``.
     What ``adaptive`` met is not saved: a run that is resumed begins with lengths alone.
     """
 
@@ -98,18 +123,24 @@ class ByShape:
         of smooth normals."""
         self.problem, self.freeze = problem, chosen.freeze
         self.inside = TwoPath(problem, loss, chosen.batch, chosen.freeze)
-        meshes, shadows = _meshes(problem), chosen.shadows
-        if shadows is None:
-            skies = 0 if problem.scene.environment() is None else 1
-            shadows = chosen.edges if len(problem.scene.emitters()) > skies else 0
+        meshes, shadows = _meshes(problem), chosen.shadowed(problem)
+        # By the key of its mesh's positions, which for those that stand still are ``_still``.
         self.borders: list[tuple[str, tuple, Silhouettes | Shadows]] = []
+
+        def throws(key: str, topology: Topology, samples: int) -> None:
+            each = max(1, samples), chosen.paths, chosen.lamps, chosen.freeze
+            self.borders.append((key, _SHADOW, Shadows(problem, loss, topology, *each)))
+
         for key, topology in meshes.items():
             where = problem, loss, key.rpartition(".")[0], topology
             edges = max(1, chosen.edges // len(meshes)), chosen.paths, chosen.adaptive
             self.borders.append((key, _EDGE, Silhouettes(*where, *edges, chosen.freeze)))
-            if shadows and problem.integrator.max_depth > 1:
-                each = max(1, shadows // len(meshes)), chosen.paths, chosen.lamps
-                self.borders.append((key, _SHADOW, Shadows(*where, *each, chosen.freeze)))
+            if shadows:
+                throws(key, topology, shadows // len(meshes))
+        still = others(problem) if shadows else None
+        if still:
+            self._still, topology = still
+            throws("", topology, shadows)
 
     @property
     def paths_per_step(self) -> int:
@@ -142,7 +173,7 @@ class ByShape:
             ]
             if not self.freeze:  # the backward pass has cleared the way to the leaves
                 unknowns.attach(values)
-            border.accumulate(unknowns.params[key], seeds)
+            border.accumulate(unknowns.params[key] if key else self._still, seeds)
             for name, gradient in unknowns.taken().items():
                 total[name] += gradient
         return total
@@ -167,7 +198,24 @@ def _meshes(problem: "Problem") -> dict[str, Topology]:
                     f"{where}, which has face normals: its shading steps from facet to facet, "
                     "which is not differentiated; give it smooth normals, or take sampler=plateau"
                 )
-            positions = np.array(params[key]).reshape(-1, 3)
-            faces = np.array(params[f"{id}.faces"]).reshape(-1, 3).astype(np.int64)
-            found[key] = Topology.of(positions, faces)
+            found[key] = Topology.of(*_triangles(params, key))
     return found
+
+
+def _triangles(params: mi.SceneParameters, key: str) -> tuple[np.ndarray, np.ndarray]:
+    """Positions ``(n, 3)``, which are ``params[key]``, and faces ``(F, 3)`` of a mesh."""
+    faces = np.array(params[f"{key.rpartition('.')[0]}.faces"]).reshape(-1, 3)
+    return np.array(params[key]).reshape(-1, 3), faces.astype(np.int64)
+
+
+def others(problem: "Problem") -> tuple[mi.Float, Topology] | None:
+    """Of the meshes that stand still, all as one, the vertices' positions and how their triangles
+    hang together; None where there are none."""
+    params, shapes = mi.traverse(problem.scene), problem.scene.shapes()
+    ids = {shape.id() for shape in shapes if shape.is_mesh()} - problem.unknowns.moved
+    keys = [f"{id}.{name}" for id in sorted(ids) for name in POSITIONS if f"{id}.{name}" in params]
+    if not keys:
+        return None
+    meshes = [_triangles(params, key) for key in keys]
+    positions = np.concatenate([each for each, _ in meshes]).astype(np.float32)
+    return own(mi.Float, positions.ravel()), Topology.together([Topology.of(*m) for m in meshes])

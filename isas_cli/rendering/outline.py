@@ -132,10 +132,10 @@ def sample(
     away: mi.Vector3f,
     plane: mi.Vector3f,
     inner: mi.Vector3f,
-    shape: mi.ShapePtr,
+    shape: mi.ShapePtr | None = None,
 ) -> mi.SilhouetteSample3f:
     """Mitsuba's record of a ``point`` on an edge, seen along ``away``, on the face that is turned
-    to the eye. Traced."""
+    to the eye. ``shape``: where more than rays is made from it. Traced."""
     corners, turned = [], []
     for face in pair(outline.faces, drawn.edge):
         ids = [dr.gather(mi.UInt32, outline.corners, face * 3 + k) for k in range(3)]
@@ -150,7 +150,9 @@ def sample(
     found.n = dr.normalize(plane)
     found.n = dr.select(dr.dot(found.n, inner) > 0, -found.n, found.n)
     found.prim_index = dr.select(first, corners[0][0], corners[1][0])
-    found.uv, found.shape = mi.Point2f(uv[1], uv[2]), shape
+    found.uv = mi.Point2f(uv[1], uv[2])
+    if shape is not None:
+        found.shape = shape
     return found
 
 

@@ -17,6 +17,10 @@ from .outline import silhouettes as seen_from
 from .silhouettes import hidden_by_nothing, residual
 
 
+# Of edges and points of lamps, the pairs that a step looks at, at most; one point a lamp it does.
+_MOST = 1 << 21
+
+
 @dataclass
 class Lamps:
     """Points on emitters, ``(K,)`` each. ``eyes``: where; ``emitter``; ``normal`` and ``uv`` of
@@ -89,8 +93,8 @@ class Lamps:
 
 
 class Shadows:
-    """Adds to the gradient of one mesh's vertices what moves with the edges of its shadows, those
-    on itself and on other moving meshes included.
+    """Adds to the gradient of what moves what the edges of one mesh's shadows bring: those that it
+    throws on anything, itself included, where it moves; those on moving meshes, where it does not.
 
     A point y of a lamp lights a surface up to a curve: where the rays from y past the mesh's
     silhouette, seen from y, end. There the images step by S, the light from y that the surface
@@ -98,29 +102,29 @@ class Shadows:
 
         ∂I_j/∂θ = … - ∫ p(y)⁻¹ ∫ S(q, y) n·∂q/∂θ dl(q) p(y) dy    over such curves within pixel j,
 
-    n the normal in the image out of the shadow. A step draws ``lamps`` points y; ``samples``
-    stratified points on edges, with probability proportional to an edge's length across the ray
-    from y; follows the ray from y past the edge to the surface, and projects where it ends into one
-    view of V, drawn uniformly:
+    n the normal in the image out of the shadow. A step draws ``lamps`` points y, fewer where edges
+    are very many; ``samples`` stratified points on edges, with probability proportional to an
+    edge's length across the ray from y; follows the ray from y past the edge to the surface, and
+    projects where it ends into one view of V, drawn uniformly:
 
         -V/M Σ_i ⟨∂ℒ/∂I⟩_{j(q_i)} S(q_i, y_i) |dq/dt| n·∂q_i/∂θ / P_i .
 
     q moves with the edge, and with the plane of the surface that it falls on.
 
     Bias: none for light that comes from an emitter directly to what a camera sees directly, under
-    the conditions of ``Silhouettes``; shadows in other light, and those that mirrors and glass
-    show, are left out. An emitter that moves itself is not followed.
+    the conditions of ``Silhouettes``, for shadows of meshes; those of spheres, rectangles and other
+    shapes, those in other light, and those that mirrors and glass show, are left out. An emitter
+    that moves itself is not followed.
     """
 
     def __init__(
-        self, problem: Problem, loss, id: str, topology: Topology, samples: int, paths: int,
-        lamps: int, freeze: bool = True,
+        self, problem: Problem, loss, topology: Topology, samples: int, paths: int, lamps: int,
+        freeze: bool = True,
     ):  # fmt: skip
         self.problem, self.samples, self._paths = problem, samples, paths
         self.cameras, self.outline = Cameras.of(problem), Outline.of(topology)
-        (shape,) = [each for each in problem.scene.shapes() if each.id() == id]
         emitters, box = problem.scene.emitters(), problem.scene.bbox()
-        lamps = max(lamps, len(emitters))
+        lamps = max(len(emitters), min(lamps, _MOST // self.outline.count))
         for emitter in emitters:
             kind = emitter.class_name().lower()
             if kind in ("projector", "directionalarea"):
@@ -141,7 +145,7 @@ class Shadows:
                 point = dr.lerp(start, end, drawn.t)
                 away = eyes.away(drawn.eye, point)
                 plane, inner = side(now, outline, eyes, drawn)
-                found = sample(now, outline, drawn, point, away, plane, inner, mi.ShapePtr(shape))
+                found = sample(now, outline, drawn, point, away, plane, inner)
                 back = backward_ray(found)
                 finite = dr.gather(mi.Float, eyes.finite, drawn.eye)
                 far = dr.norm(point - away - back.o) * (1 - mi.math.ShadowEpsilon)
@@ -197,8 +201,8 @@ class Shadows:
         return (self._paths + 1) * self.samples
 
     def accumulate(self, positions: mi.Float, seeds: list) -> None:
-        """Add one estimate to the gradients of ``positions``, and of those of what else moves: the
-        scene's attached ones."""
+        """Add one estimate to the gradients of the mesh's ``positions``, the scene's attached ones
+        where it moves, and of those of what else moves."""
         p = self.problem
         self._kernel(
             p.scene, p.sensors, p.views, positions, self.outline, self.cameras, p.targets, p.mask,

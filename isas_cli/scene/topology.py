@@ -33,6 +33,18 @@ class Topology:
         place = rank[place.ravel()]
         return Topology(place, first[order], place[faces])
 
+    @staticmethod
+    def together(parts: list["Topology"]) -> "Topology":
+        """Several meshes as one, whose vertices come after each other; those of one are not welded
+        to another's."""
+        counts = np.cumsum([0, *(part.count for part in parts)])
+        whole = np.cumsum([0, *(len(part.place) for part in parts)])
+        return Topology(
+            np.concatenate([part.place + before for part, before in zip(parts, counts)]),
+            np.concatenate([part.first + before for part, before in zip(parts, whole)]),
+            np.concatenate([part.faces + before for part, before in zip(parts, counts)]),
+        )
+
     @property
     def count(self) -> int:
         """Of welded vertices."""

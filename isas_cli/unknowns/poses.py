@@ -1,9 +1,10 @@
 """Poses: movements of a scene's objects as parameters that Mitsuba itself does not have.
 
-A pose θ is a few numbers: the angle of a rotation (degrees), or the lengths of a translation along
-given directions (scene units). It writes what Mitsuba keeps of its objects (vertices and normals of
-a mesh, ``to_world`` of other shapes and sensors, ``position`` of a point light), differentiably: so
-derivatives by these flow on to θ. At θ = ``at`` everything stands as it was loaded, to the bit.
+A pose θ is a few numbers: the angle of a rotation (degrees), the lengths of a translation along
+given directions (scene units), or the size, as the binary logarithm of a factor. It writes what
+Mitsuba keeps of its objects (vertices and normals of a mesh, ``to_world`` of other shapes and
+sensors, ``position`` of a point light), differentiably: so derivatives by these flow on to θ. At θ
+= ``at`` everything stands as it was loaded, to the bit.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from ..runtime.errors import InputError, nearest
 from .kind import Kind, Loaded
 from .parameters import like
 
+_UNITS = {"rotation": "degrees", "translation": "scene units", "scale": "doublings"}
 _MOVABLE = ("vertex_positions", "to_world", "position")
 
 
@@ -112,7 +114,7 @@ class Pose(Kind):
             for id in self.ids:
                 _check_parts(where, id, self.parts, params)
         turns = spec.kind == "rotation"
-        self.each = 1 if turns else len(spec.directions)
+        self.each = len(spec.directions) if spec.kind == "translation" else 1
         at = np.zeros(self.each) if spec.at is None else np.asarray(spec.at, float)
         if at.shape not in ((self.each,), (self.size,)):
             raise InputError(f"{where}.at={list(spec.at)}: {self.each} numbers, one per direction")
@@ -123,7 +125,7 @@ class Pose(Kind):
         self._names = {id: list(item.named()) for id, item in self._rest.items()}
         self.writes = [name for names in self._names.values() for name in names]
         self.range = -np.inf, np.inf
-        self.unit = "degrees" if turns else "scene units"
+        self.unit = _UNITS[spec.kind]
         self.period = spec.period if turns else None
         self.scale = self._scale()
         # After all that gives an object its shape, and in the order in which poses are given.
@@ -136,15 +138,20 @@ class Pose(Kind):
 
     def _scale(self) -> float:
         """How large the numbers are that this pose's are added to, in its own unit: coordinates, of
-        at least 1, and for a rotation the angle under which its longest arm sees them."""
+        at least 1, and for a rotation or a size the angle, or the doublings, by which its longest
+        arm moves as far."""
         points = np.concatenate([item.places() for item in self._rest.values()])
         coordinates = max(1.0, float(np.abs(points).max()))
         if self.spec.kind == "translation":
             return coordinates
-        axis = np.asarray(self.spec.axis, float) / np.linalg.norm(self.spec.axis)
-        arm = np.linalg.norm(np.cross(points - np.asarray(self.spec.origin, float), axis), axis=1)
+        arms = points - np.asarray(self.spec.origin, float)
+        if self.spec.kind == "rotation":
+            axis = np.asarray(self.spec.axis, float) / np.linalg.norm(self.spec.axis)
+            arms = np.cross(arms, axis)
         # What turns about its own middle has no arm: nothing moves that could be resolved.
-        return math.degrees(coordinates / max(float(arm.max()), 1e-3 * coordinates))
+        longest = max(float(np.linalg.norm(arms, axis=1).max()), 1e-3 * coordinates)
+        turned = coordinates / longest
+        return math.degrees(turned) if self.spec.kind == "rotation" else turned / math.log(2)
 
     def value(self, array: np.ndarray) -> mi.Float:
         return like(mi.Float, array)
@@ -184,6 +191,9 @@ class Pose(Kind):
         if self.spec.kind == "translation":
             return _Object(item.id, item.points + self._offset(amounts), item.normals)
         origin = mi.Point3f(*map(float, self.spec.origin))
+        if self.spec.kind == "scale":
+            grown = (item.points - origin) * (dr.exp2(amounts[0]) - 1)
+            return _Object(item.id, mi.Point3f(item.points + grown), item.normals)
         points = item.points + _turn(item.points - origin, self._axis, amounts[0])
         normals = item.normals
         if normals is not None:
@@ -207,7 +217,12 @@ class Pose(Kind):
         if self.spec.kind == "translation":
             return mi.Transform4f().translate(self._offset(amounts))
         origin = mi.Vector3f(*map(float, self.spec.origin))
-        return mi.Transform4f().translate(origin).rotate(self._axis, amounts[0]).translate(-origin)
+        there = mi.Transform4f().translate(origin)
+        if self.spec.kind == "scale":
+            there = there.scale(mi.Vector3f(dr.exp2(amounts[0])))
+        else:
+            there = there.rotate(self._axis, amounts[0])
+        return there.translate(-origin)
 
 
 def _turn(vector: mi.Vector3f, axis: mi.Vector3f, degrees: mi.Float) -> mi.Vector3f:

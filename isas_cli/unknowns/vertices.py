@@ -10,8 +10,10 @@ import mitsuba as mi
 import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
+from scipy.spatial import cKDTree
 
 from ..runtime.errors import InputError
+from ..scene.crossings import crossing
 from ..scene.shape_error import MEASURES, Sampled, apart, enclosed
 from ..scene.topology import Topology
 from .kind import Kind, Loaded, Surface
@@ -20,11 +22,14 @@ from .parameters import like, own
 # λ of I + λL for a mesh of 10,000 vertices, as the paper's authors take it. Derivatives are spread
 # over about √λ edges; in proportion to the count it is the same part of the surface.
 _STIFFNESS = 19.0 / 10_000
-# Of edges: from this share of folded ones on a mesh is not what is looked for.
+# From this share of folded edges, or of triangles that pass through others, on a mesh is not what
+# is looked for.
 _FOLDED = 0.005
+# Of the mesh's size: vertices as near as this are one that a file has twice.
+_NEARLY = 1e-5
 # Edges that have grown or shrunk by such a factor, in the mean, are not what is looked for either.
 _STRETCHED = 10.0
-_POSITIONS = ("vertex_positions", "positions")  # as Mitsuba calls them, by version
+POSITIONS = ("vertex_positions", "positions")  # as Mitsuba calls them, by version
 _NORMALS = ("vertex_normals", "normals")
 
 
@@ -51,7 +56,7 @@ class Vertices(Kind):
     def __init__(self, key: str, loaded: Loaded):
         self.key, self.id = key, key.rpartition(".")[0]
         params = loaded.params
-        self.positions = _named(params, self.id, _POSITIONS)
+        self.positions = _named(params, self.id, POSITIONS)
         self.normals = _named(params, self.id, _NORMALS)
         where = f"scene.unknowns['{key}']"
         if not dr.width(params[self.normals]):
@@ -68,6 +73,7 @@ class Vertices(Kind):
         self.scale = max(1.0, float(np.abs(self.present).max()))
         self.stiffness = _STIFFNESS * self.topology.count
         self._faces, self._latest, self._truth = faces, None, None
+        self._crossed = b"", np.zeros(0, np.int64)
         coordinates = f"{self.id}.vertex_texcoords"
         self._texcoords = (
             np.array(params[coordinates]).reshape(-1, 2) if coordinates in params else np.zeros(0)
@@ -167,10 +173,33 @@ class Vertices(Kind):
         )
 
     def warnings(self) -> list[str]:
-        return [
-            f"mesh {self.id}: {flaw}: silhouettes there are ambiguous, and gradients biased"
-            for flaw in self.topology.flaws()
-        ]
+        said = "silhouettes there are ambiguous, and gradients biased"
+        found = [f"mesh {self.id}: {flaw}: {said}" for flaw in self.topology.flaws()]
+        twice = self._twice() if self.topology.edges.open else 0
+        if twice:
+            found.append(
+                f"mesh {self.id}: {twice} of its {self.topology.count} vertices are within "
+                f"{_NEARLY:g} of its size of another, and apart: weld them before it is exported"
+            )
+        crossed = len(self._crossing(self.present))
+        if crossed:
+            found.append(
+                f"mesh {self.id}: {crossed} of its {len(self.topology.faces)} triangles pass "
+                "through each other: images step there without an edge, and gradients are biased"
+            )
+        return found
+
+    def _twice(self) -> int:
+        """How many vertices have another one that is nearly at their place."""
+        near, _ = cKDTree(self.present).query(self.present, k=2)
+        return int(np.sum(near[:, 1] < _NEARLY * np.ptp(self.present, axis=0).max()))
+
+    def _crossing(self, array: np.ndarray) -> np.ndarray:
+        """``crossing``; the last is kept, as a doubt asks for it after an evaluation."""
+        key = array.tobytes()
+        if self._crossed[0] != key:
+            self._crossed = key, crossing(array, self.topology.faces)
+        return self._crossed[1]
 
     def refusal(self, array: np.ndarray) -> str | None:
         if np.ptp(array, axis=0).max() == 0:
@@ -182,14 +211,17 @@ class Vertices(Kind):
         return self.numbers(array, truth)["chamfer"]
 
     def numbers(self, array: np.ndarray, truth: np.ndarray | None) -> dict[str, float]:
-        """``shape_error.apart`` where there is a truth, and ``folded``: ``Topology.folded``."""
+        """``shape_error.apart`` where there is a truth, ``folded``: ``Topology.folded``, and
+        ``crossed``: the share of triangles that pass through others."""
         key = array.tobytes()
         if self._latest is None or self._latest[0] != key:
             found = {"folded": self.topology.folded(array)}
             if not np.isfinite(array).all():
-                found |= dict.fromkeys(MEASURES, float("nan"))
-            elif truth is not None:
-                found = apart(Sampled.of(array, self.topology.faces), self._true(truth)) | found
+                found |= dict.fromkeys((*MEASURES, "crossed"), float("nan"))
+            else:
+                found["crossed"] = len(self._crossing(array)) / len(self.topology.faces)
+                if truth is not None:
+                    found = apart(Sampled.of(array, self.topology.faces), self._true(truth)) | found
             self._latest = key, found
         return self._latest[1]
 
@@ -217,6 +249,12 @@ class Vertices(Kind):
         volumes = [enclosed(each[self.topology.faces]) for each in (array, self.present)]
         if not self.topology.edges.open and np.prod(volumes) < 0:
             return f"'{self.id}' is inside out: start from a mesh turned as the scene's is"
+        crossed = len(self._crossing(array)) / len(self.topology.faces)
+        if crossed > _FOLDED:
+            return (
+                f"{crossed:.1%} of the triangles of '{self.id}' pass through each other; take a "
+                "smaller rate"
+            )
         return None
 
     def _length(self, array: np.ndarray) -> float:
@@ -242,7 +280,7 @@ class Vertices(Kind):
 def _meshes(params: mi.SceneParameters) -> list[str]:
     """Ids of the shapes that are meshes."""
     words = [key.rpartition(".") for key in params.keys()]
-    ids = [id for id, _, word in words if word in _POSITIONS]
+    ids = [id for id, _, word in words if word in POSITIONS]
     return [id for id in ids if f"{id}.faces" in params]
 
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
+import trimesh
 from test_tiny_scenes import SHAPES, SMALL
 
 import isas_cli
 from isas_cli.runtime.errors import InputError
+from isas_cli.scene import shape_error
+from isas_cli.scene.shape_error import Sampled
 
 SETTINGS = [each for each in SMALL if "budget" not in each and "batch" not in each]
 SETTINGS += ["frames.views=1", "frames.snapshots=0", "report=false", "evaluation.spp=8"]
@@ -50,8 +55,22 @@ def test_a_rate_of_100_ends_with_finite_numbers_and_says_what_happened(tmp_path)
         *("scene=kirby", "sampler=uniform", "estimator=silhouettes", unknowns, *SETTINGS),
         *("estimator.batch=1024", "budget.iterations=10", f"hydra.run.dir={tmp_path}"),
     )
-    assert np.isfinite(run.parameters()["figure.vertices"]).all()
-    assert any("folded" in text for text in run.summary["warnings"])
+    result = run.parameters()["figure.vertices"]
+    assert np.isfinite(result).all()
+    (said,) = (text for text in run.summary["warnings"] if "folded" in text)
+    found = re.search(r"meshes/good_figure.vertices.\* is as of iteration (\d+)", said)
+    # The last that nothing was wrong with, as both files have it.
+    row = run.history[run.history["iteration"] == int(found[1])].iloc[0]
+    folded = run.history["value/figure.vertices/folded"]
+    assert folded[row.name] <= 0.005 < folded.iloc[-1]
+    good = [trimesh.load(tmp_path / "meshes" / f"good_figure.vertices.{kind}", process=False)
+            for kind in ("ply", "obj")]  # fmt: skip
+    assert all(each.is_watertight and len(each.vertices) == len(result) for each in good)
+    np.testing.assert_allclose(good[0].vertices, good[1].vertices, atol=1e-6)
+    apart = Sampled.of(np.array(good[0].vertices), np.array(good[0].faces))
+    mesh = trimesh.load(tmp_path / "meshes" / "truth_figure.vertices.ply", process=False)
+    truth = Sampled.of(np.array(mesh.vertices), np.array(mesh.faces), 2)
+    assert shape_error.apart(apart, truth)["chamfer"] == pytest.approx(row["parameter_rmse"], 0.02)
 
 
 def test_samplers_that_read_moments_are_refused(tmp_path):

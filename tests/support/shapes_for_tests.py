@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import mitsuba as mi
 import numpy as np
 from isas_cli.scenes import kirby, meshes
@@ -20,21 +22,46 @@ KEY = "figure.vertices"
 # itself, whose edges would be left out.
 EGG = 0.85 * np.array([1.0, 0.8, 1.1])
 STEP = 0.008  # of differences: a fifth of a pixel
+COUNT = 12  # of estimates
+EXACT = 0.02  # what the step of the differences is wrong by
 
 
-def problem(views: int = 3, side: int = 32, seams: bool = False, level: int = 3, **more) -> Problem:
-    """``seams``: no triangle shares a vertex in the file. ``more``: beside the figure."""
+def agrees(found: np.ndarray, exact: np.ndarray, wrong: float = EXACT) -> bool:
+    """Within three standard errors of both, and ``wrong``: what the differences' step is good for.
+    """
+    error = math.hypot(*(each.std(ddof=1) / math.sqrt(len(each)) for each in (found, exact)))
+    size = abs(exact.mean())
+    print(f"{found.mean() / exact.mean():.3f} ± {error / size:.3f} of the differences")
+    return abs(found.mean() - exact.mean()) < 3 * error + wrong * size
+
+
+def shaped(vertices: np.ndarray, faces: np.ndarray, id: str = "figure", colour=kirby.COLOUR):
+    """A matt mesh of smooth normals, its triangles apart as in a file with seams everywhere."""
+    apart = meshes.from_corners(
+        vertices[faces], np.zeros((0, 2)), meshes.corner_normals(vertices, faces)
+    )
+    matt = {"type": "diffuse", "reflectance": {"type": "rgb", "value": colour}}
+    return meshes.shape(id, apart, matt)
+
+
+def problem(
+    views: int = 3,
+    side: int = 32,
+    seams: bool = False,
+    level: int = 3,
+    start: str = "sphere",
+    **more,
+) -> Problem:
+    """``seams``: no triangle shares a vertex in the file. ``more``: beside the figure, or instead
+    of it."""
     description = kirby.build(views, side, level) | more
     if seams:
         values = mi.traverse(description["figure"])
-        vertices, normals = (
-            np.array(values[f"vertex_{name}"]).reshape(-1, 3) for name in ("positions", "normals")
-        )
+        vertices = np.array(values["vertex_positions"]).reshape(-1, 3)
         faces = np.array(values["faces"]).reshape(-1, 3)
-        apart = meshes.from_corners(vertices[faces], np.zeros((0, 2)), normals[faces])
-        matt = {"type": "diffuse", "reflectance": {"type": "rgb", "value": kirby.COLOUR}}
-        description["figure"] = meshes.shape("figure", apart, matt)
-    made = without_targets(description, {KEY: UnknownConfig(start="sphere")})
+        places, which = np.unique(vertices, axis=0, return_inverse=True)
+        description["figure"] = shaped(places, which.ravel()[faces])
+    made = without_targets(description, {KEY: UnknownConfig(start=start)})
     render_targets(made, 256)
     return made
 
@@ -56,9 +83,15 @@ def directions(x: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def estimates(
-    p: Problem, count: int, batch: int = 1 << 14, at: np.ndarray | None = None, **settings
+    p: Problem,
+    count: int,
+    batch: int = 1 << 14,
+    at: np.ndarray | None = None,
+    ways: dict[str, np.ndarray] | None = None,
+    **settings,
 ) -> dict[str, np.ndarray]:
-    """By direction, the derivative of the loss along it, estimated ``count`` times."""
+    """By direction, ``ways`` or the usual ones, the derivative of the loss along it, estimated
+    ``count`` times."""
     chosen = Settings(**{"batch": batch, "edges": batch, "shadows": batch} | settings)
     estimator: ByShape = chosen.made(chosen.on(p), losses.L2())
     uniform = PixelDistribution.uniform(Tiles.over(p.views))
@@ -70,14 +103,20 @@ def estimates(
     ]
     p.unknowns.write(values)
     return {
-        name: np.array([np.sum(g * way) for g in gradients]) for name, way in directions(x).items()
+        name: np.array([np.sum(g * way) for g in gradients])
+        for name, way in (ways or directions(x)).items()
     }
 
 
 def differences(
-    p: Problem, names: list[str], spp: int = 512, at: np.ndarray | None = None
+    p: Problem,
+    names: list[str] | None = None,
+    spp: int = 512,
+    at: np.ndarray | None = None,
+    ways: dict[str, np.ndarray] | None = None,
 ) -> dict[str, np.ndarray]:
-    """The same by central differences of the images, at the mean image's ∂ℒ/∂I: four estimates."""
+    """The same by central differences of the images, at the mean image's ∂ℒ/∂I: four estimates.
+    ``names``: of ``ways``, or of the usual ones, those that count; None for all."""
     x, renderer = egg(p) if at is None else at, Renderer(p)
 
     def image(at: np.ndarray, first: int) -> np.ndarray:
@@ -87,9 +126,11 @@ def differences(
 
     target = np.array(p.targets, np.float64).reshape(-1, 3)
     adjoint = 2 * (image(x, 5) - target) * float(p.share[0])
-    found = {}
-    for name in names:
-        way = directions(x)[name] * STEP
+    if p.mask is not None:
+        adjoint *= np.array(p.mask)[:, None]
+    found, ways = {}, ways or directions(x)
+    for name in names or ways:
+        way = ways[name] * STEP
         found[name] = np.zeros(4)
         for i in range(4):
             first = 10**6 * (i + 1)

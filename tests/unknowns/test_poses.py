@@ -26,6 +26,7 @@ def description(place=None) -> dict:
     box = stage.boxes(np.array([[-0.5, 0.4, 0.1], [-0.5, 1.1, 0.1]]), (0.2, 0.3, 0.1))
     points = np.asarray(place.matrix)[:3, :3] @ box.vertices.T + np.asarray(place.matrix)[:3, 3:]
     turn = np.asarray(place.matrix)[:3, :3]
+    turn = turn / np.linalg.norm(turn[0])
     moved = meshes.Surface(
         points.T.astype(np.float32), box.faces, box.texcoords, (box.normals @ turn.T).astype("f4")
     )
@@ -50,6 +51,9 @@ TURN = PoseConfig(kind="rotation", objects=BOTH, axis=[0.2, 1.0, 0.1], origin=[0
 # Mitsuba itself takes axes of unit length alone.
 AXIS = (np.array(TURN.axis) / np.linalg.norm(TURN.axis)).tolist()
 SHIFT = PoseConfig(kind="translation", objects=BOTH)
+GROW = PoseConfig(kind="scale", objects=BOTH, origin=[0.1, 0.0, -0.2])
+POSES = {"rotation": TURN, "translation": SHIFT, "scale": GROW}
+VALUES = [("rotation", 35.0), ("translation", [0.2, 0.1, -0.3]), ("scale", 0.4)]
 
 
 def moved(poses: dict[str, PoseConfig], start: dict):
@@ -64,15 +68,17 @@ def transform(kind: str):
     to = mi.ScalarTransform4f()
     if kind == "translation":
         return to.translate([0.2, 0.1, -0.3])
+    if kind == "scale":
+        away = [-x for x in GROW.origin]
+        return to.translate(GROW.origin).scale(2**0.4).translate(away)
     return to.translate(TURN.origin).rotate(AXIS, 35.0).translate([-x for x in TURN.origin])
 
 
-@pytest.mark.parametrize("kind, value", [("rotation", 35.0), ("translation", [0.2, 0.1, -0.3])])
+@pytest.mark.parametrize("kind, value", VALUES)
 def test_a_moved_scene_is_the_scene_loaded_there(kind, value):
     """The same random numbers give the same image, to rounding: mesh, normals, sphere; and the
     recorded kernels see every later movement, and the way back."""
-    spec = TURN if kind == "rotation" else SHIFT
-    p = moved({"all.pose": spec}, {"all.pose": value})
+    p = moved({"all.pose": POSES[kind]}, {"all.pose": value})
     there = without_targets(description(transform(kind)), {"ground.bsdf.base_color.value": 0.3})
     there.unknowns.write(there.unknowns.truths())
     expected = image(there)
@@ -149,10 +155,10 @@ def test_poses_of_one_object_follow_each_other():
     assert np.allclose(found, centre, atol=1e-5)
 
 
-@pytest.mark.parametrize("kind, value", [("rotation", 35.0), ("translation", [0.2, 0.1, -0.3])])
+@pytest.mark.parametrize("kind, value", VALUES)
 def test_derivatives_flow_on_to_the_pose(kind, value):
     """Of a fixed weighting of all vertices and of the ball's centre, against differences."""
-    p = moved({"all.pose": TURN if kind == "rotation" else SHIFT}, {"all.pose": value})
+    p = moved({"all.pose": POSES[kind]}, {"all.pose": value})
     rng = np.random.default_rng(1)
     count = dr.width(p.unknowns.params["box.vertex_positions"])
     weight = mi.Float(rng.standard_normal(count).astype(np.float32))
@@ -186,6 +192,7 @@ def test_derivatives_flow_on_to_the_pose(kind, value):
         ({"kind": "rotation", "axis": [0, 0, 0]}, "pose.axis"),
         ({"axis": [1, 0, 0]}, "pose.axis: a translation has no use for it"),
         ({"kind": "rotation", "directions": [[1, 0, 0]]}, "pose.directions: a rotation has no use"),
+        ({"kind": "scale", "axis": [1, 0, 0]}, "pose.axis: a scale has no use for it"),
         ({"directions": [[1, 0]]}, "pose.directions"),
         ({"directions": [1, 0, 0]}, "pose.directions: 1 is no .x, y, z. .a list of such."),
         ({"directions": [[1, "a", 0]]}, "pose.directions: .1, 'a', 0. is no"),

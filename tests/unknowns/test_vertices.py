@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from isas_cli.scenes import kirby, meshes
 from scenes_for_tests import without_targets
-from shapes_for_tests import KEY, ball, problem
+from shapes_for_tests import KEY, ball, problem, shaped
 
 from isas_cli.config.schema import OptimizerConfig, UnknownConfig
 from isas_cli.engine.optimiser import Stepper
@@ -67,6 +67,41 @@ def test_what_is_no_result_is_said():
     assert "20 times as long" in kind.doubt(20 * kind.present)
     rough = np.random.default_rng(3).normal(size=kind.present.shape).astype(np.float32)
     assert "folded" in kind.doubt(kind.present + rough)
+
+
+def of(vertices: np.ndarray, faces: np.ndarray):
+    """The unknown that a mesh is, the scene around it left out of account."""
+    scene = kirby.build(1, 8, 1) | {"figure": shaped(vertices, faces)}
+    return without_targets(scene, {KEY: UnknownConfig(start="smooth")}).unknowns[KEY].kind
+
+
+def two(apart: float) -> tuple[np.ndarray, np.ndarray]:
+    vertices, faces = ball(3)
+    beside = vertices[:, [1, 2, 0]] + [apart, 0.03, 0.05]
+    return np.concatenate([vertices, beside]), np.concatenate([faces, faces + len(vertices)])
+
+
+def test_a_mesh_that_passes_through_itself_is_warned_of_and_is_no_result():
+    kind = of(*two(2.1))
+    assert kind.warnings() == [] and kind.doubt(kind.present) is None
+    moved = kind.present.copy()
+    moved[kind.present[:, 0] > 1.05, 0] -= 0.6
+    assert "triangles of 'figure' pass through each other" in kind.doubt(moved)
+    assert kind.numbers(kind.present, None)["crossed"] == 0
+    share = kind.numbers(moved, None)["crossed"]
+    (warning,) = of(*two(1.5)).warnings()
+    count = round(share * len(kind.topology.faces))
+    assert f"{count} of its {len(kind.topology.faces)} triangles pass through each" in warning
+
+
+def test_open_and_unwelded_meshes_are_warned_of():
+    vertices, faces = ball(2)
+    (warning,) = of(vertices, faces[1:]).warnings()
+    assert "3 of its 480 edges are open" in warning
+    corners = vertices[faces] + 1e-7 * np.random.default_rng(1).random((len(faces), 3, 3))
+    apart = np.arange(3 * len(faces)).reshape(-1, 3)
+    opened, unwelded = of(corners.reshape(-1, 3), apart).warnings()[:2]
+    assert "edges are open" in opened and "weld them" in unwelded
 
 
 def test_errors_of_balls_are_known():
