@@ -97,6 +97,11 @@ class WholeImages:
         self.smooth, self.samples = smooth, samples
         self.blur = Blur(problem, "estimator=plateau") if smooth else None
         _check_films(problem)
+        if problem.views.exposure is not None:
+            raise InputError(
+                "estimator=mitsuba renders through Mitsuba's films, which know no exposure of a "
+                "view: take estimator=two_path, or photos.exposure=fixed"
+            )
         _check_shapes(problem)
         self.integrator = _integrator(problem, silhouettes)
         self.spp = max(1, batch // problem.views.total)

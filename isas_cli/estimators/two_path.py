@@ -13,6 +13,7 @@ from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
 from ..runtime.errors import InputError
 from ..samplers.sampler import Sampler
+from ..unknowns import exposure
 from .estimator import Estimator
 
 if TYPE_CHECKING:
@@ -57,7 +58,8 @@ class TwoPath:
 
     The first path's radiance gives ⟨∂ℒ/∂I⟩ through the loss, a second, independent path gives
     ⟨dI/dθ⟩ as ``problem.integrator`` estimates it. One path for both would be biased
-    for L2: its noise is correlated with itself.
+    for L2: its noise is correlated with itself. By a photograph's exposure e, where I = e L,
+    the derivative is ⟨∂ℒ/∂I⟩ ⟨L⟩, with L from a third path.
 
     Symbols: N → ``batch`` (pixels a step; 2 N light paths, more with derivative sampling);
     p → ``PixelDistribution``; θ → ``problem.unknowns``, whose gradients receive the estimate.
@@ -81,6 +83,8 @@ class TwoPath:
             )
         self.problem, self.loss, self.batch = problem, loss, batch
         integrator = problem.integrator
+        exposed = next((u.key for u in problem.unknowns if not u.kind.carried), None)
+        self._paths = 2 if exposed else 1  # without a derivative
 
         # Paths whose residual was not finite so far. Dr.Jit leaves them out of the sums that
         # gradients are: without a count nobody would know.
@@ -111,6 +115,15 @@ class TwoPath:
                     integrator.backward(scene, second, ray, adjoint)
                 else:
                     second_pass(integrator, scene, second, ray, adjoint)
+                if exposed is not None:
+                    # A path of its own: the second one's radiance is inside the integrator, and the
+                    # first one's noise is the residual's.
+                    third = rays.stream(seeds[3], batch)
+                    ray, _ = rays.spawn(sensors, views, view, column, row, third)
+                    radiance, _ = integrator.primal(scene, third, ray)
+                    slope = residual * radiance * (share / (probability * batch))
+                    dr.eval(slope)
+                    exposure.add(leaves[exposed], view, slope)
                 lost[0] += dr.count(~finite)
 
         self._kernel = dr.freeze(kernel) if freeze else kernel
@@ -118,7 +131,7 @@ class TwoPath:
     @property
     def paths_per_step(self) -> int:
         """Light paths of one estimate."""
-        return (1 + self.problem.integrator.paths_per_derivative) * self.batch
+        return (self._paths + self.problem.integrator.paths_per_derivative) * self.batch
 
     @property
     def nonfinite(self) -> int:
@@ -143,7 +156,7 @@ class TwoPath:
         p = self.problem
         seeds = [
             dr.opaque(mi.UInt32, streams.seed(seed, iteration, purpose))
-            for purpose in ("draw", "primal", "adjoint")
+            for purpose in ("draw", "primal", "adjoint", "exposure")
         ]
         self._kernel(
             p.scene,

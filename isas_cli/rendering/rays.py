@@ -35,7 +35,8 @@ def through(
     within: mi.Point2f,
     aperture: mi.Point2f,
 ) -> tuple[mi.RayDifferential3f, mi.Color3f]:
-    """The ray through the point ``within`` [0, 1)² of each pixel, and its sensor weight. Traced."""
+    """The ray through the point ``within`` [0, 1)² of each pixel, and its weight: the sensor's
+    times the view's exposure. Traced."""
     width = dr.gather(mi.UInt32, views.width, view)
     height = dr.gather(mi.UInt32, views.height, view)
     position = mi.Point2f(
@@ -43,7 +44,10 @@ def through(
         (mi.Float(row) + within.y) / mi.Float(height),
     )
     sensor = dr.gather(mi.SensorPtr, sensors, view)
-    return sensor.sample_ray_differential(0.0, 0.0, position, aperture)
+    ray, weight = sensor.sample_ray_differential(0.0, 0.0, position, aperture)
+    if views.exposure is not None:
+        weight = weight * dr.gather(mi.Color3f, dr.detach(views.exposure), view)
+    return ray, weight
 
 
 def stream(seed: mi.UInt32, count: int) -> mi.Sampler:

@@ -22,6 +22,7 @@ _PATCHES = (128, 32, 8)
 class Views:
     """The films of a problem laid end to end: pixel ``j`` of view ``v`` is ``offset[v] + y w + x``.
 
+    ``exposure``: ``(3 V,)`` factors on the radiance of each view's channels, or None for ones.
     ``width``, ``height``, ``offset``, ``end``: ``(V,) uint32`` device arrays (pixels; ``end`` is
     one past a view's last pixel); ``count``: views; ``total``: pixels of all views together.
     A plain dataclass, so that Dr.Jit sees the arrays when a kernel is frozen.
@@ -34,6 +35,7 @@ class Views:
     count: int
     total: int
     sizes: tuple  # ((width, height), …) on the host
+    exposure: mi.Float | None = None
 
     @staticmethod
     def of(sizes: list[tuple[int, int]]) -> "Views":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from .environment import Environment
+from .exposure import Exposure
 from .grid import Grid
 from .kind import Kind, Loaded
 from .poses import Pose
@@ -10,7 +11,7 @@ from .texture import Texture
 from .value import Value
 from .vertices import Vertices
 
-_KINDS: list[type[Kind]] = [Pose, Vertices, Environment, Texture, Grid, Value]
+_KINDS: list[type[Kind]] = [Pose, Vertices, Exposure, Environment, Texture, Grid, Value]
 
 
 def register(kind: type[Kind]) -> type[Kind]:

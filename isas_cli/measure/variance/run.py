@@ -78,6 +78,11 @@ def run(plan: Plan) -> int:
                 "gradient: leave it out"
             )
         problem = estimator.on(built(typed, phases, plan.cfgs.values()))
+        if problem.views.exposure is not None:
+            raise InputError(
+                "exposures have derivatives that no path carries, and isas variance measures "
+                "those of paths: take photos.exposure=fixed"
+            )
         bench, contestants, best = _prepared(plan, typed, problem, phases)
         with interrupt.graceful(display.interrupted) as stop:
             return _Record(plan, typed, machine, bench, contestants, best, display).make(stop)
