@@ -165,7 +165,8 @@ class PhotosConfig:
     axis ``up``; ``width``: pixels, to which views are shrunk (None: as they are); ``texture``:
     texels a side of the base colour; ``sky``: rows of an unknown environment; ``test``: views held
     out, [names] or n for every n-th; ``exposure``: of the views, ``fixed``: all alike, or unknown,
-    ``scale``: a factor each, ``channels``: three each; ``saturated``: from which value of an 8- or
+    ``scale``: a factor each, ``channels``: three each; ``refine``: whether the
+    cameras' poses are unknown as well; ``saturated``: from which value of an 8- or
     16-bit file on, of its largest, a pixel does not count (None: all count); ``encoding``: of the
     files, ``auto``: as images are read everywhere, ``srgb`` or ``linear``; ``background``: whether
     pixels count that the object does not fill.
@@ -182,6 +183,7 @@ class PhotosConfig:
     sky: int = 8
     test: Any = None
     exposure: str = "fixed"
+    refine: bool = False
     saturated: Optional[float] = 0.995
     encoding: str = "auto"
     background: bool = False
@@ -210,7 +212,7 @@ class PhotosConfig:
         if self.plane and not (self.plane[0] < self.plane[2] and self.plane[1] < self.plane[3]):
             raise InputError(f"photos.plane={list(self.plane)}: [x0, y0, x1, y1], x0 < x1, y0 < y1")
         if self.sphere and not self.sphere[3] > 0:
-            raise InputError(f"photos.sphere={list(self.sphere)}: [x, y, z, radius], radius above 0")
+            raise InputError(f"photos.sphere={list(self.sphere)}: its radius must be above 0")
         if self.saturated is not None and not 0 < self.saturated <= 1:
             raise InputError(f"photos.saturated={self.saturated}: in (0, 1], or null")
 
@@ -353,6 +355,8 @@ class Config:
         scene = self.scene
         if scene.photos.path is not None:
             self._of_photographs()
+        elif scene.name == "photos":
+            raise InputError("scene=photos needs photographs: give photos.path=DIR")
         elif scene.photos != PhotosConfig():
             raise InputError(f"photos.…: only scene=photos has it, not scene={scene.name}")
         elif scene.builder is None and scene.path is None:
@@ -410,8 +414,6 @@ class Config:
 def typed(cfg: DictConfig) -> Config:
     """The configuration as objects, which check what they hold. Raises InputError, and OmegaConf's
     errors for what is missing."""
-    if OmegaConf.is_missing(cfg.scene.photos, "path"):
-        raise InputError(f"scene={cfg.scene.name} needs photographs: give photos.path=DIR")
     for group in ("poses", "unknowns"):
         for key, entry in cfg.scene[group].items():
             for name in OmegaConf.missing_keys(entry):

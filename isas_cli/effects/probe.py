@@ -91,7 +91,7 @@ class Probe:
         """The views that see an unknown, where some do not: of so many paths through random pixels
         of a view none has a derivative, along random signs of all entries."""
         views, rng = self.problem.views, np.random.default_rng(0)
-        if views.count == 1 or views.exposure is not None:
+        if views.count == 1 or views.altered:
             return None
         unknowns = self.problem.unknowns
         signs = {u.key: rng.choice([-1.0, 1.0], u.start.shape).astype(np.float32) for u in unknowns}

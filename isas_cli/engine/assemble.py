@@ -63,12 +63,12 @@ def problem(
         raise InputError(f"{pixels} pixels in all views together: fewer than 2^32 can be indexed")
     params = mi.traverse(loaded)
     content = _content_hash(loaded, integrator, params, description)
-    views, exposed, wanted = Views.of(sizes), None, scene.unknowns
+    views, of_views, wanted = Views.of(sizes), None, scene.unknowns
     if taken is not None:
         wanted = building.unknowns(scene.photos, taken.surface, scene.unknowns)
-        exposed = _exposed(scene.photos.exposure, views)
+        of_views = _of_views(taken, views)
     truth_known = taken is None and scene.targets is None
-    found = parse(params, wanted, truth_known, scene.poses, exposed)
+    found = parse(params, wanted, truth_known, scene.poses, of_views)
     single = flat.reduce(mi.traverse(loaded), {k for u in found for k in u.kind.writes})
     unknowns = Unknowns(mi.traverse(loaded), found)
     result = Problem(
@@ -105,17 +105,22 @@ def problem(
     return result
 
 
-def _exposed(exposure: str, views: Views) -> tuple[Views, int] | None:
-    """What ``Loaded.exposed`` is. Raises InputError for a single view, whose exposure nothing tells
-    from the light."""
-    if exposure == "fixed":
-        return None
-    if views.count == 1:
-        raise InputError(
-            f"photos.exposure={exposure}: the first view's exposure is the unit, and there is no "
-            "other: take photos.exposure=fixed"
-        )
-    return views, {"scale": 1, "channels": 3}[exposure]
+def _of_views(taken: photographs.Photographs, views: Views) -> dict:
+    """What of ``Loaded`` is of photographs. Raises InputError for a single view, whose exposure and
+    pose nothing tells from light and surface."""
+    asked = taken.settings
+    for name, usual in (("exposure", "fixed"), ("refine", False)):
+        if views.count == 1 and getattr(asked, name) != usual:
+            told = str(getattr(asked, name)).lower()
+            raise InputError(
+                f"photos.{name}={told}: the first view's stays as it is, and there is no other: "
+                f"take photos.{name}={str(usual).lower()}"
+            )
+    return {
+        "views": views,
+        "channels": {"fixed": None, "scale": 1, "channels": 3}[asked.exposure],
+        "pixel": building.pixels(taken) if asked.refine else None,
+    }
 
 
 def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None:

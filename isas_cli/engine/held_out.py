@@ -8,6 +8,7 @@ from ..records import RunWriter
 from ..rendering.renderer import Renderer
 from ..runtime import likeness, streams
 from ..scene.problem import Problem
+from ..unknowns.exposure import Exposure
 from ..unknowns.parameters import as_numpy
 
 _RGB = ["R", "G", "B"]
@@ -25,7 +26,7 @@ def measure(problem: Problem, values: dict, spp: int, seed: int, writer: RunWrit
     """
     problem.unknowns.write(values)
     renderer = Renderer(problem)
-    exposure = next((u for u in problem.unknowns if not u.kind.carried), None)
+    exposure = problem.unknowns.of(Exposure)
     channels = 0 if exposure is None else exposure.start.shape[1]
     masks = _per_view(problem)
     views = {}
@@ -52,7 +53,7 @@ def measure(problem: Problem, values: dict, spp: int, seed: int, writer: RunWrit
 
 def exposures(problem: Problem, values: dict) -> dict:
     """``exposure``: of each view of ``problem`` by name, where exposures are unknown."""
-    exposure = next((u for u in problem.unknowns if not u.kind.carried), None)
+    exposure = problem.unknowns.of(Exposure)
     if exposure is None or not problem.names:
         return {}
     found = as_numpy(values[exposure.key])

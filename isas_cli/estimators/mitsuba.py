@@ -97,10 +97,11 @@ class WholeImages:
         self.smooth, self.samples = smooth, samples
         self.blur = Blur(problem, "estimator=plateau") if smooth else None
         _check_films(problem)
-        if problem.views.exposure is not None:
+        if problem.views.altered:
             raise InputError(
-                "estimator=mitsuba renders through Mitsuba's films, which know no exposure of a "
-                "view: take estimator=two_path, or photos.exposure=fixed"
+                "estimator=mitsuba renders through Mitsuba's films, which know no exposure and no "
+                "other pose of a view: take estimator=two_path, or photos.exposure=fixed and "
+                "photos.refine=false"
             )
         _check_shapes(problem)
         self.integrator = _integrator(problem, silhouettes)

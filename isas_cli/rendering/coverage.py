@@ -31,9 +31,9 @@ def fill_in(problem: Problem, seed: int) -> None:
     """Set ``seen`` of every unknown, from the cache where possible.
 
     Of what moves geometry, and of what paths do not carry, all entries count. The others are judged
-    by what path replay differentiates, at the start values; where something moves and the truth is known, also with
-    that at its true place: an entry counts that is seen from either. One that shows itself only on
-    the way between is left out of the errors.
+    by what path replay differentiates, at the start values; where something moves and the truth is
+    known, also with that at its true place: an entry counts that is seen from either. One that
+    shows itself only on the way between is left out of the errors.
 
     Raises InputError for an unknown that no view sees: nothing could be learnt about it. Where
     something moves that cannot be told, and all entries of such an unknown count.

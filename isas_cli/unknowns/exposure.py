@@ -23,11 +23,11 @@ class Exposure(Kind):
 
     @classmethod
     def keys(cls, loaded: Loaded) -> list[str]:
-        return ["exposure"] if loaded.exposed is not None else []
+        return ["exposure"] if loaded.channels is not None else []
 
     def __init__(self, key: str, loaded: Loaded):
         self.key, self.writes = key, []
-        self._views, channels = loaded.exposed
+        self._views, channels = loaded.views, loaded.channels
         self._type = mi.TensorXf
         self.present = np.ones((self._views.count - 1, channels), np.float32)
         # Below, a view would tell nothing.

@@ -35,12 +35,15 @@ _FEW = 8
 
 @dataclass(frozen=True)
 class Loaded:
-    """The scene as it was loaded, and ``scene.poses`` of the configuration by name; ``exposed``:
-    the views whose exposures may be unknown, and of how many channels each, or None."""
+    """The scene as it was loaded, and ``scene.poses`` of the configuration by name; of
+    photographs the ``views``; ``channels``: of their exposures, where these may be unknown;
+    ``pixel``: ``(V, 2)`` radians and scene units that are a pixel of each, where poses may be."""
 
     params: mi.SceneParameters
     poses: dict[str, PoseConfig] = field(default_factory=dict)
-    exposed: tuple[Views, int] | None = None
+    views: Views | None = None
+    channels: int | None = None
+    pixel: np.ndarray | None = None
 
 
 class Surface(NamedTuple):

@@ -6,12 +6,13 @@ from .environment import Environment
 from .exposure import Exposure
 from .grid import Grid
 from .kind import Kind, Loaded
+from .motion import Motion
 from .poses import Pose
 from .texture import Texture
 from .value import Value
 from .vertices import Vertices
 
-_KINDS: list[type[Kind]] = [Pose, Vertices, Exposure, Environment, Texture, Grid, Value]
+_KINDS: list[type[Kind]] = [Pose, Vertices, Exposure, Motion, Environment, Texture, Grid, Value]
 
 
 def register(kind: type[Kind]) -> type[Kind]:

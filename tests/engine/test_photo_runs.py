@@ -34,7 +34,7 @@ WIDE, CUT = (60, 40), (7, 9)
 BASE = "object.bsdf.brdf_0.base_color"
 SMALL = [
     *("scene=photos", "sampler=uniform", "effects=full"),
-    *("estimator.batch=4096", "optimizer.lr=0.05"),
+    *("estimator.batch=16384", "optimizer.lr=0.03"),
     *("evaluation.count=3", "evaluation.spp=8", "frames.views=1", "frames.snapshots=0"),
     *("frames.spp=32", "report=false"),
 ]
@@ -171,8 +171,8 @@ def z_of_exposures(made, estimator) -> np.ndarray:
 
 
 def test_the_gradient_by_exposures_is_unbiased(photographed, monkeypatch):
-    """Against the sum over all pixels of renderings of 2 × 1024 paths: within 4 standard errors, six
-    entries (chance 0.04 %). With the residual's own path as the third the noise is correlated with
+    """Against the sum over all pixels of renderings of 2 × 1024 paths: within 4 standard errors,
+    six entries (chance 0.04 %). With the residual's own path as the third the noise is correlated with
     itself, which is seen."""
     made = problem(*photographed, "photos.exposure=channels", "photos.test=[view_3]")
     found = z_of_exposures(made, TwoPath(made, L2(), BATCH))

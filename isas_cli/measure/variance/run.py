@@ -78,10 +78,10 @@ def run(plan: Plan) -> int:
                 "gradient: leave it out"
             )
         problem = estimator.on(built(typed, phases, plan.cfgs.values()))
-        if problem.views.exposure is not None:
+        if problem.views.altered:
             raise InputError(
-                "exposures have derivatives that no path carries, and isas variance measures "
-                "those of paths: take photos.exposure=fixed"
+                "exposures and poses of views have derivatives that no path carries, and isas "
+                "variance measures those of paths: take photos.exposure=fixed, photos.refine=false"
             )
         bench, contestants, best = _prepared(plan, typed, problem, phases)
         with interrupt.graceful(display.interrupted) as stop:

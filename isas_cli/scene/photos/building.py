@@ -15,7 +15,7 @@ from .camera import Camera
 from .photographs import Photographs
 
 OBJECT, SKY = "object", "sky"
-EXPOSURE = "exposure"  # the key of the views' exposures
+EXPOSURE, CAMERAS = "exposure", "cameras"  # the keys of what is the views' own
 # What an unknown base colour and an unknown environment start at.
 _GREY, _LIGHT = 0.5, 1.0
 _ROUGHNESS = 0.5
@@ -86,7 +86,7 @@ def straightened(camera: Camera) -> np.ndarray:
 
 def unknowns(settings: PhotosConfig, surface: meshes.Surface, own: dict) -> dict[str, Any]:
     """What is unknown: ``own``, or the base colour, and the light where none is given; always the
-    exposures, where they are not fixed."""
+    exposures and poses, where they are not fixed."""
     found = dict(own)
     if not found:
         colour = "data" if len(surface.texcoords) else "value"
@@ -96,7 +96,19 @@ def unknowns(settings: PhotosConfig, surface: meshes.Surface, own: dict) -> dict
             found[f"{SKY}.data"] = UnknownConfig(start=_LIGHT)
     if settings.exposure != "fixed":
         found.setdefault(EXPOSURE, UnknownConfig(start=1.0))
+    if settings.refine:
+        found.setdefault(CAMERAS, UnknownConfig(start=0.0))
     return found
+
+
+def pixels(photographs: Photographs) -> np.ndarray:
+    """Of each view to learn from, ``(V, 2)``: the turn (radians) and the shift (scene units) of its
+    camera that move what it looks at by a pixel."""
+    vertices = photographs.surface.vertices
+    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    cameras = [each.camera for each in photographs.shown]
+    away = [np.linalg.norm(camera.centre - middle) for camera in cameras]
+    return np.array([[1 / c.fx, distance / c.fx] for c, distance in zip(cameras, away)])
 
 
 def _light(settings: PhotosConfig) -> dict[str, Any]:

@@ -17,8 +17,8 @@ from .camera import Camera
 
 # Raised when what is kept means something else.
 _FORMAT = 1
-# Points a side of each new pixel at which a photograph is looked up, at most: one for each old pixel
-# that it covers.
+# Points a side of each new pixel at which a photograph is looked up, at most: one for each old
+# pixel that it covers.
 _MOST = 16
 # Files that hold any brightness, and are never full.
 _FLOATS = (".exr", ".hdr", ".pfm")

@@ -15,7 +15,7 @@ from ..mesh_checks import check_values, degenerate
 from .base import Capture
 
 _KINDS = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
-# Between a corner's smooth normal and its own face's: beyond, the corner belongs to an edge.
+# Between the normals of two triangles that meet: beyond, there is an edge.
 _CREASE = 40.0  # degrees
 
 
@@ -69,15 +69,27 @@ def _read(path: str) -> Surface:
 
 
 def _smoothed(vertices: np.ndarray, faces: np.ndarray, texcoords: np.ndarray) -> Surface:
-    """Normals are smooth but for edges sharper than ``_CREASE``."""
-    positions, place = np.unique(vertices, axis=0, return_inverse=True)
-    smooth = meshes.corner_normals(positions, place.ravel()[faces])
+    """At each corner of a triangle the mean normal, by area, of those around it that lie at less
+    than ``_CREASE`` to it: smooth, with sharp edges."""
     corners = vertices[faces].astype(np.float64)
-    own = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    own /= np.linalg.norm(own, axis=1, keepdims=True)
-    near = np.einsum("fck,fk->fc", smooth, own) >= np.cos(np.radians(_CREASE))
-    normals = np.where(near[..., None], smooth, own[:, None, :])
-    return meshes.from_corners(corners, texcoords[faces] if len(texcoords) else texcoords, normals)
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    own = area / np.linalg.norm(area, axis=1, keepdims=True)
+    _, place = np.unique(vertices, axis=0, return_inverse=True)
+    at = place.ravel()[faces].ravel()  # of each corner
+    order, count = np.argsort(at, kind="stable"), np.bincount(at)
+    begin = np.cumsum(count) - count
+    # Every corner with every corner at the same place.
+    many = count[at]
+    one = np.repeat(np.arange(at.size), many)
+    other = order[np.arange(one.size) - np.repeat(np.cumsum(many) - many, many) + begin[at][one]]
+    near = np.einsum("pk,pk->p", own[one // 3], own[other // 3]) > np.cos(np.radians(_CREASE))
+    one, other = one[near], other[near] // 3
+    normals = np.stack(
+        [np.bincount(one, weights=area[other, k], minlength=at.size) for k in range(3)], axis=1
+    )
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    laid_out = texcoords[faces] if len(texcoords) else texcoords
+    return meshes.from_corners(corners, laid_out, normals.reshape(-1, 3, 3))
 
 
 def _rectangle(x0: float, y0: float, x1: float, y1: float) -> Surface:

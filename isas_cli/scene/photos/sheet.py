@@ -74,8 +74,12 @@ class _Edges:
     """The edges of a mesh and the triangles at each."""
 
     def __init__(self, surface: Surface):
-        places, number = np.unique(surface.vertices, axis=0, return_inverse=True)
-        self.places, faces = places.astype(np.float64), number.ravel()[surface.faces]
+        # Vertices of a seam differ by their rounding.
+        size = np.ptp(surface.vertices, axis=0).max()
+        rounded = np.round(surface.vertices / size, 6)
+        _, first, number = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+        self.places = surface.vertices[first].astype(np.float64)
+        faces = number.ravel()[surface.faces]
         pairs = [faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]
         ends = np.sort(np.concatenate(pairs), axis=1)
         self.ends, of = np.unique(ends, axis=0, return_inverse=True)
