@@ -34,7 +34,7 @@ WIDE, CUT = (60, 40), (7, 9)
 BASE = "object.bsdf.brdf_0.base_color"
 SMALL = [
     *("scene=photos", "sampler=uniform", "effects=full"),
-    *("estimator.batch=16384", "optimizer.lr=0.03"),
+    *("estimator.batch=16384", "optimizer.lr=0.05"),
     *("evaluation.count=3", "evaluation.spp=8", "frames.views=1", "frames.snapshots=0"),
     *("frames.spp=32", "report=false"),
 ]
@@ -105,8 +105,8 @@ def test_colour_and_exposures_are_found(photographed, tmp_path):
     run = isas_cli.run(
         *SMALL,
         *photographed,
-        *("photos.exposure=channels", "photos.test=[view_3]", "budget.iterations=200"),
-        "frames.spp=512",
+        *("photos.exposure=channels", "photos.test=[view_3]", "budget.iterations=400"),
+        *("frames.spp=512", "optimizer.schedule=cosine"),
         f"hydra.run.dir={tmp_path / 'run'}",
     )
     np.testing.assert_allclose(run.parameters()[f"{BASE}.value"], COLOUR, atol=0.015)
