@@ -85,18 +85,35 @@ effects.finish.
 Everything else is as in isas run --help.
 Status: 0 done, 2 bad configuration or input, 130 interrupted."""
 
+_PHOTOS_HELP = """\
+usage: isas photos DIR [photos.mesh=FILE] [photos.KEY=VALUE ...] [output=FILE.png]
+
+Look at photographs with known cameras before a run spends anything on them: a table of the views,
+a contact sheet with the object's outline over each, how far known points lie off, and warnings.
+Nothing is rendered.
+
+  isas photos my_photos photos.mesh=mug.obj             transforms.json, COLMAP or cameras.json
+  isas photos chessboard                                a set that comes with isas
+  isas run scene=photos photos.path=my_photos photos.mesh=mug.obj      the run that follows
+
+On the sheet the outline is green, known points are red crosses, those found in the picture blue
+circles; what does not count is darkened. Settings: scenes/README.md.
+Status: 0 done, 2 bad configuration or input."""
+
 # Commands whose arguments are Hydra's, passed on as they are, and their helps.
 _UNPARSED = {
     "run": _RUN_HELP,
     "race": _RACE_HELP,
     "variance": _VARIANCE_HELP,
     "effects": _EFFECTS_HELP,
+    "photos": _PHOTOS_HELP,
 }
 _SUMMARIES = {
     "run": "recover a scene's unknowns (isas run --help)",
     "race": "let configurations take turns at equal time (isas race --help)",
     "variance": "how noisy the gradient is with each sampler (isas variance --help)",
     "effects": "which light transport a run would simulate (isas effects --help)",
+    "photos": "look at photographs, cameras and mesh before a run (isas photos --help)",
     "compare": "tables, plots and a page over finished runs",
     "watch": "show how a run is going on",
     "scenes": "list the scenes, samplers and losses",

@@ -24,7 +24,12 @@ _UNKNOWNS = "scene.unknowns="
 _NAMED = {_UNKNOWNS: schema.UnknownConfig, "scene.poses=": schema.PoseConfig}
 _GROUPS = ("scene", "sampler", "estimator", "loss", "prior", "effects")
 # Taken as they stand, whatever letters a path has.
-_PATHS = ("scene.path", "hydra.run.dir", "hydra.sweep.dir")
+_PATHS = (
+    *("scene.path", "hydra.run.dir", "hydra.sweep.dir"),
+    *(f"scene.photos.{name}" for name in ("path", "mesh", "environment")),
+)
+# Of scene=photos: photos.path is short for scene.photos.path.
+_PHOTOS = "photos."
 # The sampler that another goes around: a choice within a choice, as typed and as Hydra takes it.
 _BASE, _BASE_OF_HYDRA = "sampler.base", "sampler@sampler.base"
 _CHOICES = ("sampler", _BASE, "estimator", "loss", "prior", "effects")
@@ -87,6 +92,8 @@ def _exists(path: str) -> bool:
 
 def _translate(override: str) -> str:
     bare = override.lstrip("+")
+    if bare.startswith(_PHOTOS):
+        bare = override = f"scene.{bare}"
     for setting, entry in _NAMED.items():
         if bare.startswith(setting):
             return _translate_named(bare, setting, entry)

@@ -167,6 +167,71 @@ def _is_vector(value) -> bool:
     return numbers and all(type(x) in (int, float) and math.isfinite(x) for x in value)
 
 
+_UPS = ("x", "y", "z", "-x", "-y", "-z")
+
+
+@dataclass
+class PhotosConfig:
+    """Photographs with known cameras (scene=photos; ``photos.path`` is ``scene.photos.path``).
+
+    ``path``: the folder that holds them; ``mesh``: a file (OBJ, PLY, STL, glTF) in the cameras'
+    world, or instead ``plane``: [x0, y0, x1, y1] of z = 0, or ``sphere``: [x, y, z, radius];
+    ``environment``: a picture of the light from all sides (None: unknown), whose up is the world's
+    axis ``up``; ``width``: pixels, to which views are shrunk (None: as they are); ``texture``:
+    texels a side of the base colour; ``sky``: rows of an unknown environment; ``test``: views held
+    out, [names] or n for every n-th; ``exposure``: of the views, ``fixed``: all alike, or unknown,
+    ``scale``: a factor each, ``channels``: three each; ``refine``: whether the
+    cameras' poses are unknown as well; ``saturated``: from which value of an 8- or
+    16-bit file on, of its largest, a pixel does not count (None: all count); ``encoding``: of the
+    files, ``auto``: as images are read everywhere, ``srgb`` or ``linear``; ``background``: whether
+    pixels count that the object does not fill.
+    """
+
+    path: Optional[str] = None
+    mesh: Optional[str] = None
+    plane: Optional[List[float]] = None
+    sphere: Optional[List[float]] = None
+    environment: Optional[str] = None
+    up: str = "y"
+    width: Optional[int] = None
+    texture: int = 256
+    sky: int = 8
+    test: Any = None
+    exposure: str = "fixed"
+    refine: bool = False
+    saturated: Optional[float] = 0.995
+    encoding: str = "auto"
+    background: bool = False
+
+    def __post_init__(self) -> None:
+        _at_least(1, photos__width=self.width, photos__texture=self.texture)
+        _at_least(2, photos__sky=self.sky)
+        for name, valid in (
+            ("exposure", ("fixed", "scale", "channels")),
+            ("encoding", ("auto", "srgb", "linear")),
+            ("up", _UPS),
+        ):
+            if getattr(self, name) not in valid:
+                raise InputError(
+                    f"photos.{name}={getattr(self, name)}: valid: {', '.join(valid)}"
+                )
+        shapes = [n for n in ("mesh", "plane", "sphere") if getattr(self, n) is not None]
+        if len(shapes) > 1:
+            raise InputError(f"photos.{shapes[0]} and photos.{shapes[1]}: one shape alone")
+        for name in ("plane", "sphere"):
+            numbers = getattr(self, name)
+            if numbers is not None and (
+                len(numbers) != 4 or not all(map(math.isfinite, numbers))
+            ):
+                raise InputError(f"photos.{name}={list(numbers)}: four numbers")
+        if self.plane and not (self.plane[0] < self.plane[2] and self.plane[1] < self.plane[3]):
+            raise InputError(f"photos.plane={list(self.plane)}: [x0, y0, x1, y1], x0 < x1, y0 < y1")
+        if self.sphere and not self.sphere[3] > 0:
+            raise InputError(f"photos.sphere={list(self.sphere)}: its radius must be above 0")
+        if self.saturated is not None and not 0 < self.saturated <= 1:
+            raise InputError(f"photos.saturated={self.saturated}: in (0, 1], or null")
+
+
 @dataclass
 class SceneConfig:
     """Where the scene comes from and what in it is unknown."""
@@ -181,6 +246,7 @@ class SceneConfig:
     max_depth: Optional[int] = None
     targets: Optional[List[str]] = None
     masks: Optional[List[str]] = None
+    photos: PhotosConfig = field(default_factory=PhotosConfig)
     poses: Dict[str, PoseConfig] = field(default_factory=dict)
     unknowns: Dict[str, UnknownConfig] = field(default_factory=dict)
 
@@ -302,7 +368,13 @@ class Config:
     def __post_init__(self) -> None:
         _at_least(0, seed=self.seed, threads=self.threads)
         scene = self.scene
-        if scene.builder is None and scene.path is None:
+        if scene.photos.path is not None:
+            self._of_photographs()
+        elif scene.name == "photos":
+            raise InputError("scene=photos needs photographs: give photos.path=DIR")
+        elif scene.photos != PhotosConfig():
+            raise InputError(f"photos.…: only scene=photos has it, not scene={scene.name}")
+        elif scene.builder is None and scene.path is None:
             raise InputError(f"scene={scene.name} needs a file: give scene.path=FILE.xml")
         if scene.builder is not None:
             if scene.path is not None:
@@ -345,6 +417,18 @@ class Config:
             raise InputError("scene.masks needs scene.targets: rendered targets have no masks")
         if scene.targets is not None and self.target != TargetConfig():
             raise InputError("target.… is for rendered targets, but scene.targets are given")
+
+
+    def _of_photographs(self) -> None:
+        """Refuse what is another scene's."""
+        for name in ("builder", "path", "targets", "masks"):
+            if getattr(self.scene, name) is not None:
+                raise InputError(
+                    f"photos.path and scene.{name}: photographs or a scene, not both: take "
+                    f"scene=photos, or leave photos.… out of scene={self.scene.name}"
+                )
+        if self.target != TargetConfig():
+            raise InputError("target.… is for rendered targets, and these are photographs")
 
 
 def typed(cfg: DictConfig) -> Config:

@@ -220,7 +220,8 @@ def _lost(
 ) -> tuple[dict[str, float], float]:
     """By key: of the entries that a view sees, the share that no path of so few ``edges`` meets, no
     more exactly than whether it is above ``enough``; seconds spent. See ``coverage.missed``."""
-    judged = [u for u in problem.unknowns if not u.kind.moves_geometry]
+    kinds = [u for u in problem.unknowns if u.kind.carried]
+    judged = [u for u in kinds if not u.kind.moves_geometry]
     cut = dataclasses.replace(problem, integrator=problem.integrator.cut(Paths(edges, edges)))
     starts, seen = ({u.key: getattr(u, name) for u in judged} for name in ("start", "seen"))
     found = coverage.missed(cut, starts, seen, enough, persist) if judged else ({}, 0.0)

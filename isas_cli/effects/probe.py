@@ -91,7 +91,7 @@ class Probe:
         """The views that see an unknown, where some do not: of so many paths through random pixels
         of a view none has a derivative, along random signs of all entries."""
         views, rng = self.problem.views, np.random.default_rng(0)
-        if views.count == 1:
+        if views.count == 1 or views.altered:
             return None
         unknowns = self.problem.unknowns
         signs = {u.key: rng.choice([-1.0, 1.0], u.start.shape).astype(np.float32) for u in unknowns}
@@ -180,7 +180,8 @@ class Probe:
         ``fixed``: the same pixels in every batch, each of which is compared with the one before
         instead of the targets."""
         unknowns = self.problem.unknowns
-        images, rows, seconds = [], {key: [] for key in unknowns.keys}, []
+        # An exposure's derivative is no path's.
+        images, rows, seconds = [], {u.key: [] for u in unknowns if u.kind.carried}, []
         earlier = dr.zeros(mi.Color3f, self.lanes)
         dr.make_opaque(earlier)
         for batch in range(-_WARM_UP, _MOST_BATCHES):
@@ -200,7 +201,8 @@ class Probe:
             seconds.append(spent)
             images.append(float(dr.mean(dr.mean(radiance))[0]))
             for key, gradient in unknowns.gradients().items():
-                rows[key].append(_some(as_numpy(gradient).ravel()))
+                if key in rows:
+                    rows[key].append(_some(as_numpy(gradient).ravel()))
             if len(seconds) == wanted:
                 break
         return np.array(images), {k: np.array(r) for k, r in rows.items()}, np.median(seconds)

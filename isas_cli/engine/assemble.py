@@ -7,6 +7,7 @@ import hashlib
 import inspect
 import typing
 from collections.abc import Callable
+from dataclasses import replace
 
 import drjit as dr
 import mitsuba as mi
@@ -17,6 +18,7 @@ from ..rendering import coverage, integrators, targets
 from ..runtime import allowed, backend
 from ..runtime.errors import InputError, nearest
 from ..scene import flat, mesh_checks, scene_file
+from ..scene.photos import building, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
 from ..unknowns.specs import narrow_blurs, parse
@@ -38,8 +40,12 @@ def problem(
     phase("load")
     # Earlier scenes that nobody uses: collected in the middle of a frozen kernel, they break it.
     gc.collect()
+    taken = None if scene.photos.path is None else photographs.load(scene.photos)
     with backend.loading():
-        if scene.path is not None:
+        if taken is not None:
+            loaded = building.scene(taken, scene.max_depth)
+            integrator, description = loaded.integrator(), str(scene.photos.up)
+        elif scene.path is not None:
             loaded, integrator, description = scene_file.load(scene.path, scene.max_depth)
         else:
             loaded = _from_builder(scene)
@@ -50,23 +56,28 @@ def problem(
         raise InputError(f"{_where(scene)} has no sensor: add at least one camera")
     if not loaded.emitters():
         raise InputError(f"{_where(scene)} has no emitter: without light all images are black")
-    sizes = [tuple(int(x) for x in s.film().crop_size()) for s in sensors]
+    every = [tuple(int(x) for x in s.film().crop_size()) for s in sensors]
+    sizes = every if taken is None else every[: len(taken.shown)]
     pixels = sum(width * height for width, height in sizes)
     if pixels >= 2**32 - 1:
         raise InputError(f"{pixels} pixels in all views together: fewer than 2^32 can be indexed")
     params = mi.traverse(loaded)
     content = _content_hash(loaded, integrator, params, description)
-    photographs = scene.targets is not None
-    found = parse(params, scene.unknowns, not photographs, scene.poses)
+    views, of_views, wanted = Views.of(sizes), None, scene.unknowns
+    if taken is not None:
+        wanted = building.unknowns(scene.photos, taken.surface, scene.unknowns)
+        of_views = _of_views(taken, views)
+    truth_known = taken is None and scene.targets is None
+    found = parse(params, wanted, truth_known, scene.poses, of_views)
     single = flat.reduce(mi.traverse(loaded), {k for u in found for k in u.kind.writes})
     unknowns = Unknowns(mi.traverse(loaded), found)
     result = Problem(
         scene.name,
         loaded,
         integrators.adapt(integrator, _where(scene), loaded),
-        loaded.sensors_dr(),
+        dr.gather(mi.SensorPtr, loaded.sensors_dr(), dr.arange(mi.UInt32, len(sizes))),
         sizes,
-        Views.of(sizes),
+        views,
         unknowns,
         content,
         warnings=[
@@ -77,21 +88,68 @@ def problem(
         flat=single,
     )
     check(result)
-    if photographs:
+    if taken is not None:
+        phase("targets")
+        _take(taken, result, every)
+    elif scene.targets is not None:
         phase("targets")
         result.set_targets(*targets.load(result, scene.targets, scene.masks))
     phase("coverage")
     # Not the run's own seed: runs are compared over the same entries.
     coverage.fill_in(result, target.seed)
     # Last, because this may take minutes and nothing can be refused after it.
-    if not photographs:
+    if truth_known:
         phase("targets")
         pixels, digest = targets.render(result, target.spp, target.seed, rendered)
         result.set_targets(pixels, None, digest)
     return result
 
 
+def _of_views(taken: photographs.Photographs, views: Views) -> dict:
+    """What of ``Loaded`` is of photographs. Raises InputError for a single view, whose exposure and
+    pose nothing tells from light and surface."""
+    asked = taken.settings
+    for name, usual in (("exposure", "fixed"), ("refine", False)):
+        if views.count == 1 and getattr(asked, name) != usual:
+            told = str(getattr(asked, name)).lower()
+            raise InputError(
+                f"photos.{name}={told}: the first view's stays as it is, and there is no other: "
+                f"take photos.{name}={str(usual).lower()}"
+            )
+    return {
+        "views": views,
+        "channels": {"fixed": None, "scale": 1, "channels": 3}[asked.exposure],
+        "pixel": building.pixels(taken) if asked.refine else None,
+    }
+
+
+def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None:
+    """Make the photographs the targets of ``problem``, and of its ``held_out`` views, which have
+    the other sensors of the scene, of film ``sizes`` in all."""
+    count, filled = len(taken.shown), not taken.settings.background
+    problem.names = tuple(each.camera.name for each in taken.shown)
+    pictures, masks = ([getattr(p, n) for p in taken.shown] for n in ("image", "mask"))
+    targets.given(problem, pictures, masks, filled)
+    if not taken.held:
+        return
+    others = dr.arange(mi.UInt32, len(taken.held)) + count
+    held = replace(
+        problem,
+        sensors=dr.gather(mi.SensorPtr, problem.scene.sensors_dr(), others),
+        film_sizes=sizes[count:],
+        views=Views.of(sizes[count:]),
+        names=tuple(each.camera.name for each in taken.held),
+        warnings=[],
+    )
+    pictures, masks = ([getattr(p, n) for p in taken.held] for n in ("image", "mask"))
+    targets.given(held, pictures, masks, filled)
+    problem.warnings += held.warnings
+    problem.held_out = held
+
+
 def _where(scene: SceneConfig) -> str:
+    if scene.photos.path is not None:
+        return f"photos.path={scene.photos.path}"
     return f"scene.path={scene.path}" if scene.path is not None else f"scene={scene.name}"
 
 

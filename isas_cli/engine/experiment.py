@@ -205,6 +205,10 @@ def _announce(recorder: "Recorder", status: str, page: Path) -> None:
     for name in ("image_rmse", "parameter_rmse"):
         if name in first and name in last:
             say(f"{name}: {first[name]:.4g} → {last[name]:.4g}")
+    if recorder.held_out is not None:
+        mean = recorder.held_out["mean"]
+        told = ", ".join(f"{k.upper()} {v:.4g}" for k, v in mean.items() if v is not None)
+        say(f"{len(recorder.held_out['views'])} views held out: {told}")
     if recorder.left_out is not None:
         say(f"left out of the images: {recorder.left_out:.2g} (root mean square)")
     if recorder.profile is not None:

@@ -14,6 +14,7 @@ from ..records import KEY_PREFIX, VALUE_PREFIX, RunWriter, manifest, safe_name, 
 from ..rendering.renderer import Renderer
 from ..runtime.errors import InputError
 from ..unknowns.parameters import as_numpy
+from . import held_out
 from .loop import Hooks, Loop
 from .pictures import Pictures
 from .resumption import Continuation
@@ -51,6 +52,7 @@ class Recorder:
         self._snapshots = 0
         # Of what may be doubted, the last row and value that were not.
         self._good: dict[str, tuple[dict, np.ndarray]] = {}
+        self.held_out: dict | None = None  # errors of views held out, once pictured
         self.left_out: float | None = None  # by the plan of effects, once the run has ended
         self.profile: Profile | None = None  # once made, where the configuration asks for it
 
@@ -193,7 +195,7 @@ class Recorder:
             self._measure()
         self.display.phase("pictures")
         # The start as well: rendered before the loop it would only delay it.
-        for make in (self._result, self._start, self._density):
+        for make in (self._result, self._start, self._density, self._held_out):
             if not given_up():
                 with loop.clock.unbilled("pictures"):
                     make()
@@ -225,6 +227,17 @@ class Recorder:
         density = self.loop.density()
         if density is not None:
             self.pictures.density(density, self.loop.position.iteration)
+
+    def _held_out(self) -> None:
+        problem, typed = self.loop.whole, self.typed
+        if problem.held_out is not None:
+            self.held_out = held_out.measure(
+                problem.held_out,
+                self.loop.stepper.values,
+                typed.frames.spp,
+                typed.seed,
+                self.writer,
+            )
 
     @property
     def warnings(self) -> list[str]:
@@ -306,6 +319,8 @@ class Recorder:
                 "start": of(self._first),
                 "final": of(loop.last),
                 "left_out_rmse": self.left_out,
+                **held_out.exposures(loop.whole, loop.stepper.values),
+                **({} if self.held_out is None else {"held_out": self.held_out}),
                 "warnings": self.warnings,
             }
         )

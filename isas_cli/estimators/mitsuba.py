@@ -97,6 +97,12 @@ class WholeImages:
         self.smooth, self.samples = smooth, samples
         self.blur = Blur(problem, "estimator=plateau") if smooth else None
         _check_films(problem)
+        if problem.views.altered:
+            raise InputError(
+                "estimator=mitsuba renders through Mitsuba's films, which know no exposure and no "
+                "other pose of a view: take estimator=two_path, or photos.exposure=fixed and "
+                "photos.refine=false"
+            )
         _check_shapes(problem)
         self.integrator = _integrator(problem, silhouettes)
         self.spp = max(1, batch // problem.views.total)

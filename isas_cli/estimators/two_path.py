@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
@@ -13,6 +13,9 @@ from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
 from ..runtime.errors import InputError
 from ..samplers.sampler import Sampler
+from ..unknowns import exposure, motion
+from ..unknowns.exposure import Exposure
+from ..unknowns.motion import Motion
 from .estimator import Estimator
 
 if TYPE_CHECKING:
@@ -57,7 +60,9 @@ class TwoPath:
 
     The first path's radiance gives ⟨∂ℒ/∂I⟩ through the loss, a second, independent path gives
     ⟨dI/dθ⟩ as ``problem.integrator`` estimates it. One path for both would be biased
-    for L2: its noise is correlated with itself.
+    for L2: its noise is correlated with itself. By a photograph's exposure e, where I = e L,
+    the derivative is ⟨∂ℒ/∂I⟩ ⟨L⟩, with L from a third path. By a camera's pose it is a blurred
+    difference, of two more paths (``unknowns.motion``).
 
     Symbols: N → ``batch`` (pixels a step; 2 N light paths, more with derivative sampling);
     p → ``PixelDistribution``; θ → ``problem.unknowns``, whose gradients receive the estimate.
@@ -81,12 +86,18 @@ class TwoPath:
             )
         self.problem, self.loss, self.batch = problem, loss, batch
         integrator = problem.integrator
+        exposed, moved = (problem.unknowns.of(kind) for kind in (Exposure, Motion))
+        self._moved = moved
+        # Without a derivative.
+        self._paths = 1 + (exposed is not None) + 2 * (moved is not None)
 
         # Paths whose residual was not finite so far. Dr.Jit leaves them out of the sums that
         # gradients are: without a count nobody would know.
         self._lost = [dr.opaque(mi.UInt32, 0)]
 
-        def kernel(scene, sensors, views, leaves, distribution, targets, mask, seeds, share, lost):
+        def kernel(
+            scene, sensors, views, leaves, distribution, targets, mask, seeds, share, lost, jitter
+        ):
             with dr.suspend_grad():
                 view, column, row, probability = distribution.draw(batch, seeds[0])
                 pixel = views.index(view, column, row)
@@ -111,6 +122,21 @@ class TwoPath:
                     integrator.backward(scene, second, ray, adjoint)
                 else:
                     second_pass(integrator, scene, second, ray, adjoint)
+                if exposed is not None:
+                    # A path of its own: the second one's radiance is inside the integrator, and the
+                    # first one's noise is the residual's.
+                    third = rays.stream(seeds[3], batch)
+                    ray, _ = rays.spawn(sensors, views, view, column, row, third)
+                    radiance, _ = integrator.primal(scene, third, ray)
+                    slope = residual * radiance * (share / (probability * batch))
+                    dr.eval(slope)
+                    exposure.add(leaves[exposed.key], view, slope)
+                if moved is not None:
+                    where = scene, sensors, views, (view, column, row)
+                    step = _half_difference(integrator, *where, seeds[4], jitter)
+                    slope = dr.sum(residual * step) * (share / (probability * batch))
+                    dr.eval(slope)
+                    motion.add(leaves[moved.key], view, slope, jitter[0])
                 lost[0] += dr.count(~finite)
 
         self._kernel = dr.freeze(kernel) if freeze else kernel
@@ -118,7 +144,7 @@ class TwoPath:
     @property
     def paths_per_step(self) -> int:
         """Light paths of one estimate."""
-        return (1 + self.problem.integrator.paths_per_derivative) * self.batch
+        return (self._paths + self.problem.integrator.paths_per_derivative) * self.batch
 
     @property
     def nonfinite(self) -> int:
@@ -143,7 +169,7 @@ class TwoPath:
         p = self.problem
         seeds = [
             dr.opaque(mi.UInt32, streams.seed(seed, iteration, purpose))
-            for purpose in ("draw", "primal", "adjoint")
+            for purpose in ("draw", "primal", "adjoint", "exposure", "pose")
         ]
         self._kernel(
             p.scene,
@@ -156,4 +182,30 @@ class TwoPath:
             seeds,
             p.share,
             self._lost,
+            self._jitter(seed, iteration),
         )
+
+    def _jitter(self, seed: int, iteration: int) -> tuple[mi.Float, mi.Float] | None:
+        """Offsets of the cameras, as ``motion.add`` and as ``Views.motion`` have them."""
+        if self._moved is None:
+            return None
+        kind = self._moved.kind
+        found = kind.jitter(streams.seed(seed, iteration, "pose_offset"))
+        placed = kind.placed(found)
+        dr.eval(found, placed)
+        return found, placed
+
+
+def _half_difference(integrator, scene, sensors, views, place, seed, jitter) -> mi.Color3f:
+    """Half of what the drawn pixels' radiance differs by with all cameras moved by ``jitter`` and
+    against it, along paths of the same random numbers. Evaluates."""
+    sides = []
+    for offset in (jitter[1], -jitter[1]):
+        stream = rays.stream(seed, dr.width(place[0]))
+        there = replace(views, motion=views.motion + offset)
+        ray, weight = rays.spawn(sensors, there, *place, stream)
+        radiance, _ = integrator.primal(scene, stream, ray)
+        radiance *= weight
+        dr.eval(radiance)
+        sides.append(radiance)
+    return (sides[0] - sides[1]) / 2

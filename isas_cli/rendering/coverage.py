@@ -30,16 +30,18 @@ _FIRST, _WORTH = 1 << 16, 0.1
 def fill_in(problem: Problem, seed: int) -> None:
     """Set ``seen`` of every unknown, from the cache where possible.
 
-    Of what moves geometry all entries count. The others are judged by what path replay
-    differentiates, at the start values; where something moves and the truth is known, also with
-    that at its true place: an entry counts that is seen from either. One that shows itself only on
-    the way between is left out of the errors. Where entries hide each other, as those of volumes
-    do, they are judged with all unknowns at the truth, where that is known and shows any.
+    Of what moves geometry, and of what paths do not carry, all entries count. The others are judged
+    by what path replay differentiates, at the start values; where something moves and the truth is
+    known, also with that at its true place: an entry counts that is seen from either. One that
+    shows itself only on the way between is left out of the errors. Where entries hide each other, as
+    those of volumes do, they are judged with all unknowns at the truth, where that is known and
+    shows any.
 
     Raises InputError for an unknown that no view sees: nothing could be learnt about it. Where
     something moves that cannot be told, and all entries of such an unknown count.
     """
-    judged = [u for u in problem.unknowns if not u.kind.moves_geometry]
+    kinds = [u for u in problem.unknowns if u.kind.carried]
+    judged = [u for u in kinds if not u.kind.moves_geometry]
     arrays = cached(_key(problem, seed), lambda: _judge(problem, judged, seed)) if judged else {}
     for unknown in problem.unknowns:
         unknown.seen = np.ones(unknown.start.shape, bool)

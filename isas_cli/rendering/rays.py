@@ -35,7 +35,8 @@ def through(
     within: mi.Point2f,
     aperture: mi.Point2f,
 ) -> tuple[mi.RayDifferential3f, mi.Color3f]:
-    """The ray through the point ``within`` [0, 1)² of each pixel, and its sensor weight. Traced."""
+    """The ray through the point ``within`` [0, 1)² of each pixel, and its weight: the sensor's
+    times the view's exposure. Traced."""
     width = dr.gather(mi.UInt32, views.width, view)
     height = dr.gather(mi.UInt32, views.height, view)
     position = mi.Point2f(
@@ -43,7 +44,27 @@ def through(
         (mi.Float(row) + within.y) / mi.Float(height),
     )
     sensor = dr.gather(mi.SensorPtr, sensors, view)
-    return sensor.sample_ray_differential(0.0, 0.0, position, aperture)
+    ray, weight = sensor.sample_ray_differential(0.0, 0.0, position, aperture)
+    if views.exposure is not None:
+        weight = weight * dr.gather(mi.Color3f, dr.detach(views.exposure), view)
+    if views.motion is not None:
+        ray.o, ray.d = _moved(ray, dr.detach(views.motion), view)
+    return ray, weight
+
+
+def _moved(ray, motion: mi.Float, view: mi.UInt32) -> tuple[mi.Point3f, mi.Vector3f]:
+    """Origin and direction of rays whose cameras are turned and shifted. Rays begin a thousandth of
+    the way before the camera: that the turn is about there is below a pixel's thousandth. Traced.
+    """
+    turn, shift = (
+        mi.Vector3f(*[dr.gather(mi.Float, motion, view * 6 + first + n) for n in range(3)])
+        for first in (0, 3)
+    )
+    angle = dr.norm(turn)
+    axis = turn / dr.maximum(angle, 1e-20)
+    sine, cosine = dr.sincos(angle)
+    along = axis * (dr.dot(axis, ray.d) * (1 - cosine))
+    return ray.o + shift, ray.d * cosine + dr.cross(axis, ray.d) * sine + along
 
 
 def stream(seed: mi.UInt32, count: int) -> mi.Sampler:

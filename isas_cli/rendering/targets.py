@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -13,6 +14,7 @@ from ..runtime import images, streams
 from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
+from . import rays
 from .renderer import Renderer
 
 # Raised when what a cached target means changes.
@@ -47,6 +49,42 @@ def render(
     if lost:
         problem.warnings.append(f"{lost} of {total * spp} target paths were not finite: left out")
     return mi.Float(arrays["images"].reshape(-1)), key
+
+
+def given(
+    problem: Problem, pictures: Sequence[np.ndarray], masks: Sequence[np.ndarray], filled: bool
+) -> None:
+    """Take photographs ``(H, W, 3)`` and their weights ``(H, W)`` as the targets of ``problem``, in
+    the sensors' order. ``filled``: pixels that surfaces do not fill have no weight.
+
+    Raises InputError where no pixel is left in any view; a warning names views without one.
+    """
+    pixels = np.concatenate([each.reshape(-1) for each in pictures])
+    mask = np.concatenate([each.reshape(-1) for each in masks])
+    hashed = hashlib.blake2b(pixels.tobytes(), digest_size=16)
+    if filled:
+        mask = mask * _filled(problem)
+    hashed.update(mask.tobytes())
+    ends = np.cumsum([width * height for width, height in problem.film_sizes])[:-1]
+    empty = [n for n, part in zip(problem.names, np.split(mask, ends)) if not part.any()]
+    if len(empty) == len(problem.names):
+        raise InputError(
+            "no photograph shows the object where a pixel counts: its place or scale is not the "
+            "cameras': look at `isas photos DIR photos.mesh=FILE`"
+        )
+    problem.warnings += [f"view {name} does not show the object" for name in empty]
+    problem.set_targets(mi.Float(pixels), mi.Float(mask), hashed.hexdigest())
+
+
+def _filled(problem: Problem) -> np.ndarray:
+    """1 for pixels whose corners and middle show a surface, else 0, ``(n,) float32``. Waits."""
+    views = problem.views
+    place = views.locate(dr.arange(mi.UInt32, views.total))
+    found = mi.Bool(True)
+    for x, y in ((0.5, 0.5), (0, 0), (0, 1), (1, 0), (1, 1)):
+        ray, _ = rays.through(problem.sensors, views, *place, mi.Point2f(x, y), mi.Point2f(0.5))
+        found &= problem.scene.ray_intersect_preliminary(ray).is_valid()
+    return np.array(dr.select(found, mi.Float(1), 0), np.float32)
 
 
 def load(

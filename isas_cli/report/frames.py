@@ -18,6 +18,7 @@ from . import cells
 from .figures import STYLE, Picture, figure, save
 
 _VIEW = re.compile(r"(target|start|result|error|density)_v(\d+)$")
+_HELD = re.compile(r"held_(target|result)_v(\d+)$")
 _TEXTURE = re.compile(r"(truth|start|result)_(.+)$")
 Frames = dict[str, dict[str, np.ndarray]]
 _CELL, _GAP, _LEFT, _TOP, _BOTTOM = 2.1, 0.08, 0.4, 0.55, 0.75  # inches
@@ -36,7 +37,29 @@ def write_sheets(folder: Path) -> list[Picture]:
             made.append(_views_sheet(views, Path(folder) / "plots" / "sheet.png"))
         if textures:
             made.append(_textures_sheet(textures, Path(folder) / "plots" / "textures.png"))
+        made += _held_out(folder)
     return [*made, *_turntables(folder)]
+
+
+def _held_out(folder: Path) -> list[Picture]:
+    """plots/held_out.png: views of which nothing was learnt, target, result and error."""
+    rows: Frames = {}
+    for path in sorted(Path(folder).glob("frames/held_*.exr")):
+        match = _HELD.match(path.stem)
+        frame = cells.read_reduced(path) if match else None
+        if frame is not None:
+            rows.setdefault(f"held out {int(match.group(2))}", {})[match.group(1)] = frame
+    if not rows:
+        return []
+    for row in rows.values():
+        if len(row) == 2:
+            row["error"] = np.abs(row["result"] - row["target"])
+    exposure, words = cells.exposure(rows, ("target", "result"))
+    scales = {"error": cells.error_scale([row["error"] for row in rows.values() if "error" in row])}
+    path = Path(folder) / "plots" / "held_out.png"
+    save(_sheet(rows, ["target", "result", "error"], exposure, scales, words), path)
+    told = "Views held out: photograph, rendering and absolute error, all of their pixels"
+    return [Picture(path, f"{told}. {words}.")]
 
 
 def _turntables(folder: Path) -> list[Picture]:

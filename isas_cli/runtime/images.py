@@ -37,18 +37,19 @@ def srgb_encode(linear: np.ndarray) -> np.ndarray:
     return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
-def read(path: str | Path, finite: bool = True) -> np.ndarray:
+def read(path: str | Path, finite: bool = True, linear: bool | None = None) -> np.ndarray:
     """Reads a picture as linear RGB: (H, W, 3) float32.
 
     Floating-point files (EXR, HDR, PFM, float TIFF) are linear as they are; 8- and 16-bit integer
-    ones are decoded from sRGB. A grey picture fills three channels, alpha is dropped, and a
-    photograph is turned the way its Orientation tag asks.
+    ones are decoded from sRGB, unless `linear` says what the file's numbers are. A grey picture
+    fills three channels, alpha is dropped, and a photograph is turned the way its Orientation tag
+    asks.
 
     Raises InputError (one line) for a file that is missing, is not a picture, has no colours, or
     (with `finite`) holds NaN or infinite pixels.
     """
-    pixels, linear = _read_colours(Path(path))
-    if not linear:
+    pixels, usually = _read_colours(Path(path))
+    if not (usually if linear is None else linear):
         pixels = srgb_decode(pixels)
     bad = int(np.count_nonzero(~np.isfinite(pixels).all(axis=2)))
     if finite and bad:
@@ -71,6 +72,34 @@ def read_mask(path: str | Path) -> np.ndarray:
     if not ((mask >= 0) & (mask <= 1)).all():
         raise InputError(f"{path}: a mask's values have to lie in [0, 1]")
     return mask
+
+
+def size(path: str | Path) -> tuple[int, int]:
+    """Width and height of a picture, pixels, as `read` turns it. Reads its header alone. Raises
+    InputError for a file that is none."""
+    source = _opened(Path(path))
+    spec = source.spec()
+    source.close()
+    turned = spec.get_int_attribute("Orientation", 1) >= 5
+    return (spec.height, spec.width) if turned else (spec.width, spec.height)
+
+
+def read_alpha(path: str | Path) -> np.ndarray | None:
+    """The alpha channel of a picture, (H, W) float32, integers scaled to [0, 1]; None where it has
+    none. Raises InputError for what `read` refuses."""
+    path = Path(path)
+    source = _opened(path)
+    try:
+        spec = source.spec()
+        if spec.alpha_channel < 0:
+            return None
+        pixels = source.read_image(oiio.FLOAT)
+        if pixels is None:
+            raise InputError(f"{path}: cannot be read: {_reason(source)}")
+    finally:
+        source.close()
+    alpha = np.ascontiguousarray(pixels[..., spec.alpha_channel, None], np.float32)
+    return _upright(alpha, spec.get_int_attribute("Orientation", 1))[..., 0]
 
 
 def write_exr(
@@ -194,14 +223,7 @@ def _read_colours(path: Path) -> tuple[np.ndarray, bool]:
     """The colour channels as stored, (H, W, 1 or 3) float32 with integers scaled to [0, 1], and
     whether they are linear. Raises InputError for a file that holds no such picture.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: no such picture file")
-    _check_png(path)
-    config = oiio.ImageSpec()
-    config.attribute("oiio:UnassociatedAlpha", 1)  # a product with alpha could not be decoded
-    source = oiio.ImageInput.open(str(path), config)
-    if source is None:
-        raise InputError(f"{path}: cannot be read as a picture: {_reason(oiio)}")
+    source = _opened(path)
     try:
         spec = source.spec()
         if spec.format.basetype in _INTEGER_FORMATS:
@@ -237,6 +259,19 @@ def _check_png(path: Path) -> None:
             picture.verify()  # the checksums; nothing is decoded
     except Exception as error:  # whatever its reader meets
         raise InputError(f"{path}: a damaged PNG: {' '.join(str(error).split())}") from error
+
+
+def _opened(path: Path) -> oiio.ImageInput:
+    """A picture file, open. Raises InputError."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such picture file")
+    _check_png(path)
+    config = oiio.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)  # a product with alpha could not be decoded
+    source = oiio.ImageInput.open(str(path), config)
+    if source is None:
+        raise InputError(f"{path}: cannot be read as a picture: {_reason(oiio)}")
+    return source
 
 
 def _colour_channels(path: Path, spec: oiio.ImageSpec) -> list[int]:

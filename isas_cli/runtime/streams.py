@@ -31,6 +31,9 @@ PURPOSES = (
     "lamp",
     "shadow_edge",
     "shadow_residual",
+    "exposure",
+    "pose",
+    "pose_offset",
 )
 _SLOTS = 32  # purposes per iteration, a power of two above len(PURPOSES)
 _BLOCK = 2**32 // _SLOTS  # iterations whose slots fit into 32 bits

@@ -25,7 +25,9 @@ class Problem:
     ``share``: 1 / (3 Σ_j w_j), the factor between a pixel's ∂ℓ/∂I and ∂ℒ/∂I (opaque, one entry);
     ``film_sizes``: ``[(width, height), …]`` per view; ``content_hash``: of scene and cameras;
     ``kept``: where some views are left out (``only``), the numbers of the others;
-    ``flat``: parameters that held pictures of one colour and now hold few texels.
+    ``flat``: parameters that held pictures of one colour and now hold few texels;
+    ``names``: of the views, where they have any; ``held_out``: the same with views of which nothing
+    is learnt, or None.
     """
 
     name: str
@@ -43,6 +45,8 @@ class Problem:
     warnings: list[str] = field(default_factory=list)
     kept: tuple[int, ...] | None = None
     flat: list[str] = field(default_factory=list)
+    names: tuple[str, ...] = ()
+    held_out: "Problem | None" = None
 
     @property
     def truth_known(self) -> bool:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import mitsuba as mi
 import numpy as np
@@ -20,6 +20,9 @@ from ..config.schema import PoseConfig
 from ..runtime import images
 from ..runtime.errors import InputError
 from .parameters import as_numpy, like, owner, usual
+
+if TYPE_CHECKING:
+    from ..scene.views import Views
 
 # An entry counts as seen from this share of a well seen one's sensitivity on. Texels that only
 # light the seen ones by interreflection, or that a view grazes, lie far below it: no view pins
@@ -32,10 +35,15 @@ _FEW = 8
 
 @dataclass(frozen=True)
 class Loaded:
-    """The scene as it was loaded, and ``scene.poses`` of the configuration by name."""
+    """The scene as it was loaded, and ``scene.poses`` of the configuration by name; of
+    photographs the ``views``; ``channels``: of their exposures, where these may be unknown;
+    ``pixel``: ``(V, 2)`` radians and scene units that are a pixel of each, where poses may be."""
 
     params: mi.SceneParameters
     poses: dict[str, PoseConfig] = field(default_factory=dict)
+    views: Views | None = None
+    channels: int | None = None
+    pixel: np.ndarray | None = None
 
 
 class Surface(NamedTuple):
@@ -65,6 +73,7 @@ class Kind:
     ``order``: of those that write the same parameter, the lower comes first. ``settings``: what the
     configuration says of it beside ``scene.unknowns``, in a text that changes as that does.
     ``doublings``: how often a coarser version of it may double its resolution before it is whole.
+    ``carried``: whether a path's derivative by it is among those that integrators take.
     ``uniform``: whether Adam divides the steps of all entries by one number, and steps go along
     ``smoothed``. ``texture``: whose texels, laid out on meshes, are the unknown; the meshes are
     checked for it. ``doubtful``: whether ``doubt`` may have something to say.
@@ -82,6 +91,7 @@ class Kind:
     uniform: bool = False
     doubtful: bool = False
     doublings: int = 0
+    carried: bool = True
 
     @classmethod
     def matches(cls, params: mi.SceneParameters, key: str) -> bool:

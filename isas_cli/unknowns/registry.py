@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from .environment import Environment
+from .exposure import Exposure
 from .grid import Grid
 from .kind import Kind, Loaded
+from .motion import Motion
 from .poses import Pose
 from .texture import Texture
 from .value import Value
 from .vertices import Vertices
 
-_KINDS: list[type[Kind]] = [Pose, Vertices, Environment, Texture, Grid, Value]
+_KINDS: list[type[Kind]] = [Pose, Vertices, Exposure, Motion, Environment, Texture, Grid, Value]
 
 
 def register(kind: type[Kind]) -> type[Kind]:

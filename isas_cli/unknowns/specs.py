@@ -137,16 +137,17 @@ def parse(
     specs: dict,
     truth_known: bool,
     poses: dict[str, PoseConfig] | None = None,
+    of_views: dict | None = None,
 ) -> list[Unknown]:
     """Check the configured unknowns against the scene and read starts and truths.
 
     ``specs``: key → object with ``start``, ``range``, ``lr``, ``blur``, ``levels``
-    (``config.UnknownConfig``);
-    ``poses``: those of the configuration, by name.
+    (``config.UnknownConfig``); ``poses``: those of the configuration, by name; ``of_views``: what
+    of ``Loaded`` is of photographs.
     Raises InputError for an unknown key (nearest and all that a kind offers listed), for one that
     no kind can handle, an illegal range, a start outside it, or when there is no unknown.
     """
-    loaded = Loaded(params, dict(poses or {}))
+    loaded = Loaded(params, dict(poses or {}), **(of_views or {}))
     offered = registry.offered(loaded)
     if not offered:
         raise InputError("the scene has no differentiable parameter to recover")

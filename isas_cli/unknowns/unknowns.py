@@ -81,6 +81,10 @@ class Unknowns:
     def __getitem__(self, key: str) -> Unknown:
         return self._by_key[key]
 
+    def of(self, kind: type[Kind]) -> Unknown | None:
+        """The first unknown of a kind, or None."""
+        return next((u for u in self.items if isinstance(u.kind, kind)), None)
+
     @property
     def keys(self) -> list[str]:
         return [u.key for u in self.items]

@@ -13,7 +13,8 @@ from isas_cli.config.compose import compose, instantiate, options, translate
 from isas_cli.runtime.errors import InputError
 
 GROUPS = ("sampler", "estimator", "loss", "prior")
-SCENES = [name for name in options("scene") if name != "file"]
+PHOTOS = ["photos", "chessboard"]
+SCENES = [name for name in options("scene") if name not in ("file", *PHOTOS)]
 
 
 def typed(*overrides: str) -> schema.Config:

@@ -17,7 +17,9 @@ from isas_cli.unknowns.parameters import as_numpy
 
 MOVING = ["caustic", "cup", "global_illumination", "occlusion", "shadows", "sort"]
 SHAPES = ["dodoco_b", "kirby", "shadowplay"]
-SCENES = [name for name in options("scene") if name not in ("file", *MOVING, *SHAPES)]
+PHOTOS = ["photos", "chessboard"]  # tests/engine/test_photo_runs.py
+OTHERS = ["file", *MOVING, *SHAPES, *PHOTOS]
+SCENES = [name for name in options("scene") if name not in OTHERS]
 SAMPLERS = pixel_samplers()
 ITERATIONS = 3
 SMALL = [

@@ -80,6 +80,11 @@ def run(plan: Plan) -> int:
         problem = estimator.on(built(typed, phases, plan.cfgs.values()))
         for unknown in problem.unknowns:
             unknown.doubled = ()  # at a fixed point all are whole
+        if problem.views.altered:
+            raise InputError(
+                "exposures and poses of views have derivatives that no path carries, and isas "
+                "variance measures those of paths: take photos.exposure=fixed, photos.refine=false"
+            )
         bench, contestants, best = _prepared(plan, typed, problem, phases)
         with interrupt.graceful(display.interrupted) as stop:
             return _Record(plan, typed, machine, bench, contestants, best, display).make(stop)

@@ -1,0 +1,79 @@
+"""How well views are foretold of which nothing was learnt."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..records import RunWriter
+from ..rendering.renderer import Renderer
+from ..runtime import likeness, streams
+from ..scene.problem import Problem
+from ..unknowns.exposure import Exposure
+from ..unknowns.parameters import as_numpy
+
+_RGB = ["R", "G", "B"]
+# Pictures of that many views are kept; all are measured.
+_KEPT = 6
+_NAMES = ("psnr", "ssim", "flip")
+
+
+def measure(problem: Problem, values: dict, spp: int, seed: int, writer: RunWriter) -> dict:
+    """By view, PSNR, SSIM and FLIP of renderings at ``values`` with ``spp`` paths a pixel, and
+    their means; pictures go to frames/held_*. ``problem``: with the views held out.
+
+    Where exposures are unknown, a view's own is nowhere said: ``exposure`` is fitted to it by least
+    squares, a factor or one for each channel.
+    """
+    problem.unknowns.write(values)
+    renderer = Renderer(problem)
+    exposure = problem.unknowns.of(Exposure)
+    channels = 0 if exposure is None else exposure.start.shape[1]
+    masks = _per_view(problem)
+    views = {}
+    for view, name in enumerate(problem.names):
+        seeds = lambda s, v=view: streams.seed(seed, (v << 16) + s, "frame")
+        image, target = renderer.view(view, spp, seeds), problem.target_image(view)
+        if not masks[view].any():
+            continue
+        factor = _fitted(image, target, masks[view], channels)
+        image = (image * factor).astype(np.float32)
+        views[name] = likeness.metrics(image, target, masks[view])
+        if channels:
+            views[name]["exposure"] = [float(x) for x in factor[:channels]]
+        if view < _KEPT:
+            shown = {"target": target, "result": image, "weight": masks[view]}
+            for what, picture in shown.items():
+                names = _RGB if picture.ndim == 3 else ["Y"]
+                tags = {"what": f"held-out {what}", "view": name}
+                writer.frame(f"held_{what}_v{view:02d}", picture, names, tags, None)
+    found = {name: [v[name] for v in views.values() if v[name] is not None] for name in _NAMES}
+    mean = {name: float(np.mean(each)) if each else None for name, each in found.items()}
+    return {"views": views, "mean": mean}
+
+
+def exposures(problem: Problem, values: dict) -> dict:
+    """``exposure``: of each view of ``problem`` by name, where exposures are unknown."""
+    exposure = problem.unknowns.of(Exposure)
+    if exposure is None or not problem.names:
+        return {}
+    found = as_numpy(values[exposure.key])
+    table = np.concatenate([np.ones((1, found.shape[1])), found]).tolist()
+    return {"exposure": dict(zip(problem.names, table))}
+
+
+def _per_view(problem: Problem) -> list[np.ndarray]:
+    mask, found = np.array(problem.mask), []
+    for width, height in problem.film_sizes:
+        found.append(mask[: width * height].reshape(height, width))
+        mask = mask[width * height :]
+    return found
+
+
+def _fitted(image: np.ndarray, target: np.ndarray, mask: np.ndarray, channels: int) -> np.ndarray:
+    """The factor ``(3,)`` that brings the image nearest to its target."""
+    if not channels:
+        return np.ones(3)
+    weight = mask[..., None].astype(np.float64)
+    axes = (0, 1) if channels == 3 else (0, 1, 2)
+    above, below = ((weight * image * x).sum(axis=axes) for x in (target, image))
+    return np.broadcast_to(np.where(below > 0, above / np.where(below > 0, below, 1), 1), (3,))

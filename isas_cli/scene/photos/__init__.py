@@ -1,0 +1,1 @@
+"""Photographs with known cameras: read, checked, resampled, and made a scene of."""

@@ -1,0 +1,91 @@
+"""What every format of cameras is turned into, and what their readers share.
+
+A format is a module with ``find(folder)``, the file that says that a folder is of it, or None, and
+``read(file)``, the ``Capture`` that it describes.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ...runtime.errors import InputError
+from .camera import Camera
+
+_PICTURES = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".tiff", ".webp", ".bmp")
+
+
+@dataclass
+class Capture:
+    """``cameras``: at least one, each of another picture; ``points (P, 3)``: places of the scene
+    that are known, or None; ``observed``: by view, the numbers of those points that were found in
+    it and where, ``(K,)`` and ``(K, 2)`` pixels as ``Camera`` counts them; ``plane``: a known
+    rectangle of the plane z = 0, [x0, y0, x1, y1], or None; ``kind``: the format, in words."""
+
+    cameras: list[Camera]
+    kind: str
+    points: np.ndarray | None = None
+    observed: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    plane: tuple[float, ...] | None = None
+
+
+def load_json(file: Path) -> dict:
+    """A JSON file that holds an object. Raises InputError."""
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read as JSON: {error}") from error
+    if not isinstance(found, dict):
+        raise InputError(f"{file}: holds no JSON object, which a list of cameras is")
+    return found
+
+
+def number(value, where: str) -> float:
+    """A finite number. Raises InputError, naming ``where``."""
+    try:
+        if isinstance(value, bool):
+            raise TypeError
+        found = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{where}={value!r}: no number") from None
+    if not math.isfinite(found):
+        raise InputError(f"{where}={found}: must be a finite number")
+    return found
+
+
+def whole(value, where: str) -> int:
+    """A whole number, at least 1. Raises InputError, naming ``where``."""
+    found = number(value, where)
+    if found != int(found) or found < 1:
+        raise InputError(f"{where}={value}: a whole number of pixels, at least 1")
+    return int(found)
+
+
+def matrix(value, where: str) -> np.ndarray:
+    """A ``(4, 4)`` matrix (a last row that is missing is 0, 0, 0, 1). Raises InputError."""
+    try:
+        found = np.asarray(value, np.float64)
+        if found.shape == (3, 4):
+            found = np.vstack([found, [0, 0, 0, 1]])
+        if found.shape != (4, 4):
+            raise ValueError
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: no matrix of 4 rows of 4 numbers") from None
+    if not np.isfinite(found).all():
+        raise InputError(f"{where}: holds NaN or infinite numbers: mend or remove this view")
+    return found
+
+
+def picture(folder: Path, name: str, where: str) -> Path:
+    """The file ``name`` below ``folder``, where a known ending may be left out. Raises
+    InputError."""
+    path = folder / name
+    candidates = [path, *(path.with_name(path.name + ending) for ending in _PICTURES)]
+    for each in candidates:
+        if each.is_file():
+            return each
+    raise InputError(f"{where}: its picture {path} does not exist: mend the path or remove it")

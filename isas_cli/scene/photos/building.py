@@ -1,0 +1,136 @@
+"""A Mitsuba scene of photographs: their cameras, the object, the light."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ...config.schema import PhotosConfig, UnknownConfig
+from ...runtime import images
+from ...scenes import library, meshes
+from .camera import Camera
+from .photographs import Photographs
+
+OBJECT, SKY = "object", "sky"
+EXPOSURE, CAMERAS = "exposure", "cameras"  # the keys of what is the views' own
+# What an unknown base colour and an unknown environment start at.
+_GREY, _LIGHT = 0.5, 1.0
+_ROUGHNESS = 0.5
+_DEPTH = 3
+# From Mitsuba's environments, whose up is y, to another axis: axis and angle of a rotation.
+_TURNS = {
+    "y": ([1, 0, 0], 0),
+    "z": ([1, 0, 0], 90),
+    "-y": ([1, 0, 0], 180),
+    "-z": ([1, 0, 0], -90),
+    "x": ([0, 0, 1], -90),
+    "-x": ([0, 0, 1], 90),
+}
+
+
+def scene(photographs: Photographs, max_depth: int | None) -> mi.Scene:
+    """Sensors in the order of ``Photographs.all``."""
+    settings, surface = photographs.settings, photographs.surface
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    middle = (low + high) / 2
+    sensors = {
+        f"sensor_{number:05d}": sensor(each.camera, middle)
+        for number, each in enumerate(photographs.all)
+    }
+    dictionary = {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": _DEPTH if max_depth is None else max_depth},
+        SKY: _light(settings),
+        OBJECT: meshes.shape(OBJECT, surface, _material(settings, surface)),
+        **sensors,
+    }
+    return mi.load_dict(dictionary, optimize=False)
+
+
+def sensor(camera: Camera, middle: np.ndarray) -> dict[str, Any]:
+    """Mitsuba's camera for a pinhole camera with square pixels; ``middle``: of what it looks at.
+
+    Mitsuba's camera has x to the left and y up, and its principal point is told as what the middle
+    of the film lies to the right of it and below it, in sizes of the film.
+    """
+    distance = max(float(np.linalg.norm(camera.centre - middle)), 1e-6)
+    return {
+        "type": "perspective",
+        "fov": float(np.degrees(2 * np.arctan(camera.width / 2 / camera.fx))),
+        "fov_axis": "x",
+        "principal_point_offset_x": 0.5 - camera.cx / camera.width,
+        "principal_point_offset_y": 0.5 - camera.cy / camera.height,
+        "near_clip": 1e-3 * distance,
+        "far_clip": 1e3 * distance,
+        "to_world": mi.ScalarTransform4f(straightened(camera) @ np.diag([-1.0, -1.0, 1.0, 1.0])),
+        "film": {
+            "type": "hdrfilm",
+            "width": camera.width,
+            "height": camera.height,
+            "rfilter": {"type": "box"},
+            "pixel_format": "rgb",
+        },
+    }
+
+
+def straightened(camera: Camera) -> np.ndarray:
+    """``to_world`` with the nearest true rotation: files round, and Mitsuba refuses scale."""
+    u, _, v = np.linalg.svd(camera.to_world[:3, :3])
+    found = camera.to_world.copy()
+    found[:3, :3] = u @ v
+    return found
+
+
+def unknowns(settings: PhotosConfig, surface: meshes.Surface, own: dict) -> dict[str, Any]:
+    """What is unknown: ``own``, or the base colour, and the light where none is given; always the
+    exposures and poses, where they are not fixed."""
+    found = dict(own)
+    if not found:
+        colour = "data" if len(surface.texcoords) else "value"
+        key = f"{OBJECT}.bsdf.brdf_0.base_color.{colour}"
+        found[key] = UnknownConfig(start=_GREY, range=[0.0, 1.0])
+        if settings.environment is None:
+            found[f"{SKY}.data"] = UnknownConfig(start=_LIGHT)
+    if settings.exposure != "fixed":
+        found.setdefault(EXPOSURE, UnknownConfig(start=1.0))
+    if settings.refine:
+        found.setdefault(CAMERAS, UnknownConfig(start=0.0))
+    return found
+
+
+def pixels(photographs: Photographs) -> np.ndarray:
+    """Of each view to learn from, ``(V, 2)``: the turn (radians) and the shift (scene units) of its
+    camera that move what it looks at by a pixel."""
+    vertices = photographs.surface.vertices
+    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    cameras = [each.camera for each in photographs.shown]
+    away = [np.linalg.norm(camera.centre - middle) for camera in cameras]
+    return np.array([[1 / c.fx, distance / c.fx] for c, distance in zip(cameras, away)])
+
+
+def _light(settings: PhotosConfig) -> dict[str, Any]:
+    axis, angle = _TURNS[settings.up]
+    if settings.environment is None:
+        pixels = np.full((settings.sky, 2 * settings.sky, 3), _LIGHT, np.float32)
+    else:
+        pixels = np.maximum(images.read(Path(settings.environment)), 0)
+    return {
+        "type": "envmap",
+        "bitmap": mi.Bitmap(np.ascontiguousarray(pixels)),
+        "to_world": mi.ScalarTransform4f().rotate(axis, angle),
+    }
+
+
+def _material(settings: PhotosConfig, surface: meshes.Surface) -> dict[str, Any]:
+    """Seen from both sides: scanned meshes often do not know which is out."""
+    colour: dict[str, Any] = {"type": "rgb", "value": [_GREY] * 3}
+    if len(surface.texcoords):
+        side = settings.texture
+        colour = library.texture(np.full((side, side, 3), _GREY, np.float32))
+        if surface.texcoords.min() < 0 or surface.texcoords.max() > 1:
+            colour["wrap_mode"] = "repeat"
+    inner = {"type": "principled", "base_color": colour, "roughness": _ROUGHNESS}
+    return {"type": "twosided", "bsdf": inner}

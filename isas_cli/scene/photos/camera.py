@@ -1,0 +1,129 @@
+"""One photograph's camera, in one convention, whatever file it came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from ...runtime.errors import InputError
+
+# Of a rotation: what is left of RᵀR - 1. Files round to four digits; a scale or a shear is larger.
+_STRAIGHT = 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera behind a lens.
+
+    ``name``: of the view, as the file names its picture; ``image``, ``mask``: files (a mask is
+    black where a pixel does not count, or None); ``width``, ``height``: pixels; ``fx``, ``fy``,
+    ``cx``, ``cy``: pixels, counted from the picture's upper left *corner*, so that its first
+    pixel's middle is (0.5, 0.5); ``radial``: k1 … k4, ``tangential``: p1, p2, of Brown's lens as
+    OpenCV and COLMAP have it; ``to_world``: ``(4, 4)``, from camera to world, the camera's x to the
+    right, y *down*, z *forward* (OpenCV's axes).
+
+    Raises InputError, naming the view, for what is no camera.
+    """
+
+    name: str
+    image: Path
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    to_world: np.ndarray
+    mask: Path | None = None
+    radial: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+    tangential: tuple[float, float] = (0.0, 0.0)
+    described: str = field(default="", repr=False)  # the file that says so
+
+    def __post_init__(self) -> None:
+        where = f"{self.described}: camera of {self.name}" if self.described else self.name
+        numbers = [self.fx, self.fy, self.cx, self.cy, *self.radial, *self.tangential]
+        if not (np.isfinite(numbers).all() and np.isfinite(self.to_world).all()):
+            raise InputError(f"{where}: holds NaN or infinite numbers: mend or remove this view")
+        if min(self.width, self.height) < 1:
+            raise InputError(f"{where}: a picture of {self.width}×{self.height} pixels")
+        if not min(self.fx, self.fy) > 0:
+            raise InputError(f"{where}: focal length {min(self.fx, self.fy):g}: must be above 0")
+        if self.to_world.shape != (4, 4) or not np.allclose(self.to_world[3], [0, 0, 0, 1]):
+            raise InputError(f"{where}: its pose is no 4×4 matrix with a last row of 0, 0, 0, 1")
+        turned = self.to_world[:3, :3]
+        if np.linalg.det(turned) < 0:
+            raise InputError(
+                f"{where}: its axes are mirrored (determinant {np.linalg.det(turned):.3g}): an "
+                "axis was flipped alone; flip two, or none"
+            )
+        off = np.abs(turned.T @ turned - np.eye(3)).max()
+        if off > _STRAIGHT:
+            raise InputError(
+                f"{where}: its pose is no rotation (RᵀR differs from 1 by {off:.2g}): take scale "
+                "and shear out of the matrix"
+            )
+
+    @property
+    def centre(self) -> np.ndarray:
+        """Where it stands, ``(3,)``, scene units."""
+        return self.to_world[:3, 3]
+
+    @property
+    def ideal(self) -> bool:
+        """Whether a renderer's pinhole camera is the same: square pixels, no distortion."""
+        return self.fx == self.fy and not any(self.radial) and not any(self.tangential)
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where points ``(N, 3)`` of the world are seen: ``(N, 2)`` pixels from the picture's upper
+        left corner, and their depths ``(N,)``, negative behind the camera (where the pixel means
+        nothing)."""
+        rotation, place = self.to_world[:3, :3], self.centre
+        inside = (np.asarray(points, np.float64) - place) @ rotation
+        depth = inside[:, 2]
+        safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
+        plane = self.distort(inside[:, :2] / safe[:, None])
+        return plane * [self.fx, self.fy] + [self.cx, self.cy], depth
+
+    def distort(self, plane: np.ndarray) -> np.ndarray:
+        """From the image plane at distance 1 without a lens, ``(…, 2)``, to that with it."""
+        x, y = plane[..., 0], plane[..., 1]
+        r2 = x * x + y * y
+        k1, k2, k3, k4 = self.radial
+        p1, p2 = self.tangential
+        stretched = 1 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
+        return np.stack(
+            [
+                x * stretched + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+                y * stretched + 2 * p2 * x * y + p1 * (r2 + 2 * y * y),
+            ],
+            axis=-1,
+        )
+
+    @property
+    def reach(self) -> float:
+        """The radius on that plane up to which distortion keeps the order of points: beyond, the
+        polynomial folds back, and far points would be looked up inside the picture."""
+        k1, k2, k3, k4 = self.radial
+        slope = np.polynomial.Polynomial([1, 3 * k1, 5 * k2, 7 * k3, 9 * k4])
+        roots = [r.real for r in slope.roots() if abs(r.imag) < 1e-9 and r.real > 0]
+        return float(np.sqrt(min(roots))) if roots else np.inf
+
+    def pinhole(self, width: int | None = None) -> "Camera":
+        """The camera without a lens and with square pixels that shows about the same, as wide as
+        this one or ``width`` pixels."""
+        wide = width or self.width
+        focal = self.fx * wide / self.width
+        down = focal / self.fy
+        return replace(
+            self,
+            width=wide,
+            height=max(1, round(self.height * down)),
+            fx=focal,
+            fy=focal,
+            cx=self.cx * wide / self.width,
+            cy=self.cy * down,
+            radial=(0.0,) * 4,
+            tangential=(0.0, 0.0),
+        )

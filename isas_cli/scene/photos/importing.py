@@ -1,0 +1,156 @@
+"""Photographs as a renderer can compare itself with: linear, without a lens, with square pixels."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from ...config.schema import PhotosConfig
+from ...runtime import images
+from ...runtime.cache import cached, digest
+from ...runtime.errors import InputError
+from .camera import Camera
+
+# Raised when what is kept means something else.
+_FORMAT = 1
+# Points a side of each new pixel at which a photograph is looked up, at most: one for each old
+# pixel that it covers.
+_MOST = 16
+# Files that hold any brightness, and are never full.
+_FLOATS = (".exr", ".hdr", ".pfm")
+# A weight of at least this much is whole: interpolation rounds.
+_WHOLE = 0.999
+
+
+@dataclass
+class Photograph:
+    """``camera``: the pinhole camera that it is resampled to; ``image (H, W, 3) float32``: linear;
+    ``mask (H, W) float32``: weights of the pixels, 0 where it shows nothing that counts;
+    ``lost``: why pixels do not count → how many of the photograph's own."""
+
+    camera: Camera
+    image: np.ndarray
+    mask: np.ndarray
+    lost: dict[str, int]
+
+
+def load(camera: Camera, settings: PhotosConfig) -> Photograph:
+    """The photograph of a camera, from the cache where resampling it was dear.
+
+    Raises InputError, naming the file, for one that cannot be read, is of another size than its
+    camera or its mask, or has no pixel that counts.
+    """
+    image = images.read(camera.image, linear=_linear(settings.encoding))
+    _check_size(camera.image, image, camera)
+    mask, lost = _mask(camera, image, settings)
+    target = camera.pinhole(settings.width)
+    same = camera.ideal and (target.width, target.height) == (camera.width, camera.height)
+    if not same:
+        made = cached(
+            f"photograph-{_key(camera, image, mask, settings)}",
+            lambda: dict(zip(("image", "mask"), resample(camera, target, image, mask))),
+        )
+        image, mask = made["image"], made["mask"]
+    if not mask.any():
+        told = ", ".join(f"{number} {why}" for why, number in lost.items() if number)
+        raise InputError(
+            f"{camera.image}: no pixel counts ({told or 'all outside after undistortion'}): "
+            "leave this view out, or mend its mask"
+        )
+    return Photograph(target, image, mask, lost)
+
+
+def _linear(encoding: str) -> bool | None:
+    return {"auto": None, "linear": True, "srgb": False}[encoding]
+
+
+def _check_size(file, array: np.ndarray, camera: Camera) -> None:
+    height, width = array.shape[:2]
+    if (width, height) != (camera.width, camera.height):
+        raise InputError(
+            f"{file} is {width}×{height} pixels, its camera {camera.width}×{camera.height}: "
+            "resize the picture, or scale the camera's numbers"
+        )
+
+
+def _mask(
+    camera: Camera, image: np.ndarray, settings: PhotosConfig
+) -> tuple[np.ndarray, dict[str, int]]:
+    """Weights of the photograph's own pixels, and how many lack one for each reason."""
+    mask = np.ones(image.shape[:2], np.float32)
+    lost = {}
+    if camera.mask is not None:
+        given = images.read_mask(camera.mask)
+        _check_size(f"mask {camera.mask}", given, camera)
+        mask *= given
+        lost["masked by its file"] = int(np.count_nonzero(given == 0))
+    alpha = images.read_alpha(camera.image)
+    if alpha is not None:
+        # A pixel that is partly transparent shows what is behind as well.
+        mask *= alpha >= _WHOLE
+        lost["transparent"] = int(np.count_nonzero(alpha < _WHOLE))
+    if settings.saturated is not None and camera.image.suffix.lower() not in _FLOATS:
+        level = np.float64(settings.saturated)
+        if _linear(settings.encoding) is not True:
+            level = images.srgb_decode(level)  # said of the file's numbers, not of light
+        bright = (image >= level).any(axis=2)
+        mask *= ~bright
+        lost["saturated"] = int(np.count_nonzero(bright))
+    return mask, lost
+
+
+def resample(
+    camera: Camera, target: Camera, image: np.ndarray, mask: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """A photograph ``(H, W, 3)`` of ``camera`` and its weights, as ``target`` sees it: the mean
+    over each of its pixels' squares, looked up by linear interpolation. A pixel any of whose points
+    lies outside or does not count has no weight: part of its square is unknown."""
+    shrunk = max(camera.width / target.width, camera.height / target.height)
+    finer = min(_MOST, max(1, math.ceil(shrunk - 1e-6)))
+    total = np.zeros((target.height, target.width, 3))
+    least = np.ones((target.height, target.width), np.float32)
+    steps = (np.arange(finer) + 0.5) / finer
+    rows, columns = np.indices((target.height, target.width), np.float64)
+    for down in steps:
+        for right in steps:
+            plane = np.stack(
+                [
+                    (columns + right - target.cx) / target.fx,
+                    (rows + down - target.cy) / target.fy,
+                ],
+                axis=-1,
+            )
+            ordered = np.hypot(plane[..., 0], plane[..., 1]) < camera.reach
+            seen = camera.distort(plane) * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+            # Half a pixel of the border is not between middles, and takes the outermost pixel.
+            inside = ordered & (seen >= 0).all(axis=-1)
+            inside &= (seen[..., 0] <= camera.width) & (seen[..., 1] <= camera.height)
+            at = [
+                np.clip(np.where(inside, seen[..., axis] - 0.5, 0), 0, limit - 1)
+                for axis, limit in ((1, camera.height), (0, camera.width))
+            ]
+            for channel in range(3):
+                total[..., channel] += map_coordinates(image[..., channel], at, order=1)
+            weight = np.where(inside, map_coordinates(mask, at, order=1), 0)
+            least = np.minimum(least, np.where(weight >= _WHOLE, 1, weight))
+    # A weight between is a neighbour's that does not count, unless the mask itself has such.
+    if np.isin(mask, (0, 1)).all():
+        least = np.where(least >= _WHOLE, 1, 0)
+    found = total / finer**2
+    return found.astype(np.float32), least.astype(np.float32)
+
+
+def _key(camera: Camera, image: np.ndarray, mask: np.ndarray, settings: PhotosConfig) -> str:
+    """By what the pictures hold, not by where they lie."""
+    pixels = hashlib.blake2b(np.ascontiguousarray(image).tobytes(), digest_size=16)
+    pixels.update(np.ascontiguousarray(mask).tobytes())
+    numbers = {
+        name: value
+        for name, value in asdict(camera).items()
+        if isinstance(value, (int, float)) or name in ("radial", "tangential")
+    }
+    return digest(_FORMAT, pixels.hexdigest(), numbers, settings.width)

@@ -1,0 +1,90 @@
+"""`cameras.json`: pictures of a calibrated target, as OpenCV's calibration gives them.
+
+``width``, ``height``, ``camera_matrix`` (3 × 3), ``distortion`` ([k1, k2, p1, p2, k3], or a word
+for none), and ``views`` with ``image``, ``mask`` (optional), and ``world_to_camera`` (4 × 4) each,
+whose axes are x right, y down, z forward. OpenCV counts pixels from the *middle* of the first.
+``inner_corners`` and ``square_size_m`` say where a chessboard's corners are in the plane z = 0,
+``printed_board_rect_m`` how far it reaches.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ...runtime.errors import InputError
+from .base import Capture, load_json, matrix, number, picture, whole
+from .camera import Camera
+
+NAME = "cameras.json"
+
+
+def find(folder: Path) -> Path | None:
+    return folder / NAME if (folder / NAME).is_file() else None
+
+
+def read(file: Path) -> Capture:
+    """Raises InputError, naming the view, for what is missing or wrong."""
+    top = load_json(file)
+    views = top.get("views")
+    if not isinstance(views, list) or not views:
+        raise InputError(f"{file}: has no list of views")
+    cameras = [_camera(file, n, top, view) for n, view in enumerate(views)]
+    plane = top.get("printed_board_rect_m")
+    if plane is not None:
+        plane = tuple(number(x, f"{file}: printed_board_rect_m") for x in plane)
+    return Capture(cameras, file.name, _corners(file, top), plane=plane)
+
+
+def _camera(file: Path, index: int, top: dict, view) -> Camera:
+    where = f"{file}: view {index}"
+    if not isinstance(view, dict) or not isinstance(view.get("image"), str):
+        raise InputError(f"{where} has no image")
+    both = {**top, **view}
+    for name in ("width", "height", "camera_matrix", "world_to_camera"):
+        if name not in both:
+            raise InputError(f"{where} has no {name}")
+    try:
+        inner = np.asarray(both["camera_matrix"], np.float64)
+        if inner.shape != (3, 3):
+            raise ValueError
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: camera_matrix is no 3×3 matrix") from None
+    if inner[0, 1] != 0:
+        raise InputError(f"{where}: camera_matrix has skew, which no renderer's camera has")
+    world_to_camera = matrix(both["world_to_camera"], f"{where}: world_to_camera")
+    if abs(np.linalg.det(world_to_camera)) < 1e-9:
+        raise InputError(f"{where}: world_to_camera cannot be inverted")
+    lens = both.get("distortion")
+    k1, k2, p1, p2, k3 = [0.0] * 5
+    if isinstance(lens, list):
+        if len(lens) not in (4, 5):
+            raise InputError(f"{where}: distortion: give [k1, k2, p1, p2] or [k1, k2, p1, p2, k3]")
+        k1, k2, p1, p2, k3 = (number(x, f"{where}: distortion") for x in [*lens, 0.0][:5])
+    mask = view.get("mask")
+    return Camera(
+        name=view["image"],
+        image=picture(file.parent, view["image"], where),
+        mask=picture(file.parent, mask, f"{where}: mask") if mask else None,
+        width=whole(both["width"], f"{where}: width"),
+        height=whole(both["height"], f"{where}: height"),
+        fx=float(inner[0, 0]),
+        fy=float(inner[1, 1]),
+        cx=float(inner[0, 2]) + 0.5,
+        cy=float(inner[1, 2]) + 0.5,
+        radial=(k1, k2, k3, 0.0),
+        tangential=(p1, p2),
+        to_world=np.linalg.inv(world_to_camera),
+        described=str(file),
+    )
+
+
+def _corners(file: Path, top: dict) -> np.ndarray | None:
+    """The inner corners of the chessboard, row after row, ``(n m, 3)``."""
+    if "inner_corners" not in top or "square_size_m" not in top:
+        return None
+    columns, rows = (whole(x, f"{file}: inner_corners") for x in top["inner_corners"])
+    side = number(top["square_size_m"], f"{file}: square_size_m")
+    j, i = np.mgrid[:rows, :columns]
+    return np.stack([i.ravel() * side, j.ravel() * side, np.zeros(i.size)], axis=1)

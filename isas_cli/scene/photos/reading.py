@@ -1,0 +1,83 @@
+"""Which format a folder of photographs has, and what it holds."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from ...runtime.errors import InputError, nearest
+from ...scenes.library import ASSETS
+from . import colmap, ours, transforms
+from .base import Capture
+from .camera import Camera
+
+# Sets that come with isas, by name.
+OWN = ("chessboard",)
+
+
+def folder_of(path: str) -> Path:
+    """The folder that ``photos.path`` names: one's own, or a set that comes with isas."""
+    folder = Path(path)
+    if folder.is_dir():
+        return folder
+    if path in OWN:
+        return ASSETS / path
+    if folder.is_file():
+        raise InputError(f"photos.path={path}: is a file: give the folder that it lies in")
+    raise InputError(f"photos.path={path}: no such folder; sets that come with isas: {OWN[0]}")
+
+
+def read(path: str) -> Capture:
+    """The cameras in the folder ``path``. Raises InputError where there are none that can be
+    read, for a camera that is none, and for two of one picture."""
+    folder = folder_of(path)
+    for module in (ours, transforms):
+        file = module.find(folder)
+        if file is not None:
+            capture = module.read(file)
+            break
+    else:
+        file = colmap.find(folder)
+        if file is None:
+            raise InputError(
+                f"photos.path={path}: no cameras there: looked for {ours.NAME}, "
+                f"{', '.join(transforms.NAMES)}, and COLMAP's cameras.txt (also below sparse/0)"
+            )
+        capture = colmap.read(file, folder)
+    name, times = Counter(camera.name for camera in capture.cameras).most_common(1)[0]
+    if times > 1:
+        raise InputError(f"{file}: {name} is listed {times} times: once a picture")
+    return capture
+
+
+def split(cameras: list[Camera], test) -> tuple[list[Camera], list[Camera]]:
+    """Views to learn from, and views held out. ``test``: None, n for every n-th (the n-th the
+    first), or names of pictures, with or without folder and ending. Raises InputError."""
+    if test is None:
+        return cameras, []
+    if isinstance(test, int) and not isinstance(test, bool):
+        if test < 2:
+            raise InputError(f"photos.test={test}: every n-th view is held out, n at least 2")
+        held = cameras[test - 1 :: test]
+    elif isinstance(test, Sequence):
+        names = [test] if isinstance(test, str) else test
+        held = [_named(cameras, str(name)) for name in names]
+    else:
+        raise InputError(f"photos.test={test}: give a list of pictures [a.png,b.png], or n")
+    names = {camera.name for camera in held}
+    kept = [camera for camera in cameras if camera.name not in names]
+    if not kept:
+        raise InputError("photos.test holds every view out: leave one to learn from")
+    if not names:
+        raise InputError(f"photos.test={test}: of {len(cameras)} views that holds none out")
+    return kept, [camera for camera in cameras if camera.name in names]
+
+
+def _named(cameras: list[Camera], name: str) -> Camera:
+    for camera in cameras:
+        if name in (camera.name, Path(camera.name).name, Path(camera.name).stem):
+            return camera
+    raise InputError(
+        f"photos.test: no view {name}; {nearest(name, [camera.name for camera in cameras][:40])}"
+    )

@@ -1,0 +1,91 @@
+"""`transforms.json` of nerfstudio and instant-ngp, and `transforms_train.json` of Blender sets.
+
+Their cameras have x to the right, y up and z backward (OpenGL's axes), and ``transform_matrix``
+goes from camera to world. Intrinsics stand at the top or with a frame, as ``fl_x`` … or as an
+angle of view.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from ...runtime import images
+from ...runtime.errors import InputError
+from .base import Capture, load_json, matrix, number, picture, whole
+from .camera import Camera
+
+NAMES = ("transforms.json", "transforms_train.json")
+_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
+# From the camera's axes as the file has them to x right, y down, z forward.
+_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def find(folder: Path) -> Path | None:
+    return next((folder / name for name in NAMES if (folder / name).is_file()), None)
+
+
+def read(file: Path) -> Capture:
+    """Raises InputError, naming the frame, for what is missing or wrong."""
+    top = load_json(file)
+    frames = top.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise InputError(f"{file}: has no list of frames")
+    return Capture([_camera(file, n, top, frame) for n, frame in enumerate(frames)], file.name)
+
+
+def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
+    where = f"{file}: frame {number_}"
+    if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+        raise InputError(f"{where} has no file_path")
+    if "transform_matrix" not in frame:
+        raise InputError(f"{where} has no transform_matrix")
+    both = {**top, **frame}
+    model = both.get("camera_model", "OPENCV")
+    if model not in _MODELS or both.get("is_fisheye"):
+        told = "fisheye" if both.get("is_fisheye") else model
+        raise InputError(f"{where}: camera_model {told}; valid: {', '.join(_MODELS)}")
+    image = picture(file.parent, frame["file_path"], where)
+    mask = frame.get("mask_path")
+    width, height = images.size(image)
+    width = whole(both["w"], f"{where}: w") if "w" in both else width
+    height = whole(both["h"], f"{where}: h") if "h" in both else height
+
+    def of(name: str, otherwise: float) -> float:
+        return number(both[name], f"{where}: {name}") if name in both else otherwise
+
+    fx = _focal(both, where, "x", width)
+    fy = _focal(both, where, "y", height)
+    if fx is None and fy is None:
+        raise InputError(f"{where}: neither fl_x nor camera_angle_x says its focal length")
+    return Camera(
+        name=frame["file_path"].removeprefix("./"),
+        image=image,
+        mask=picture(file.parent, mask, f"{where}: mask_path") if mask else None,
+        width=width,
+        height=height,
+        fx=fx if fx is not None else fy,
+        fy=fy if fy is not None else fx,
+        cx=of("cx", width / 2),
+        cy=of("cy", height / 2),
+        radial=tuple(of(name, 0.0) for name in ("k1", "k2", "k3", "k4")),
+        tangential=(of("p1", 0.0), of("p2", 0.0)),
+        to_world=matrix(frame["transform_matrix"], f"{where}: transform_matrix") @ _TO_OPENCV,
+        described=str(file),
+    )
+
+
+def _focal(both: dict, where: str, axis: str, size: int) -> float | None:
+    """Pixels, along one axis; None where nothing says it."""
+    for name in (f"fl_{axis}", f"camera_angle_{axis}"):
+        if name not in both:
+            continue
+        value = number(both[name], f"{where}: {name}")
+        if name.startswith("fl"):
+            return value
+        if not 0 < value < math.pi:
+            raise InputError(f"{where}: {name}={value:g}: radians, between 0 and π")
+        return size / 2 / math.tan(value / 2)
+    return None

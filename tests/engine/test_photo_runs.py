@@ -1,0 +1,292 @@
+"""Runs on photographs: ones whose truth is known, and real ones of a chessboard."""
+
+import json
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import photo_sets
+import pytest
+import trimesh
+from photo_sets import FOCAL, SIZE, Files, look_at
+
+import isas_cli
+from isas_cli.config.compose import compose, translate
+from isas_cli.engine import experiment
+from isas_cli.engine.display import Display
+from isas_cli.engine.experiment import Phases
+from isas_cli.estimators.two_path import TwoPath
+from isas_cli.losses import L2
+from isas_cli.rendering.pixels import PixelDistribution, Tiles
+from isas_cli.rendering.renderer import Renderer
+from isas_cli.runtime import images, streams
+from isas_cli.runtime.errors import InputError
+from isas_cli.unknowns.parameters import as_numpy
+
+COLOUR = (0.6, 0.3, 0.15)
+ORIGINS = [(2.0, 1.0, 2.5), (-2.2, 0.4, 1.5), (0.3, 1.8, -2.4), (1.8, -1.0, -1.6)]
+TARGET = (0.1, 0.0, -0.1)
+EXPOSURES = np.array([[1.0, 1.0, 1.0], [0.5, 0.6, 0.4], [1.7, 1.5, 1.6], [0.8, 0.8, 0.9]])
+# Of a film's middle: of a wide one, cut to SIZE below, so that no principal point is asked of
+# Mitsuba here.
+WIDE, CUT = (60, 40), (7, 9)
+BASE = "object.bsdf.brdf_0.base_color"
+SMALL = [
+    *("scene=photos", "sampler=uniform", "effects=full"),
+    *("estimator.batch=16384", "optimizer.lr=0.05"),
+    *("evaluation.count=3", "evaluation.spp=8", "frames.views=1", "frames.snapshots=0"),
+    *("frames.spp=32", "report=false"),
+]
+
+
+def rendered(folder: Path) -> list[np.ndarray]:
+    """A box under a sky of two colours, as Mitsuba's own cameras see it, times EXPOSURES."""
+    trimesh.creation.box((0.8, 0.5, 0.6)).export(folder / "box.ply")
+    rows, columns = np.mgrid[:16, :32] / [[[16]], [[32]]]
+    sky = np.stack([1.5 - rows, 0.5 + columns, 0.6 + 0.5 * rows], axis=2).astype(np.float32)
+    images.write_exr(folder / "sky.exr", sky, ["R", "G", "B"], {})
+    sensors = {
+        f"sensor_{number}": {
+            "type": "perspective",
+            "fov": float(np.degrees(2 * np.arctan(WIDE[0] / 2 / FOCAL))),
+            "to_world": mi.ScalarTransform4f().look_at(origin, TARGET, [0, 1, 0]),
+            "film": {
+                "type": "hdrfilm",
+                **dict(width=WIDE[0], height=WIDE[1], crop_width=SIZE[0], crop_height=SIZE[1]),
+                **dict(crop_offset_x=CUT[0], crop_offset_y=CUT[1]),
+                **dict(rfilter={"type": "box"}, pixel_format="rgb"),
+            },
+        }
+        for number, origin in enumerate(ORIGINS)
+    }
+    material = {"type": "principled", "base_color": {"type": "rgb", "value": list(COLOUR)}}
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 3},
+            "sky": {"type": "envmap", "filename": str(folder / "sky.exr")},
+            "box": {
+                "type": "ply",
+                "filename": str(folder / "box.ply"),
+                "face_normals": True,
+                "bsdf": material,
+            },
+            **sensors,
+        }
+    )
+    return [
+        (np.array(mi.render(scene, sensor=n, spp=1024, seed=n)) * EXPOSURES[n]).astype(np.float32)
+        for n in range(len(ORIGINS))
+    ]
+
+
+@pytest.fixture(scope="module")
+def photographed(tmp_path_factory) -> list[str]:
+    """A set with known truth, as settings."""
+    folder = tmp_path_factory.mktemp("photographed")
+    poses = [look_at(origin, TARGET) for origin in ORIGINS]
+    centre = {"cx": WIDE[0] / 2 - CUT[0], "cy": WIDE[1] / 2 - CUT[1]}
+    photo_sets.transforms(Files(folder, poses, rendered(folder)), **centre)
+    lit = f"photos.environment={folder / 'sky.exr'}"
+    return [f"photos.path={folder}", f"photos.mesh={folder / 'box.ply'}", lit]
+
+
+def problem(*settings: str):
+    cfg = compose(translate([*SMALL, *settings]))
+    typed, _ = experiment.checked(cfg)
+    with Display(typed.budget) as display:
+        return experiment.built(typed, Phases(display), [cfg])
+
+
+def test_colour_and_exposures_are_found(photographed, tmp_path):
+    """Cameras, principal point, environment and mesh as another program has them: where an axis or
+    a sign was wrong, no colour would fit."""
+    run = isas_cli.run(
+        *SMALL,
+        *photographed,
+        *("photos.exposure=channels", "photos.test=[view_3]", "budget.iterations=400"),
+        *("frames.spp=512", "optimizer.schedule=cosine"),
+        f"hydra.run.dir={tmp_path / 'run'}",
+    )
+    np.testing.assert_allclose(run.parameters()[f"{BASE}.value"], COLOUR, atol=0.015)
+    found = run.summary["exposure"]
+    assert list(found) == ["view_0.exr", "view_1.exr", "view_2.exr"]
+    np.testing.assert_allclose(list(found.values()), EXPOSURES[:3], rtol=0.03)
+    held = run.summary["held_out"]["views"]
+    assert list(held) == ["view_3.exr"]
+    np.testing.assert_allclose(held["view_3.exr"]["exposure"], EXPOSURES[3], rtol=0.03)
+    # One path's noise and two programs' silhouettes apart.
+    assert held["view_3.exr"]["psnr"] > 33 and held["view_3.exr"]["ssim"] > 0.95
+    assert (tmp_path / "run/frames/held_result_v00.exr").is_file()
+
+
+def test_views_held_out_are_never_drawn_from(photographed):
+    made = problem(*photographed, "photos.test=[view_1.exr]")
+    assert made.names == ("view_0.exr", "view_2.exr", "view_3.exr")
+    assert made.held_out.names == ("view_1.exr",)
+    assert made.views.total == 3 * SIZE[0] * SIZE[1] == len(made.mask)
+    # Its target is that view's own, and shown by that view's camera.
+    shown = images.read(Path(photographed[0].partition("=")[2]) / "view_1.exr")
+    np.testing.assert_array_equal(made.held_out.target_image(0), shown)
+
+
+def test_only_pixels_that_the_object_fills_count(photographed):
+    made = problem(*photographed)
+    mask = np.array(made.mask).reshape(4, SIZE[1], SIZE[0])
+    with_background = problem(*photographed, "photos.background=true")
+    assert np.array(with_background.mask).all()
+    for view in range(4):
+        shown = made.target_image(view)
+        # The sky is brighter than the box in blue, and the mask ends inside the box.
+        assert 0.03 < mask[view].mean() < 0.5
+        assert shown[mask[view] > 0][:, 2].max() < 0.55 * EXPOSURES[view, 2]
+
+
+K, BATCH = 64, 4096
+
+
+def z_of_exposures(made, estimator) -> np.ndarray:
+    """How many standard errors the mean estimate of ∂ℒ/∂e lies from its value, entry by entry."""
+    key = "exposure"
+    values = made.unknowns.starts()
+    uniform = PixelDistribution.uniform(Tiles.over(made.views))
+    found = [
+        as_numpy(estimator.estimate(values, uniform, 5, i, 0.0)[key]).ravel() for i in range(K)
+    ]
+    made.unknowns.write(values)
+    total = made.views.total
+    halves = [
+        Renderer(made).range(0, total, 1024, lambda s, h=h: streams.seed(77 + h, s, "frame"))
+        for h in (0, 1)
+    ]
+    # Exposures are 1, so the renderings are what they multiply.
+    target = np.array(made.targets).reshape(-1, 3)
+    weight = np.array(made.mask)[:, None] / (3 * np.array(made.mask).sum())
+    slope = 2 * weight * (halves[0] - target) * halves[1]
+    wanted = slope.reshape(len(made.names), -1, 3).sum(axis=1)[1:].ravel()
+    mean, error = np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / np.sqrt(K)
+    print("relative error that two standard errors are:", 2 * error / np.abs(wanted))
+    return (mean - wanted) / error
+
+
+def test_the_gradient_by_exposures_is_unbiased(photographed, monkeypatch):
+    """Against the sum over all pixels of renderings of 2 × 1024 paths: within 4 standard errors,
+    six entries (chance 0.04 %). With the residual's own path as the third the noise is correlated with
+    itself, which is seen."""
+    made = problem(*photographed, "photos.exposure=channels", "photos.test=[view_3]")
+    found = z_of_exposures(made, TwoPath(made, L2(), BATCH))
+    assert found.shape == (6,) and np.abs(found).max() < 4, found
+    seed = streams.seed
+    monkeypatch.setattr(
+        streams, "seed", lambda b, i, p: seed(b, i, "primal" if p == "exposure" else p)
+    )
+    broken = z_of_exposures(made, TwoPath(made, L2(), BATCH))
+    assert np.abs(broken).max() > 6, broken
+    made.unknowns.write(made.unknowns.starts())
+
+
+def test_exposures_scale_views_and_nothing_else(photographed):
+    """Of a written exposure each view but the first is brighter by it, for every estimator."""
+    made = problem(*photographed, "photos.exposure=scale")
+    values = made.unknowns.starts()
+    renderer = Renderer(made)
+
+    def shown() -> np.ndarray:
+        made.unknowns.write(values)
+        found = renderer.range(0, made.views.total, 4, lambda s: streams.seed(3, s, "frame"))
+        return found.reshape(4, -1, 3)
+
+    before = shown()
+    values["exposure"] = made.unknowns.values_of({"exposure": np.float32([[2], [0.5], [3]])})[
+        "exposure"
+    ]
+    np.testing.assert_allclose(shown(), before * np.array([1, 2, 0.5, 3])[:, None, None], rtol=1e-5)
+    dr.eval(values)
+
+
+@pytest.mark.parametrize(
+    "settings, told",
+    [
+        (["photos.exposure=scale", "photos.test=[view_1,view_2,view_3]"], "the first view's"),
+        (["photos.exposure=scale", "sampler=mitsuba"], "know no exposure"),
+        (["photos.exposure=scale", "estimator=silhouettes"], "knows no exposure"),
+        (["photos.sphere=[0,0,0,1]"], "one shape alone"),
+        (["scene.unknowns={\"box.color\": {\"start\": 1}}"], "object.bsdf.brdf_0.base_color.value"),
+        (["scene.targets=[a.png]"], "scene.targets: photographs or a scene"),
+        (["target.spp=4"], "these are photographs"),
+    ],
+)
+def test_what_cannot_be_is_one_line(photographed, settings, told):
+    with pytest.raises(InputError, match=told) as error:
+        problem(*photographed, *settings)
+    assert "\n" not in str(error.value)
+
+
+def test_photos_belong_to_photographs():
+    for settings, told in (
+        (["scene=pottery", "photos.path=a"], "photographs or a scene"),
+        (["scene=pottery", "photos.width=20"], "only scene=photos has it, not scene=pottery"),
+        (["scene=photos"], "give photos.path=DIR"),
+    ):
+        with pytest.raises(InputError, match=told):
+            experiment.checked(compose(translate(settings)))
+
+
+def test_a_mesh_elsewhere_is_told(photographed, tmp_path):
+    ball = trimesh.creation.icosphere(2, 0.1)
+    ball.apply_translation((0, 50, 0))
+    ball.export(tmp_path / "far.ply")
+    with pytest.raises(InputError, match="no photograph shows the object.*isas photos"):
+        problem(photographed[0], f"photos.mesh={tmp_path / 'far.ply'}")
+
+
+def test_one_view_alone_ends_well(photographed, tmp_path):
+    run = isas_cli.run(
+        *SMALL,
+        *photographed,
+        *("photos.test=[view_1,view_2,view_3]", "budget.iterations=40"),
+        f"hydra.run.dir={tmp_path / 'run'}",
+    )
+    assert run.summary["status"] == "done"
+    assert run.summary["final"]["loss"] < run.summary["start"]["loss"]
+
+
+@pytest.fixture(scope="module")
+def chessboard(tmp_path_factory):
+    """Real photographs, unknown texture, light and exposures, the default sampler, as told to be
+    shown; and the page."""
+    folder = tmp_path_factory.mktemp("chessboard") / "run"
+    return isas_cli.run(
+        *("scene=chessboard", "size=tiny", "effects=full", "estimator.batch=8192"),
+        *("budget.iterations=250", "evaluation.count=3", "frames.views=1", "frames.snapshots=0"),
+        *("frames.spp=32", f"hydra.run.dir={folder}"),
+    )
+
+
+def test_the_chessboards_squares_are_black_and_white(chessboard):
+    texture = chessboard.parameters()[f"{BASE}.data"].mean(axis=2)
+    rows, columns = (np.arange(n) for n in texture.shape)
+    # 7 rows of 10 squares; the middles of their texels, away from the borders between squares.
+    y, x = (rows + 0.5) / len(rows) * 7, (columns + 0.5) / len(columns) * 10
+    middle = (np.abs(y % 1 - 0.5) < 0.3)[:, None] & (np.abs(x % 1 - 0.5) < 0.3)[None]
+    odd = (y.astype(int)[:, None] + x.astype(int)[None]) % 2 == 1
+    inside = np.pad(np.ones((len(rows) - 8, len(columns) - 6), bool), ((4, 4), (3, 3)))
+    a, b = texture[middle & odd & inside], texture[middle & ~odd & inside]
+    dark, light = sorted((a, b), key=np.mean)
+    assert np.median(light) > 3 * np.median(dark)
+    # Every square on its own side.
+    assert np.mean(dark < 0.5 * (np.median(a) + np.median(b))) > 0.95
+    assert np.mean(light > 0.5 * (np.median(a) + np.median(b))) > 0.95
+
+
+def test_the_chessboards_held_out_views(chessboard):
+    summary = chessboard.summary
+    assert list(summary["held_out"]["views"]) == ["left03.png", "left08.png", "left13.png"]
+    assert len(summary["exposure"]) == 10 and summary["exposure"]["left01.png"] == [1.0]
+    mean = summary["held_out"]["mean"]
+    assert mean["psnr"] > 17 and mean["ssim"] > 0.6
+    page = (chessboard.folder / "report.html").read_text()
+    assert "Views held out" in page and "left08.png" in page
+    assert (chessboard.folder / "plots/held_out.png").is_file()
+    assert json.dumps(summary)

@@ -1,0 +1,228 @@
+"""Cameras of every format: where they see known points, and what is refused."""
+
+import json
+
+import mitsuba as mi
+import numpy as np
+import photo_sets
+import pytest
+from photo_sets import CENTRE, FOCAL, POSES, SIZE, Files
+
+from isas_cli.runtime.errors import InputError
+from isas_cli.scene.photos import building, reading
+from isas_cli.scene.photos.camera import Camera
+
+POINTS = np.array([[0.0, 0.0, 0.0], [0.3, -0.2, 0.1], [-0.25, 0.3, 0.2], [0.1, 0.2, -0.4]])
+FORMATS = ["transforms", "blender", "ours", "colmap"]
+
+
+def expected(pose: np.ndarray, centre=CENTRE) -> np.ndarray:
+    """By the textbook: pixels from the picture's corner."""
+    x, y, z = (np.linalg.inv(pose) @ np.column_stack([POINTS, np.ones(len(POINTS))]).T)[:3]
+    return np.column_stack([FOCAL * x / z + centre[0], FOCAL * y / z + centre[1]])
+
+
+def in_opengl(matrix, centre) -> np.ndarray:
+    """The same of a matrix whose camera has y up and looks along -z, without turning its axes."""
+    x, y, z = (np.linalg.inv(matrix) @ np.column_stack([POINTS, np.ones(len(POINTS))]).T)[:3]
+    return np.column_stack([FOCAL * x / -z + centre[0], centre[1] - FOCAL * y / -z])
+
+
+@pytest.fixture(params=FORMATS)
+def cameras(request, tmp_path) -> tuple[list[Camera], tuple]:
+    getattr(photo_sets, request.param)(Files(tmp_path, POSES))
+    middle = SIZE[0] / 2, SIZE[1] / 2
+    centre = middle if request.param == "blender" else CENTRE
+    return reading.read(str(tmp_path)).cameras, centre
+
+
+def test_each_format_sees_known_points_where_they_are(cameras):
+    found, centre = cameras
+    assert len(found) == len(POSES)
+    for camera, pose in zip(found, POSES):
+        pixels, depth = camera.project(POINTS)
+        np.testing.assert_allclose(pixels, expected(pose, centre), atol=1e-6)
+        assert (depth > 0).all()
+        assert camera.image.is_file() and (camera.width, camera.height) == SIZE
+
+
+def test_matrices_of_nerf_mean_what_opengl_says(tmp_path):
+    told = photo_sets.transforms(Files(tmp_path, POSES))
+    for frame, camera in zip(told["frames"], reading.read(str(tmp_path)).cameras):
+        pixels, _ = camera.project(POINTS)
+        np.testing.assert_allclose(pixels, in_opengl(frame["transform_matrix"], CENTRE), atol=1e-6)
+
+
+def test_mitsubas_rays_go_through_the_points(cameras):
+    """Of every format: the ray through the pixel where a point is seen passes through it."""
+    found, _ = cameras
+    for camera in found:
+        sensor = mi.load_dict(building.sensor(camera, np.zeros(3)))
+        pixels, _ = camera.project(POINTS)
+        at = mi.Point2f((pixels / SIZE).T)
+        ray, _ = sensor.sample_ray_differential(0.0, 0.0, at, mi.Point2f(0.5))
+        origin, direction = np.array(ray.o).T.reshape(-1, 3), np.array(ray.d).T
+        way = POINTS - origin
+        off = np.linalg.norm(np.cross(way, direction), axis=1)
+        assert off.max() < 1e-4, off
+        assert (np.einsum("nk,nk->n", way, direction) > 0).all()
+
+
+def test_a_lens_is_browns():
+    """The figures of OpenCV's formula, written out for one point."""
+    camera = lens()
+    x, y = 0.3, -0.2
+    r2 = x * x + y * y
+    radial = 1 + 0.1 * r2 - 0.05 * r2**2 + 0.02 * r2**3 + 0.01 * r2**4
+    wanted = [
+        x * radial + 2 * 0.003 * x * y + 0.002 * (r2 + 2 * x * x),
+        y * radial + 0.003 * (r2 + 2 * y * y) + 2 * 0.002 * x * y,
+    ]
+    np.testing.assert_allclose(camera.distort(np.array([x, y])), wanted, rtol=1e-12)
+
+
+def lens(**more) -> Camera:
+    values = dict(
+        name="a.png",
+        image=None,
+        width=SIZE[0],
+        height=SIZE[1],
+        fx=FOCAL,
+        fy=FOCAL,
+        cx=20.0,
+        cy=15.0,
+        to_world=np.eye(4),
+        radial=(0.1, -0.05, 0.02, 0.01),
+        tangential=(0.003, 0.002),
+    )
+    return Camera(**values | more)
+
+
+@pytest.mark.parametrize(
+    "model, numbers, radial",
+    [
+        ("SIMPLE_PINHOLE", (FOCAL, *CENTRE), (0, 0)),
+        ("SIMPLE_RADIAL", (FOCAL, *CENTRE, 0.1), (0.1, 0)),
+        ("RADIAL", (FOCAL, *CENTRE, 0.1, -0.2), (0.1, -0.2)),
+        ("OPENCV", (FOCAL, FOCAL + 1, *CENTRE, 0.1, -0.2, 0.01, 0.02), (0.1, -0.2)),
+    ],
+)
+def test_models_of_colmap(tmp_path, model, numbers, radial):
+    photo_sets.colmap(Files(tmp_path, POSES), model, numbers)
+    capture = reading.read(str(tmp_path))
+    camera = capture.cameras[0]
+    assert camera.radial[:2] == radial and (camera.cx, camera.cy) == CENTRE
+    if model == "OPENCV":
+        assert camera.tangential == (0.01, 0.02) and camera.fy == camera.fx + 1
+    numbers, places = capture.observed["view_0.png"]
+    assert list(capture.observed) == ["view_0.png"]
+    np.testing.assert_allclose(capture.points[numbers], [[0.1, 0.2, 0.3]])
+    np.testing.assert_allclose(places, [[1.5, 2.5]])
+
+
+def test_binary_colmap(tmp_path):
+    pycolmap = pytest.importorskip("pycolmap")
+    photo_sets.colmap(Files(tmp_path, POSES))
+    sparse = tmp_path / "sparse" / "0"
+    lines = (sparse / "images.txt").read_text()
+    (sparse / "images.txt").write_text(lines.replace("7 3.0", "-1 3.0"))
+    (sparse / "points3D.txt").write_text("")
+    pycolmap.Reconstruction(str(sparse)).write_binary(str(sparse))
+    for file in sparse.glob("*.txt"):
+        file.unlink()
+    for camera, pose in zip(reading.read(str(tmp_path)).cameras, POSES):
+        np.testing.assert_allclose(camera.to_world, pose, atol=1e-9)
+
+
+def test_the_chessboards_own_corners_are_where_its_cameras_say():
+    """Real photographs: corners found in the pictures lie within a pixel of where they should, on
+    average a quarter, without a bias, which half a pixel would be."""
+    from isas_cli.scene.photos import checks, photographs
+    from isas_cli.config.schema import PhotosConfig
+
+    taken = photographs.load(PhotosConfig(path="chessboard"))
+    apart = [view.apart for view in checks.views(taken)]
+    assert len(apart) == 13 and max(apart) < 1 and np.median(apart) < 0.3
+    biases = []
+    for each in taken.all:
+        view = checks.View(each, False)
+        checks._reproject(view, each.camera, taken)
+        pixels, _ = each.camera.project(taken.capture.points)
+        biases.append((view.points[1] - pixels[view.points[0]]).mean(axis=0))
+    assert np.abs(np.median(biases, axis=0)).max() < 0.1
+
+
+def change(folder, edit) -> None:
+    file = folder / "transforms.json"
+    content = json.loads(file.read_text())
+    edit(content)
+    file.write_text(json.dumps(content))
+
+
+def pose(content) -> list:
+    return content["frames"][1]["transform_matrix"]
+
+
+@pytest.mark.parametrize(
+    "edit, told",
+    [
+        (lambda c: c["frames"][1].pop("transform_matrix"), "frame 1 has no transform_matrix"),
+        (lambda c: c["frames"][1].update(file_path="gone.png"), "frame 1: its picture .*gone.png"),
+        (lambda c: pose(c)[0].__setitem__(3, float("nan")), "frame 1.*NaN"),
+        (lambda c: [row.__setitem__(0, -row[0]) for row in pose(c)[:3]], "view_1.*mirrored.*-1"),
+        (lambda c: [row.__setitem__(0, 2 * row[0]) for row in pose(c)[:3]], "view_1.*no rotation"),
+        (lambda c: pose(c).__setitem__(3, [0, 0, 1, 1]), "last row"),
+        (lambda c: c.update(camera_model="OPENCV_FISHEYE"), "FISHEYE; valid: OPENCV, PINHOLE"),
+        (lambda c: c.update(fl_x="wide"), "fl_x='wide': no number"),
+        (lambda c: c.update(fl_x=-3.0), "focal length -3"),
+        (lambda c: c.update(w=40.5), "w=40.5: a whole number"),
+        (lambda c: (c.pop("fl_x"), c.pop("fl_y")), "neither fl_x nor camera_angle_x"),
+        (lambda c: c.update(frames=[]), "no list of frames"),
+        (lambda c: c["frames"].append(c["frames"][0]), "view_0.exr is listed 2 times"),
+    ],
+)
+def test_what_is_wrong_is_one_line(tmp_path, edit, told):
+    photo_sets.transforms(Files(tmp_path, POSES))
+    change(tmp_path, edit)
+    with pytest.raises(InputError, match=told) as error:
+        reading.read(str(tmp_path))
+    assert "\n" not in str(error.value)
+
+
+def test_an_unknown_model_of_colmap(tmp_path):
+    photo_sets.colmap(Files(tmp_path, POSES), "FOV", (1, 2, 3, 4, 5))
+    with pytest.raises(InputError, match="FOV; valid: SIMPLE_PINHOLE, PINHOLE"):
+        reading.read(str(tmp_path))
+
+
+def test_no_cameras(tmp_path):
+    with pytest.raises(InputError, match="looked for cameras.json, transforms.json"):
+        reading.read(str(tmp_path))
+    with pytest.raises(InputError, match="no such folder; sets that come with isas: chessboard"):
+        reading.read(str(tmp_path / "nowhere"))
+    (tmp_path / "transforms.json").write_text("{")
+    with pytest.raises(InputError, match="transforms.json: cannot be read as JSON"):
+        reading.read(str(tmp_path))
+
+
+def test_views_are_held_out_by_name_and_by_number(tmp_path):
+    photo_sets.transforms(Files(tmp_path, POSES))
+    cameras = reading.read(str(tmp_path)).cameras
+
+    def held(test) -> list[str]:
+        shown, held = reading.split(cameras, test)
+        assert {c.name for c in shown}.isdisjoint(c.name for c in held)
+        assert len(shown) + len(held) == len(cameras)
+        return [c.name for c in held]
+
+    assert held(None) == []
+    assert held(2) == ["view_1.exr"]
+    assert held(["view_2", "view_0.exr"]) == ["view_0.exr", "view_2.exr"]
+    for test, told in (
+        (["view_7"], "no view view_7; did you mean"),
+        (1, "at least 2"),
+        (5, "holds none out"),
+        (["view_0", "view_1", "view_2"], "every view"),
+    ):
+        with pytest.raises(InputError, match=told):
+            reading.split(cameras, test)

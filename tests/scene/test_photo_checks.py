@@ -1,0 +1,186 @@
+"""`isas photos`: the table, the sheet, the warnings."""
+
+import json
+
+import numpy as np
+import photo_sets
+import pytest
+import trimesh
+from photo_sets import POSES, SIZE, Files
+
+from isas_cli.cli.app import main
+from isas_cli.config.schema import PhotosConfig
+from isas_cli.runtime import images
+from isas_cli.runtime.errors import InputError
+from isas_cli.scene.photos import checks, corners, photographs, shape
+
+
+@pytest.fixture
+def called(tmp_path, monkeypatch, capfd):
+    """`isas` in an empty folder: arguments → (status, stdout, stderr)."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "160")
+
+    def call(*arguments: str):
+        status = main(list(arguments))
+        captured = capfd.readouterr()
+        return status, captured.out, captured.err
+
+    return call
+
+
+def ball(folder, at=(0.0, 0.0, 0.0), radius=0.4) -> str:
+    mesh = trimesh.creation.icosphere(2, radius)
+    mesh.apply_translation(at)
+    mesh.export(folder / "ball.ply")
+    return str(folder / "ball.ply")
+
+
+def test_the_chessboard(called, tmp_path):
+    status, out, _ = called("photos", "chessboard", "photos.test=[left03.png]")
+    assert status == 0
+    assert "12 views to learn from, 1 held out" in out and "left03.png (held out)" in out
+    assert "warning" not in out and "0.22 px" in out
+    sheet = images.read(tmp_path / "photos-chessboard.png")
+    assert sheet.shape == (792, 1636, 3)
+    # Outlines, expected corners and found ones are drawn.
+    for colour in ((0, 230, 80), (255, 60, 40), (60, 160, 255)):
+        wanted = images.srgb_decode(np.array(colour) / 255)
+        assert (np.abs(sheet - wanted).max(axis=2) < 0.02).sum() > 100
+
+
+def test_an_outline_is_where_the_object_ends(tmp_path):
+    """Of a ball, seen from outside: a closed curve through the points whose rays touch it."""
+    from isas_cli.scene.photos.sheet import _Edges
+
+    photo_sets.transforms(Files(tmp_path, POSES))
+    taken = photographs.load(PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.4]))
+    camera = taken.shown[0].camera
+    lines = _Edges(taken.surface).outline(camera)
+    distance = np.linalg.norm(camera.centre)
+    rotation = camera.to_world[:3, :3]
+    pixels = lines.reshape(-1, 2)
+    rays = np.column_stack(
+        [(pixels - [camera.cx, camera.cy]) / camera.fx, np.ones(len(pixels))]
+    ) @ rotation.T
+    towards = -camera.centre / distance
+    angle = np.arccos(rays @ towards / np.linalg.norm(rays, axis=1))
+    assert len(lines) > 50
+    np.testing.assert_allclose(angle, np.arcsin(0.4 / distance), rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    "place, told",
+    [
+        (dict(radius=0.4), None),
+        (dict(at=(40.0, 0, 0)), "outside the picture of|behind"),
+        (dict(radius=0.004), "fills less than 1%"),
+        (dict(radius=4), "3 cameras stand inside the mesh"),
+    ],
+)
+def test_warnings(called, tmp_path, place, told):
+    photo_sets.transforms(Files(tmp_path, POSES))
+    status, out, _ = called("photos", ".", f"photos.mesh={ball(tmp_path, **place)}")
+    assert status == 0
+    out = " ".join(out.split())
+    assert any(t in out for t in told.split("|")) if told else "warning: " not in out, out
+
+
+def test_axes_of_another_format_look_the_other_way(called, tmp_path):
+    """OpenCV's matrices in a file whose format has OpenGL's."""
+    content = photo_sets.transforms(Files(tmp_path, POSES))
+    for frame, pose in zip(content["frames"], POSES):
+        frame["transform_matrix"] = pose.tolist()
+    photo_sets.write(tmp_path / "transforms.json", content)
+    status, out, _ = called("photos", ".", f"photos.mesh={ball(tmp_path)}")
+    assert status == 0 and "lies behind 3 of 3 cameras" in " ".join(out.split())
+
+
+def test_known_points_of_colmap_that_lie_off(called, tmp_path):
+    photo_sets.colmap(Files(tmp_path, POSES))
+    status, out, _ = called("photos", ".")
+    out = " ".join(out.split())
+    assert status == 0 and "more than 2 pixels off in 1 views, most in view_0.png" in out
+    assert "no object is given" in out
+
+
+@pytest.mark.parametrize(
+    "arguments, told",
+    [
+        (["nowhere"], "photos.path=nowhere: no such folder"),
+        ([], "give one folder"),
+        (["a", "b"], "give one folder"),
+        (["."], "no cameras there"),
+        (["chessboard", "photos.mesh=gone.obj"], "photos.mesh=gone.obj: no such file"),
+        (["chessboard", "photos.mesh=."], "photos.mesh=.: no such file"),
+        (["chessboard", "photos.mash=a.obj"], "photos.mash: no such setting; did you mean"),
+        (["chessboard", "photos.width=0"], "photos.width=0: at least 1"),
+        (["chessboard", "photos.exposure=auto"], "valid: fixed, scale, channels"),
+        (["chessboard", "photos.plane=[0,0,1,1]", "photos.sphere=[0,0,0,1]"], "one shape alone"),
+        (["chessboard", "seed=1"], "settings of photographs"),
+        (["chessboard", "--fast"], "no such flag"),
+    ],
+)
+def test_what_is_mistyped_is_one_line(called, tmp_path, arguments, told):
+    status, out, err = called("photos", *arguments)
+    assert status == 2 and told in err and err.count("\n") == 1, err
+    assert not list(tmp_path.iterdir())
+
+
+def test_corners_are_found_within_a_tenth_of_a_pixel():
+    """Of a drawn board, slanted and blurred, from guesses a pixel off; not where there is none."""
+    rows, columns = np.indices((120, 160)) + 0.5
+    x, y = columns - 40.3, rows - 30.7
+    u, v = x * 0.9 + y * 0.2, y * 0.95 - x * 0.1
+    board = np.tanh(np.sin(np.pi * u / 14) * np.sin(np.pi * v / 14) * 6)
+    wanted = []
+    for i, j in ((0, 0), (2, 1), (4, 3)):
+        wanted.append(np.linalg.solve([[0.9, 0.2], [-0.1, 0.95]], [14 * i, 14 * j]) + [40.3, 30.7])
+    wanted = np.array(wanted)
+    numbers, places = corners.found(board, wanted + [0.8, -0.7])
+    assert list(numbers) == [0, 1, 2]
+    assert np.linalg.norm(places - wanted, axis=1).max() < 0.1
+    flat = np.ones((120, 160))
+    assert len(corners.found(flat, wanted)[0]) == 0
+
+
+def test_meshes_from_files(tmp_path):
+    """What trimesh writes, with and without coordinates, is the same surface; edges stay sharp."""
+    box = trimesh.creation.box((1, 2, 3))
+    capture = photographs.Capture([], "none")
+    for ending in ("obj", "ply", "stl", "glb"):
+        path = tmp_path / f"box.{ending}"
+        box.export(path)
+        found = shape.surface(PhotosConfig(mesh=str(path)), capture)
+        assert len(found.faces) == 12 and found.texcoords.shape == (0, 2)
+        np.testing.assert_allclose(np.ptp(found.vertices, axis=0), [1, 2, 3])
+        # Each normal along an axis, away from the middle.
+        np.testing.assert_allclose(np.abs(found.normals).max(axis=1), 1, atol=1e-6)
+        assert (np.einsum("vk,vk->v", found.normals, found.vertices) > 0).all()
+    (tmp_path / "square.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+        "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
+    )
+    square = shape.surface(PhotosConfig(mesh=str(tmp_path / "square.obj")), capture)
+    np.testing.assert_allclose(square.texcoords[:, 0], square.vertices[:, 0])
+    np.testing.assert_allclose(square.texcoords[:, 1], 1 - square.vertices[:, 1])
+    for name, text, told in (
+        ("bad.obj", "v a b c\n", "bad.obj"),
+        ("bad.glb", "no", "cannot be read"),
+        ("bad.png", "", "a mesh is one of"),
+        ("empty.ply", "", "empty.ply"),
+    ):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(InputError, match=told):
+            shape.surface(PhotosConfig(mesh=str(tmp_path / name)), capture)
+    with pytest.raises(InputError, match="photos.mesh is not given"):
+        shape.surface(PhotosConfig(), capture)
+
+
+def test_the_size_of_a_picture_is_its_header(tmp_path):
+    images.write_png(tmp_path / "a.png", np.zeros((SIZE[1], SIZE[0], 3), np.uint8))
+    assert images.size(tmp_path / "a.png") == SIZE
+    assert images.read_alpha(tmp_path / "a.png") is None
+    with pytest.raises(InputError, match="no such picture"):
+        images.size(tmp_path / "b.png")
+    assert json.dumps(images.size(tmp_path / "a.png"))  # plain numbers

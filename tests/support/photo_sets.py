@@ -1,0 +1,117 @@
+"""Small sets of photographs in every format, of cameras that are known."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from isas_cli.runtime import images
+
+# Picture, focal lengths and principal point: nothing is symmetric, so that no slip hides.
+SIZE = 40, 30
+FOCAL = 55.0
+CENTRE = 23.5, 11.25
+
+
+def look_at(origin, target, up=(0.0, 1.0, 0.0)) -> np.ndarray:
+    """Camera to world, ``(4, 4)``, x right, y down, z forward."""
+    forward = np.subtract(target, origin) / np.linalg.norm(np.subtract(target, origin))
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3] = np.column_stack([right, np.cross(forward, right), forward, origin])
+    return pose
+
+
+_PLACES = (2.0, 1.0, 2.5), (-2.2, 0.4, 1.5), (0.3, 1.8, -2.4)
+POSES = [look_at(place, (0.1, 0.0, -0.1)) for place in _PLACES]
+
+
+@dataclass(frozen=True)
+class Files:
+    """What the pictures of a set are: ``pictures`` ``(H, W, 3)`` linear, one a pose, or grey."""
+
+    folder: Path
+    poses: list
+    pictures: list | None = None
+
+    def names(self, ending: str = ".exr") -> list[str]:
+        """Writes the pictures and says what they are called."""
+        found = []
+        for number in range(len(self.poses)):
+            name = f"view_{number}{ending}"
+            pixels = np.full((SIZE[1], SIZE[0], 3), 0.4, np.float32)
+            if self.pictures is not None:
+                pixels = self.pictures[number]
+            if ending == ".exr":
+                images.write_exr(self.folder / name, pixels, ["R", "G", "B"], {})
+            else:
+                images.write_png(self.folder / name, images.to_display(pixels))
+            found.append(name)
+        return found
+
+
+def transforms(files: Files, **more) -> dict:
+    """nerfstudio's; ``more`` replaces entries at the top."""
+    flipped = np.diag([1.0, -1.0, -1.0, 1.0])  # y up, z backward
+    frames = [
+        {"file_path": name, "transform_matrix": (pose @ flipped).tolist()}
+        for name, pose in zip(files.names(), files.poses)
+    ]
+    intrinsics = {"fl_x": FOCAL, "fl_y": FOCAL, "cx": CENTRE[0], "cy": CENTRE[1]}
+    found = {"w": SIZE[0], "h": SIZE[1], **intrinsics, "frames": frames, **more}
+    return write(files.folder / "transforms.json", found)
+
+
+def blender(files: Files) -> dict:
+    """An angle of view, no principal point, no endings."""
+    files.names(".png")
+    flipped = np.diag([1.0, -1.0, -1.0, 1.0])
+    frames = [
+        {"file_path": f"./view_{number}", "transform_matrix": (pose @ flipped).tolist()}
+        for number, pose in enumerate(files.poses)
+    ]
+    angle = 2 * math.atan(SIZE[0] / 2 / FOCAL)
+    found = {"camera_angle_x": angle, "frames": frames}
+    return write(files.folder / "transforms_train.json", found)
+
+
+def ours(files: Files, **more) -> dict:
+    """Pixels counted from the first one's middle."""
+    inner = [[FOCAL, 0, CENTRE[0] - 0.5], [0, FOCAL, CENTRE[1] - 0.5], [0, 0, 1]]
+    views = [
+        {"image": name, "world_to_camera": np.linalg.inv(pose).tolist()}
+        for name, pose in zip(files.names(".png"), files.poses)
+    ]
+    found = {"width": SIZE[0], "height": SIZE[1], "camera_matrix": inner, "views": views, **more}
+    return write(files.folder / "cameras.json", found)
+
+
+def colmap(files: Files, model: str = "PINHOLE", numbers=None) -> None:
+    """Text, with two points that some views found, and pictures in images/."""
+    from scipy.spatial.transform import Rotation
+
+    numbers = numbers or (FOCAL, FOCAL, *CENTRE)
+    (files.folder / "images").mkdir()
+    names = Files(files.folder / "images", files.poses, files.pictures).names(".png")
+    sparse = files.folder / "sparse" / "0"
+    sparse.mkdir(parents=True)
+    text = " ".join(map(str, numbers))
+    (sparse / "cameras.txt").write_text(f"# lens\n1 {model} {SIZE[0]} {SIZE[1]} {text}\n")
+    lines = ["# two lines an image"]
+    for number, (name, pose) in enumerate(zip(names, files.poses), 1):
+        inverse = np.linalg.inv(pose)
+        x, y, z, w = Rotation.from_matrix(inverse[:3, :3]).as_quat()
+        numbers = " ".join(map(repr, map(float, (w, x, y, z, *inverse[:3, 3]))))
+        lines += [f"{number} {numbers} 1 {name}", "1.5 2.5 7 3.0 4.0 -1" if number == 1 else ""]
+    (sparse / "images.txt").write_text("\n".join(lines) + "\n")
+    (sparse / "points3D.txt").write_text("# points\n7 0.1 0.2 0.3 0 0 0 0.5 1 0\n9 1 1 1 0 0 0 1\n")
+
+
+def write(path: Path, content: dict) -> dict:
+    path.write_text(json.dumps(content))
+    return content
