@@ -24,6 +24,8 @@ from isas_cli.runtime import images, streams
 from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns.parameters import as_numpy
 
+pytestmark = pytest.mark.slow  # whole runs, minutes
+
 COLOUR = (0.6, 0.3, 0.15)
 ORIGINS = [(2.0, 1.0, 2.5), (-2.2, 0.4, 1.5), (0.3, 1.8, -2.4), (1.8, -1.0, -1.6)]
 TARGET = (0.1, 0.0, -0.1)
