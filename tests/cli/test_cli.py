@@ -127,7 +127,7 @@ def test_a_variant_that_cannot_run_here_is_refused(isas):
 @pytest.mark.parametrize(
     "arguments, expected",
     [
-        (["foo"], ["foo: no such command", "run, race, variance, effects, compare, watch, scenes"]),
+        (["foo"], ["foo: no such command", "run, race, variance, effects, photos, compare, watch, scenes"]),
         (["repor", "x"], ["did you mean 'report'?"]),
         (["report"], ["folder"]),
         (["report", "nowhere"], ["nowhere"]),
