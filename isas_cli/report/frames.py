@@ -18,7 +18,7 @@ from . import cells
 from .figures import STYLE, Picture, figure, save
 
 _VIEW = re.compile(r"(target|start|result|error|density)_v(\d+)$")
-_HELD = re.compile(r"held_(target|result)_v(\d+)$")
+_HELD = re.compile(r"held_(target|result|weight)_v(\d+)$")
 _TEXTURE = re.compile(r"(truth|start|result)_(.+)$")
 Frames = dict[str, dict[str, np.ndarray]]
 _CELL, _GAP, _LEFT, _TOP, _BOTTOM = 2.1, 0.08, 0.4, 0.55, 0.75  # inches
@@ -52,13 +52,16 @@ def _held_out(folder: Path) -> list[Picture]:
     if not rows:
         return []
     for row in rows.values():
-        if len(row) == 2:
+        if len(row) == 3:
+            # What does not count is black.
+            counts = row.pop("weight") > 0
+            row["target"], row["result"] = row["target"] * counts, row["result"] * counts
             row["error"] = np.abs(row["result"] - row["target"])
     exposure, words = cells.exposure(rows, ("target", "result"))
     scales = {"error": cells.error_scale([row["error"] for row in rows.values() if "error" in row])}
     path = Path(folder) / "plots" / "held_out.png"
     save(_sheet(rows, ["target", "result", "error"], exposure, scales, words), path)
-    told = "Views held out: photograph, rendering and absolute error, all of their pixels"
+    told = "Views held out: photograph, rendering and absolute error of the pixels that count"
     return [Picture(path, f"{told}. {words}.")]
 
 

@@ -12,16 +12,18 @@ from .camera import Camera
 from .importing import Photograph
 from .photographs import Photographs
 
-# Of an object's corners, the share that a view should see at least; and of a picture's area, what
-# they should span.
+# Points of the surface that are looked for in each picture.
+_POINTS = 4000
+# Of these, the share that a view should see at least; and of a picture's area, what they should
+# span.
 _SEEN, _SPANNED = 0.1, 0.01
 _OFF = 2  # pixels that a known point may lie off
 
 
 @dataclass
 class View:
-    """``inside``: share of the object's corners within the picture and before the camera;
-    ``before``: of those before the camera; ``spanned``: of the picture, by the box around those
+    """``inside``: share of the object's surface within the picture and before the camera, whatever
+    hides it; ``before``: before the camera; ``spanned``: of the picture, by the box around those
     inside; ``distance``: from the object's middle, scene units (all None without an object);
     ``points``: numbers of known points that were found and where, in the resampled picture;
     ``apart``: root mean square distance of these from where the camera sees them, pixels."""
@@ -39,24 +41,36 @@ class View:
 def views(photographs: Photographs) -> list[View]:
     """One each, in order."""
     described = {camera.name: camera for camera in photographs.capture.cameras}
+    points = None if photographs.surface is None else _scattered(photographs.surface)
     result = []
     for number, each in enumerate(photographs.all):
         view = View(each, number >= len(photographs.shown))
-        if photographs.surface is not None:
-            _place(view, each.camera, photographs.surface)
+        if points is not None:
+            _place(view, each.camera, points)
         _reproject(view, described[each.camera.name], photographs)
         result.append(view)
     return result
 
 
-def _place(view: View, camera: Camera, surface: Surface) -> None:
-    pixels, depth = camera.project(surface.vertices)
+def _scattered(surface: Surface) -> np.ndarray:
+    """Points of a surface, evenly by its area, ``(_POINTS, 3)``; always the same."""
+    rng = np.random.default_rng(0)
+    a, b, c = (surface.vertices[surface.faces[:, k]].astype(np.float64) for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    chosen = rng.choice(len(area), _POINTS, p=area / area.sum())
+    u, v = rng.random((2, _POINTS, 1))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    return a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
+
+
+def _place(view: View, camera: Camera, points: np.ndarray) -> None:
+    pixels, depth = camera.project(points)
     before = depth > 0
     within = before & (pixels >= 0).all(axis=1) & (pixels <= [camera.width, camera.height]).all(1)
     view.before, view.inside = float(before.mean()), float(within.mean())
     box = np.ptp(pixels[within], axis=0) if within.any() else np.zeros(2)
     view.spanned = float(box.prod() / (camera.width * camera.height))
-    middle = (surface.vertices.min(axis=0) + surface.vertices.max(axis=0)) / 2
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
     view.distance = float(np.linalg.norm(camera.centre - middle))
 
 
