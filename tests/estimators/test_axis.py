@@ -142,12 +142,23 @@ def test_whole_images_are_rendered_by_the_scene_s_own_integrator():
 
 
 def test_the_record_says_how_derivatives_are_taken():
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "lamp": {"type": "point"},
+            "mirror": {"type": "sphere", "bsdf": {"type": "conductor"}},
+        }
+    )
     moving = types.SimpleNamespace(
         unknowns=types.SimpleNamespace(moving=["turn"]),
-        integrator=types.SimpleNamespace(name="PRBIntegrator", derivatives="path replay"),
+        integrator=types.SimpleNamespace(
+            name="PRBIntegrator", derivatives="path replay", max_depth=3
+        ),
+        scene=scene,
     )
     words = {name: configured("estimator", name).derivatives(moving) for name in MADE}
     assert words["two_path"] == "path replay"
     assert words["plateau"].startswith("none taken: plain renderings")
     assert words["finite_differences"].startswith("none taken: difference quotients")
     assert "prb_projective" in words["mitsuba"]
+    assert words["silhouettes"].endswith("by way of mirror are left out")
