@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import SceneConfig
-from ..runtime import images
+from ..runtime import backend, images
 from ..runtime.errors import InputError
 from ..unknowns.parameters import as_numpy
 from ..unknowns.specs import parse
@@ -36,7 +36,8 @@ def write(scene: SceneConfig, arrays: dict[str, np.ndarray], folder: Path) -> Pa
     settings, state = scene_file.parse(scene.path)
     named = _name(state)
     mi.parser.transform_all(settings, state)
-    loaded = mi.parser.instantiate(settings, state)
+    with backend.loading():
+        loaded = mi.parser.instantiate(settings, state)
     loaded = loaded[0] if isinstance(loaded, (list, tuple)) else loaded
     places = {node.props.id(): number for number, node in enumerate(state.nodes)}
     first = mi.traverse(loaded)

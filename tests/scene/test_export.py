@@ -7,7 +7,7 @@ import trimesh
 
 from isas_cli.cli.app import main
 from isas_cli.config.schema import PoseConfig, SceneConfig, UnknownConfig
-from isas_cli.runtime import images
+from isas_cli.runtime import backend, images
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene import export, scene_file
 
@@ -39,6 +39,15 @@ CLOUD = """<scene version="3.0.0">
     <volume type="gridvolume" name="sigma_t"><string name="filename" value="grid.vol"/></volume>
     <volume type="constvolume" name="albedo"><rgb name="value" value="0.5"/></volume>
   </medium></shape></scene>"""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _two_threads():
+    """Mitsuba reads EXR files here, for which a worker's one thread is not enough."""
+    with backend.loading():
+        yield
+
+
 PAINT, SKY, RED = "paint.brdf_0.base_color.data", "sky.data", "figure.bsdf.reflectance.value"
 ROUGH, LAMP = "paint.brdf_0.roughness.value", "emitter_1.intensity.value"
 
