@@ -30,6 +30,7 @@ import traceback
 from pathlib import Path
 
 HERE = Path(__file__).resolve()
+sys.path.insert(0, str(HERE.parents[1] / "support"))
 _SECONDS = 30
 _NUMBERS = (
     *("nan", "inf", "-inf", "-1", "0", "1e999", "-1e-999", "1e38", "99999999999999999999", "0x10"),
@@ -88,6 +89,13 @@ CLOUD = SCENE[: SCENE.index("  <shape")] + """  <shape type="cube" id="box"><bsd
       <volume type="gridvolume" name="albedo"><string name="filename" value="grid.vol"/></volume>
     </medium></shape>
 </scene>"""
+# Photographs in each form that photo_sets makes → the files that are spoilt.
+FORMS = {
+    "transforms": ("transforms.json",),
+    "blender": ("transforms_train.json", "view_0.png"),
+    "ours": ("cameras.json",),
+    "colmap": ("sparse/0/cameras.txt", "sparse/0/images.txt", "sparse/0/points3D.txt"),
+}
 DENSITY = "box.interior_medium.sigma_t.data"
 UNKNOWNS = {"thing.bsdf.base_color.data": 0.5, "mesh.bsdf.reflectance.value": 0.5}
 OBJ = """v -1 -1 0
@@ -227,10 +235,12 @@ class Reader:
     def _make(self) -> None:
         import numpy as np
 
+        import mitsuba as mi
+        import photo_sets
+
         from isas_cli.runtime import images
 
         rng = np.random.default_rng(0)
-        import mitsuba as mi
 
         paint = rng.random((4, 4, 3)).astype(np.float32)
         self.sound.mkdir(parents=True)
@@ -245,6 +255,9 @@ class Reader:
         (self.sound / "scene.xml").write_text(SCENE)
         (self.sound / "mesh.obj").write_text(OBJ)
         (self.sound / "mesh.ply").write_bytes(ply())
+        for form in FORMS:
+            self.sound.joinpath(form).mkdir()
+            getattr(photo_sets, form)(photo_sets.Files(self.sound / form, photo_sets.POSES))
         # In a process that is gone when its record is read.
         command = [sys.executable, "-m", "isas_cli", "run", "scene=file"]
         command += [
@@ -288,6 +301,19 @@ class Reader:
         spoilt(rng, folder / spoil)
         start = "start.vol" if spoil == "grid.vol" else spoil
         self._assembled(folder / "scene.xml", {DENSITY: str(folder / start)})
+
+    def camera(self, rng: random.Random, folder: Path) -> None:
+        """Photographs and what says where they were taken, up to a scene of them."""
+        from isas_cli.config.schema import PhotosConfig
+        from isas_cli.scene.photos import building, checks, photographs
+
+        form = rng.choice(list(FORMS))
+        shutil.copytree(self.sound / form, folder / form)
+        spoilt(rng, folder / form / rng.choice(FORMS[form]))
+        settings = PhotosConfig(path=str(folder / form), sphere=[0.0, 0.0, 0.0, 0.5])
+        taken = photographs.load(settings)
+        checks.warnings(checks.views(taken), taken)
+        building.scene(taken, None)
 
     def picture(self, rng: random.Random, folder: Path) -> None:
         from isas_cli.runtime import images
@@ -343,7 +369,7 @@ class Reader:
             spoilt(rng, folder / "run" / name)
 
 
-KINDS = ("scene", "mesh", "picture", "configuration", "record", "checkpoint", "grid")
+KINDS = ("scene", "mesh", "picture", "configuration", "record", "checkpoint", "grid", "camera")
 
 
 def child(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -33,11 +34,19 @@ class Capture:
     plane: tuple[float, ...] | None = None
 
 
+def read_text(file: Path) -> str:
+    """Raises InputError."""
+    try:
+        return file.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read as text: {error}") from error
+
+
 def load_json(file: Path) -> dict:
     """A JSON file that holds an object. Raises InputError."""
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        found = json.loads(read_text(file))
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{file}: cannot be read as JSON: {error}") from error
     if not isinstance(found, dict):
         raise InputError(f"{file}: holds no JSON object, which a list of cameras is")
@@ -55,6 +64,13 @@ def number(value, where: str) -> float:
     if not math.isfinite(found):
         raise InputError(f"{where}={found}: must be a finite number")
     return found
+
+
+def numbers(values, count: int, where: str) -> tuple[float, ...]:
+    """A list of ``count`` finite numbers. Raises InputError, naming ``where``."""
+    if not isinstance(values, list) or len(values) != count:
+        raise InputError(f"{where}={values!r}: no list of {count} numbers")
+    return tuple(number(value, where) for value in values)
 
 
 def whole(value, where: str) -> int:
@@ -83,9 +99,11 @@ def matrix(value, where: str) -> np.ndarray:
 def picture(folder: Path, name: str, where: str) -> Path:
     """The file ``name`` below ``folder``, where a known ending may be left out. Raises
     InputError."""
+    if not isinstance(name, str):
+        raise InputError(f"{where}: {name!r} is no name of a picture")
     path = folder / name
-    candidates = [path, *(path.with_name(path.name + ending) for ending in _PICTURES)]
+    candidates = [path, *(Path(f"{path}{ending}") for ending in _PICTURES)]
     for each in candidates:
-        if each.is_file():
+        if os.path.isfile(each):  # which also says no to a name that no file can have
             return each
     raise InputError(f"{where}: its picture {path} does not exist: mend the path or remove it")

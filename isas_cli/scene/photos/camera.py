@@ -11,6 +11,8 @@ from ...runtime.errors import InputError
 
 # Of a rotation: what is left of RᵀR - 1. Files round to four digits; a scale or a shear is larger.
 _STRAIGHT = 2e-3
+# Squares are made of pixels up to this shape.
+_OBLONG = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +52,11 @@ class Camera:
             raise InputError(f"{where}: a picture of {self.width}×{self.height} pixels")
         if not min(self.fx, self.fy) > 0:
             raise InputError(f"{where}: focal length {min(self.fx, self.fy):g}: must be above 0")
+        if max(self.fx, self.fy) > _OBLONG * min(self.fx, self.fy):
+            raise InputError(
+                f"{where}: focal lengths of {self.fx:g} and {self.fy:g} pixels: no lens has "
+                f"pixels more than {_OBLONG} times as long as wide"
+            )
         if self.to_world.shape != (4, 4) or not np.allclose(self.to_world[3], [0, 0, 0, 1]):
             raise InputError(f"{where}: its pose is no 4×4 matrix with a last row of 0, 0, 0, 1")
         turned = self.to_world[:3, :3]

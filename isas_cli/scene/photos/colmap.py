@@ -7,13 +7,14 @@ y down, z forward, and pixels count from the picture's corner. Binary models are
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from ...runtime.errors import InputError
-from .base import Capture, number, picture, whole
+from .base import Capture, number, picture, read_text, whole
 from .camera import Camera
 
 # Model → what its parameters are; f is both fx and fy.
@@ -83,11 +84,7 @@ def _read(file: Path, root: Path, called: str = "") -> Capture:
 
 
 def _lines(file: Path):
-    try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file}: cannot be read: {error}") from error
-    for number_, line in enumerate(text.splitlines(), 1):
+    for number_, line in enumerate(read_text(file).splitlines(), 1):
         if line.strip() and not line.startswith("#"):
             yield f"{file}:{number_}", line.split()
 
@@ -116,7 +113,7 @@ def _lens(model: str, words: list[str], where: str) -> dict:
 def _images(file: Path):
     """Of every image: where it stands, its ten words, and [(x, y, id of a point), …]. Each takes
     two lines, the second of which may be empty."""
-    lines = enumerate(file.read_text(encoding="utf-8").splitlines(), 1)
+    lines = enumerate(read_text(file).splitlines(), 1)
     kept = [(n, line) for n, line in lines if not line.startswith("#")]
     while kept and not kept[0][1].strip():
         kept.pop(0)
@@ -144,12 +141,12 @@ def _camera(where: str, words: list[str], lenses: dict, root: Path, called: str)
     if words[8] not in lenses:
         raise InputError(f"{where}: camera {words[8]} is not in cameras.txt")
     name = words[9].strip()
-    folder = next((root / each for each in ("images", "") if (root / each / name).is_file()), root)
+    folder = next((root / each for each in ("images", "") if os.path.isfile(root / each / name)), root)
     masks = (root / "masks" / f"{name}.png", root / "masks" / Path(name).with_suffix(".png"))
     return Camera(
         name=name,
         image=picture(folder, name, where),
-        mask=next((mask for mask in masks if mask.is_file()), None),
+        mask=next((mask for mask in masks if os.path.isfile(mask)), None),
         to_world=np.linalg.inv(to_camera),
         described=called,
         **lenses[words[8]],

@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from ...runtime.errors import InputError
-from .base import Capture, load_json, matrix, number, picture, whole
+from .base import Capture, load_json, matrix, number, numbers, picture, whole
 from .camera import Camera
 
 NAME = "cameras.json"
+_MOST_CORNERS = 100_000
 
 
 def find(folder: Path) -> Path | None:
@@ -33,7 +34,7 @@ def read(file: Path) -> Capture:
     cameras = [_camera(file, n, top, view) for n, view in enumerate(views)]
     plane = top.get("printed_board_rect_m")
     if plane is not None:
-        plane = tuple(number(x, f"{file}: printed_board_rect_m") for x in plane)
+        plane = numbers(plane, 4, f"{file}: printed_board_rect_m")
     return Capture(cameras, file.name, _corners(file, top), plane=plane)
 
 
@@ -61,7 +62,7 @@ def _camera(file: Path, index: int, top: dict, view) -> Camera:
     if isinstance(lens, list):
         if len(lens) not in (4, 5):
             raise InputError(f"{where}: distortion: give [k1, k2, p1, p2] or [k1, k2, p1, p2, k3]")
-        k1, k2, p1, p2, k3 = (number(x, f"{where}: distortion") for x in [*lens, 0.0][:5])
+        k1, k2, p1, p2, k3 = numbers([*lens, 0.0][:5], 5, f"{where}: distortion")
     mask = view.get("mask")
     return Camera(
         name=view["image"],
@@ -84,7 +85,10 @@ def _corners(file: Path, top: dict) -> np.ndarray | None:
     """The inner corners of the chessboard, row after row, ``(n m, 3)``."""
     if "inner_corners" not in top or "square_size_m" not in top:
         return None
-    columns, rows = (whole(x, f"{file}: inner_corners") for x in top["inner_corners"])
+    where = f"{file}: inner_corners"
+    columns, rows = (whole(x, where) for x in numbers(top["inner_corners"], 2, where))
+    if columns * rows > _MOST_CORNERS:
+        raise InputError(f"{where}: {columns}×{rows} corners: at most {_MOST_CORNERS}")
     side = number(top["square_size_m"], f"{file}: square_size_m")
     j, i = np.mgrid[:rows, :columns]
     return np.stack([i.ravel() * side, j.ravel() * side, np.zeros(i.size)], axis=1)
