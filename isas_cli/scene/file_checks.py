@@ -45,8 +45,9 @@ def _mesh(path: Path, where: str) -> None:
     check_indices(faces, len(vertices), where)
 
 
-def _volume(path: Path, where: str) -> None:
-    """Mitsuba would reserve what the header says."""
+def check_volume(path: Path, where: str) -> None:
+    """Raise InputError, which begins with ``where``, for a .vol file whose header says something
+    else than it holds: Mitsuba would reserve, and read, what the header says."""
     size = path.stat().st_size
     with open(path, "rb") as file:
         head = file.read(_VOLUME.size)
@@ -63,4 +64,4 @@ def _volume(path: Path, where: str) -> None:
         )
 
 
-_CHECKS = {"ply": _mesh, "gridvolume": _volume}
+_CHECKS = {"ply": _mesh, "gridvolume": check_volume}

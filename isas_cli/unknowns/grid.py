@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..runtime.errors import InputError
+from ..scene.file_checks import check_volume
 from .kind import Kind, Loaded
 from .parameters import is_differentiable, is_grid
 
@@ -77,7 +78,10 @@ class Grid(Kind):
             if path.suffix == ".npy":
                 found = np.load(path, allow_pickle=False)
             else:
+                check_volume(path, f"{where}={spec}")
                 found = np.array(mi.VolumeGrid(str(path)))
+        except InputError:
+            raise
         except Exception as error:  # whatever their readers meet
             raise InputError(f"{where}={spec}: {' '.join(str(error).split())}") from error
         found = np.asarray(found)
