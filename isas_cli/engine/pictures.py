@@ -63,7 +63,7 @@ class Pictures:
                 self._write(f"error_v{view:02d}", error, _RGB, "|result - target|", **tags)
         arrays = self.problem.unknowns.arrays(values)
         self._unknowns(kind, arrays, iteration)
-        if kind == "result":
+        if kind == "result" and self.views:
             self._turntables(arrays)
 
     def _turntables(self, arrays: dict[str, np.ndarray]) -> None:

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from ..unknowns.kind import Surface
 
-_FRAMES, _SIDE, _SPP, _MILLISECONDS = 24, 200, 32, 100
+_FRAMES, _SIDE, _SPP, _MILLISECONDS = 24, 200, 16, 100
 _TILT, _FIELD = 25.0, 30.0  # degrees
 _LIGHT, _SKY = 2.5, 0.35
 
@@ -120,4 +120,5 @@ def _sensor(azimuth: float, middle: np.ndarray, radius: float) -> mi.Sensor:
         origin=origin.tolist(), target=middle.tolist(), up=[0, 1, 0]
     )
     film = {"type": "hdrfilm", "width": _SIDE, "height": _SIDE, "pixel_format": "rgb"}
-    return mi.load_dict({"type": "perspective", "fov": _FIELD, "to_world": place, "film": film})
+    own = {"film": film, "sampler": {"type": "multijitter", "sample_count": _SPP}}
+    return mi.load_dict({"type": "perspective", "fov": _FIELD, "to_world": place, **own})
