@@ -8,6 +8,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -34,10 +35,11 @@ class Surface:
     normals: np.ndarray
 
 
+@lru_cache  # Mitsuba's reader keeps some 70 KiB of every file that it has read
 def read_obj(
     path: Path, textured: bool = True, material: str | None = None, flat: bool = False
 ) -> Surface:
-    """Read and check an OBJ file as a single mesh.
+    """Read and check an OBJ file as a single mesh, once a process: not to be written to.
 
     `textured`: the file must have texture coordinates; otherwise they are left away.
     `material`: only the faces that the file gives this material by `usemtl`. Without it material

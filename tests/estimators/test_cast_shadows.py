@@ -42,7 +42,9 @@ def shadow(lamp: str) -> dict:
     }
 
 
-@pytest.mark.parametrize("lamp", LAMPS)
+@pytest.mark.parametrize(
+    "lamp", ["point", *(pytest.param(each, marks=pytest.mark.slow) for each in ("ball", "sun"))]
+)
 def test_what_only_a_shadow_shows(lamp):
     """Seen with four times as many: 0.97 ± 0.03, 0.99 ± 0.03, 1.00 ± 0.02 along ``scale``. Without
     samples of shadows' edges nothing is found, which is noticed."""
@@ -55,6 +57,7 @@ def test_what_only_a_shadow_shows(lamp):
     assert abs(missing.mean()) < 0.1 * abs(exact["right"].mean())
 
 
+@pytest.mark.slow  # at this fineness; one that moves before another is in test_silhouettes.py
 def test_shapes_that_hide_and_shade_parts_of_themselves():
     """Seen: 0.993 ± 0.004, with shadows' edges or without. Of 642 vertices 0.98: smooth normals are
     black along the silhouettes of coarse meshes, and the inner border of that is not sampled."""
@@ -80,6 +83,7 @@ def lit() -> dict:
     }
 
 
+@pytest.mark.slow  # what stands still on what moves is below
 def test_the_shadow_of_one_part_on_another():
     """Seen: 0.96 ± 0.03 of the small one's, 0.93 ± 0.02 of the large one's, 0.83 and 0.90 without
     shadows' edges; what the large one's lacks was not traced."""

@@ -148,6 +148,7 @@ def test_pixels_that_a_mask_weighs(plain):
     assert not all(right(found, plain["exact"], exact))  # without it
 
 
+@pytest.mark.slow  # that seams are welded is in tests/unknowns
 def test_seams_of_the_file_are_no_borders(plain):
     found = estimates(problem(seams=True), COUNT)
     for name in ("right", "scale"):
