@@ -23,6 +23,9 @@ WAYS = {"isas": (), "Mitsuba": ("sampler=mitsuba",)}
 
 
 def cases() -> list:
+    from isas_cli.runtime import backend
+
+    backend.start()
     sys.path.insert(0, str(SUPPORT))
     import hard_cases
 
@@ -31,9 +34,6 @@ def cases() -> list:
 
 def one(name: str, way: str) -> dict:
     """What became of a case, in this process."""
-    from isas_cli.runtime import backend
-
-    backend.start()
     from isas_cli.runtime.errors import IsasError
 
     (case,) = (case for case in cases() if case.name == name)

@@ -114,6 +114,7 @@ def differences(
     spp: int = 512,
     at: np.ndarray | None = None,
     ways: dict[str, np.ndarray] | None = None,
+    step: float = STEP,
 ) -> dict[str, np.ndarray]:
     """The same by central differences of the images, at the mean image's ∂ℒ/∂I: four estimates.
     ``names``: of ``ways``, or of the usual ones, those that count; None for all."""
@@ -130,12 +131,12 @@ def differences(
         adjoint *= np.array(p.mask)[:, None]
     found, ways = {}, ways or directions(x)
     for name in names or ways:
-        way = ways[name] * STEP
+        way = ways[name] * step
         found[name] = np.zeros(4)
         for i in range(4):
             first = 10**6 * (i + 1)
             change = image(x + way, first) - image(x - way, first)
-            found[name][i] = np.sum(adjoint * change) / (2 * STEP)
+            found[name][i] = np.sum(adjoint * change) / (2 * step)
     return found
 
 
