@@ -11,6 +11,7 @@ import numpy as np
 
 from ..rendering.pixels import PixelDistribution
 from ..rendering.projective import projective
+from ..rendering.volume import Emission
 from ..runtime import streams
 from ..runtime.errors import InputError
 from ..samplers.sampler import Sampler
@@ -226,6 +227,11 @@ def _check_shapes(problem: "Problem") -> None:
 
 def _integrator(problem: "Problem", silhouettes: str) -> mi.Integrator:
     own = problem.integrator
+    if isinstance(own.mitsuba, Emission):
+        raise InputError(
+            "estimator=mitsuba renders by Mitsuba's integrators, none of which has a medium that "
+            "only emits and absorbs: take estimator=two_path"
+        )
     if not problem.unknowns.moving:
         return own.mitsuba
     if "media" in own.simulates:

@@ -12,6 +12,7 @@ from poses_for_tests import AT, blurred_problem, description
 from scenes_for_tests import without_targets
 from scipy import stats
 
+import isas_cli
 from isas_cli import losses
 from isas_cli.config.schema import BlurConfig, PoseConfig, UnknownConfig
 from isas_cli.estimators.finite_differences import FiniteDifferences
@@ -101,3 +102,9 @@ def test_the_edge_of_a_point_lights_shadow_is_missing():
     found = rows(WholeImages(p, losses.L2(), 16 * BATCH, silhouettes="uniform"), p, 150)
     exact = rows(FiniteDifferences(p, losses.L2(), 64 * BATCH, 0.05), p, 100)
     assert p_value(found, exact) < LEVEL
+
+
+def test_a_medium_that_only_emits_is_none_of_mitsubas(tmp_path):
+    settings = "scene=lego", "size=tiny", "sampler=mitsuba", "target.spp=1"
+    with pytest.raises(InputError, match="take estimator=two_path"):
+        isas_cli.run(*settings, f"hydra.run.dir={tmp_path}")
