@@ -30,8 +30,6 @@ from isas_cli.scene.photos import building, photographs, reading
 from isas_cli.unknowns.motion import WIDTH, Motion
 from isas_cli.unknowns.parameters import as_numpy
 
-pytestmark = pytest.mark.slow  # whole runs, minutes
-
 COLOUR = (0.6, 0.3, 0.15)
 ORIGINS = [(2.0, 1.0, 2.5), (-2.2, 0.4, 1.5), (0.3, 1.8, -2.4), (1.8, -1.0, -1.6)]
 TARGET = (0.1, 0.0, -0.1)
@@ -108,6 +106,7 @@ def problem(*settings: str):
         return experiment.built(typed, Phases(display), [cfg])
 
 
+@pytest.mark.slow
 def test_colour_and_exposures_are_found(photographed, tmp_path):
     """Cameras, principal point, environment and mesh as another program has them: where an axis or
     a sign was wrong, no colour would fit."""
@@ -179,6 +178,7 @@ def z_of_exposures(made, estimator) -> np.ndarray:
     return (mean - wanted) / error
 
 
+@pytest.mark.slow
 def test_the_gradient_by_exposures_is_unbiased(photographed, monkeypatch):
     """Against the sum over all pixels of renderings of 2 × 1024 paths: within 4 standard errors,
     six entries (chance 0.04 %). With the residual's own path as the third the noise is correlated with
@@ -235,6 +235,7 @@ def z_of_poses(made, estimator) -> np.ndarray:
     return (mean - true) / error
 
 
+@pytest.mark.slow
 def test_the_gradient_by_poses_is_that_of_blurred_images(photographed, monkeypatch):
     """Within 4 standard errors, 12 numbers (chance 0.08 %); offsets that are weighed as if they
     came from a blur twice as wide, a quarter of the gradient, are seen."""
@@ -257,6 +258,7 @@ def moved(camera, pose: np.ndarray, size: np.ndarray):
     return dataclasses.replace(camera, to_world=to_world)
 
 
+@pytest.mark.slow
 def test_a_camera_that_stands_wrong_is_put_right(tmp_path):
     """Of the chessboard, whose corners are known: one camera is turned by three pixels, and found
     again within half a pixel, texture, light and exposures unknown as well."""
@@ -369,6 +371,7 @@ def chessboard(tmp_path_factory):
     )
 
 
+@pytest.mark.slow
 def test_the_chessboards_squares_are_black_and_white(chessboard):
     texture = chessboard.parameters()[f"{BASE}.data"].mean(axis=2)
     rows, columns = (np.arange(n) for n in texture.shape)
@@ -385,6 +388,7 @@ def test_the_chessboards_squares_are_black_and_white(chessboard):
     assert np.mean(light > 0.5 * (np.median(a) + np.median(b))) > 0.95
 
 
+@pytest.mark.slow
 def test_the_chessboards_held_out_views(chessboard):
     summary = chessboard.summary
     assert list(summary["held_out"]["views"]) == ["left03.png", "left08.png", "left13.png"]
