@@ -72,7 +72,7 @@ def rendered(folder: Path) -> list[np.ndarray]:
         {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": 3},
-            "sky": {"type": "envmap", "filename": str(folder / "sky.exr")},
+            "sky": {"type": "envmap", "bitmap": mi.Bitmap(sky)},
             "box": {
                 "type": "ply",
                 "filename": str(folder / "box.ply"),
