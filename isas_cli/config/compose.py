@@ -196,7 +196,7 @@ def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
         with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
             cfg = hydra_compose("config", overrides, return_hydra_config=hydra)
             OmegaConf.resolve(cfg.scene)
-    except (HydraException, OmegaConfBaseException, OSError, ValueError) as error:
+    except (HydraException, OmegaConfBaseException, OSError, ValueError, OverflowError) as error:
         text = explain(error, overrides).replace(_BASE_OF_HYDRA, _BASE)
         raise InputError(text[:_LONGEST]) from error
     return cfg
