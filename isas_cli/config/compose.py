@@ -44,6 +44,8 @@ _OF_ESTIMATORS = tuple(
     )
 )
 _LONGEST = 2000  # of a message, which may quote what was typed
+# What OmegaConf says of a value that does not fit; the second, of a number beyond all floats.
+_REFUSALS = (OmegaConfBaseException, OverflowError)
 _NO_WORDS = ("null", "true", "false", "nan", "inf")
 _LABELS = tuple(f"{choice}.{label}" for choice in _CHOICES for label in ("name", "_target_"))
 
@@ -160,8 +162,9 @@ def _check_entry(where: str, entry_type: type, entry: dict) -> None:
             raise InputError(f"{where}.blur.{name}: no such entry; {nearest(name, fields)}")
     try:
         OmegaConf.merge(OmegaConf.structured(entry_type), entry)
-    except OmegaConfBaseException as error:
-        field = f".{error.full_key}" if error.full_key else ""
+    except _REFUSALS as error:
+        key = getattr(error, "full_key", "")
+        field = f".{key}" if key else ""
         raise InputError(f"{where}{field}: {str(error).splitlines()[0]}") from error
 
 
@@ -196,7 +199,7 @@ def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
         with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
             cfg = hydra_compose("config", overrides, return_hydra_config=hydra)
             OmegaConf.resolve(cfg.scene)
-    except (HydraException, OmegaConfBaseException, OSError, ValueError, OverflowError) as error:
+    except (HydraException, *_REFUSALS, OSError, ValueError) as error:
         text = explain(error, overrides).replace(_BASE_OF_HYDRA, _BASE)
         raise InputError(text[:_LONGEST]) from error
     return cfg
@@ -305,7 +308,7 @@ def instantiate(node: DictConfig, where: str):
     except InputError as error:
         # A class names its fields as if it were the choice at the top.
         raise InputError(str(error).replace(where.split(".")[0], where, 1)) from error
-    except OmegaConfBaseException as error:
-        message = str(error).split("\n")[0]
-        field = f"{where}.{error.full_key}" if error.full_key else where
+    except _REFUSALS as error:
+        message, key = str(error).split("\n")[0], getattr(error, "full_key", "")
+        field = f"{where}.{key}" if key else where
         raise InputError(f"{field}: {message}") from error

@@ -108,7 +108,7 @@ def configuration(folder: Path, recorded: dict, changes: dict) -> tuple[DictConf
         cfg = OmegaConf.merge(OmegaConf.structured(Config), recorded)
         before = _budget(cfg)
         schema.typed(cfg)
-    except (OmegaConfBaseException, RecursionError) as error:  # the latter: nested too deeply
+    except (OmegaConfBaseException, OverflowError, RecursionError) as error:  # nested too deeply
         reason = str(error).split("\n")[0]
         raise InputError(f"{folder}/config.yaml does not give a run: {reason}") from error
     return changed(cfg, changes), before
@@ -119,7 +119,7 @@ def changed(cfg: DictConfig, changes: dict) -> DictConfig:
     for key, value in changes.items():
         try:
             OmegaConf.update(cfg, key, value)
-        except OmegaConfBaseException as error:
+        except (OmegaConfBaseException, OverflowError) as error:
             raise InputError(f"{key}={value}: {str(error).splitlines()[0]}") from error
     return cfg
 
