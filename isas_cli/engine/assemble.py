@@ -22,7 +22,7 @@ from ..scene.photos import building, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
 from ..unknowns.specs import narrow_blurs, parse
-from ..unknowns.unknowns import Unknowns
+from ..unknowns.unknowns import Unknown, Unknowns
 
 
 def problem(
@@ -84,6 +84,7 @@ def problem(
             *mesh_checks.check_scene(loaded, unknowns.textures),
             *narrow_blurs(found),
             *(warning for each in found for warning in each.kind.warnings()),
+            *_doubtful_starts(found),
         ],
         flat=single,
     )
@@ -145,6 +146,13 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
     targets.given(held, pictures, masks, filled)
     problem.warnings += held.warnings
     problem.held_out = held
+
+
+def _doubtful_starts(found: list[Unknown]) -> list[str]:
+    """Of unknowns that would not be trusted if they ended where they start; without the advice that
+    is for ends."""
+    doubts = ((each.key, each.kind.doubt(each.start)) for each in found)
+    return [f"start of '{key}': {doubt.partition('; ')[0]}" for key, doubt in doubts if doubt]
 
 
 def _where(scene: SceneConfig) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
@@ -13,6 +14,7 @@ from scenes_for_tests import without_targets
 from shapes_for_tests import KEY, ball, problem, shaped
 
 from isas_cli.config.schema import OptimizerConfig, UnknownConfig
+from isas_cli.engine import assemble
 from isas_cli.engine.optimiser import Stepper
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene.shape_error import Sampled, apart
@@ -81,12 +83,18 @@ def two(apart: float) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([vertices, beside]), np.concatenate([faces, faces + len(vertices)])
 
 
-def test_a_mesh_that_passes_through_itself_is_warned_of_and_is_no_result():
+def test_a_mesh_that_passes_through_itself_is_warned_of_and_is_no_result(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     kind = of(*two(2.1))
     assert kind.warnings() == [] and kind.doubt(kind.present) is None
     moved = kind.present.copy()
     moved[kind.present[:, 0] > 1.05, 0] -= 0.6
     assert "triangles of 'figure' pass through each other" in kind.doubt(moved)
+    Path("start.ply").write_bytes(kind.files(moved)["ply"])
+    scene = kirby.build(1, 8, 1) | {"figure": shaped(*two(2.1))}
+    begun = without_targets(scene, {KEY: UnknownConfig(start="start.ply")})
+    (said,) = assemble._doubtful_starts(list(begun.unknowns))
+    assert said.startswith("start of 'figure.vertices'") and said.endswith("through each other")
     assert kind.numbers(kind.present, None)["crossed"] == 0
     share = kind.numbers(moved, None)["crossed"]
     (warning,) = of(*two(1.5)).warnings()
