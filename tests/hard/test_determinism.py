@@ -40,9 +40,10 @@ def test_one_thread_gives_the_same_bits(values):
 
 
 def test_several_threads_differ_by_rounding(values):
-    """Sums in another order: 1e-3 of the range after 40 steps of 0.02, which amplify it; a step
-    taken twice or not at all would be 2e-2."""
+    """Sums in another order. Adam amplifies it where a texel's gradients nearly cancel: 4e-7 to
+    6e-3 seen, after 40 steps of 0.02, at single texels, so that the largest is allowed a step. A
+    step taken twice or not at all moves all of them, which the mean shows."""
     (a, _), (c, d) = values[1], values[2]
     print("largest differences", np.abs(c - d).max(), np.abs(c - a).max())
-    assert np.abs(c - d).max() < 5e-3 and np.abs(c - a).max() < 5e-3
-    assert np.abs(c - a).mean() < 1e-4
+    assert np.abs(c - d).max() < 2e-2 and np.abs(c - a).max() < 2e-2
+    assert np.abs(c - d).mean() < 1e-4 and np.abs(c - a).mean() < 1e-4
