@@ -50,12 +50,12 @@ SETTINGS = [
 class Case:
     """``provokes``: what is hard about it; ``unknowns``: as in scene.unknowns; ``within``: the
     largest final parameter error, in the unknowns' own unit; ``sky``: pixels of an environment map,
-    ``(H, W, 3)``; ``bumps``: of a normal map, ``(H, W, 3)``; ``side``: of the film, pixels; ``poses``: as in scene.poses; ``ends``: whether it
-    is a numerical failure, since nothing can be found; ``warns``: what it warns of; ``settings``:
-    beyond SETTINGS; ``meshes``: vertices and faces by the name of a PLY file, which ``{folder}`` in
-    a start stands before; ``files``: others, by name; ``integrator``: the file's; ``estimator``:
-    settings that another sampler brings instead. The figures seen:
-    benchmarks/results/hard_cases.md."""
+    ``(H, W, 3)``; ``bumps``: of a normal map, ``(H, W, 3)``; ``side``: of the film, pixels;
+    ``poses``: as in scene.poses; ``ends``: whether it is a numerical failure, since nothing can be
+    found; ``warns``: what it warns of; ``settings``: beyond SETTINGS; ``meshes``: vertices and
+    faces by the name of a PLY file, which ``{folder}`` in a start stands before; ``files``: others,
+    by name; ``integrator``: the file's; ``estimator``: settings that another sampler brings
+    instead. The figures seen: benchmarks/results/hard_cases.md."""
 
     name: str
     provokes: str
@@ -393,7 +393,7 @@ CASES = [
     ),
     Case(
         *("phong", "three numbers of one lobe at once, which can stand for each other"),
-        {f"thing.bsdf.{name}.value": {"start": 0.5} for name in ("diffuse", "specular", "roughness")},
+        {f"thing.bsdf.{x}.value": {"start": 0.5} for x in ("diffuse", "specular", "roughness")},
         *(0.1,),
         bsdf='<bsdf type="phong"><rgb name="diffuse" value="0.2, 0.3, 0.1"/>'
         '<rgb name="specular" value="0.4"/><float name="roughness" value="0.25"/></bsdf>',
