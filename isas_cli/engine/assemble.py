@@ -85,6 +85,7 @@ def problem(
             *narrow_blurs(found),
             *(warning for each in found for warning in each.kind.warnings()),
             *_doubtful_starts(found),
+            *_traded(unknowns, truth_known),
         ],
         flat=single,
     )
@@ -146,6 +147,18 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
     targets.given(held, pictures, masks, filled)
     problem.warnings += held.warnings
     problem.held_out = held
+
+
+def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:
+    by_role = {
+        role: [f"'{key}'" for key in unknowns.traded if unknowns[key].kind.role == role]
+        for role in ("light", "colour")
+    }
+    if not any(by_role.values()):
+        return []
+    told = "value/…/scaled has errors after a factor a channel" if truth_known else "fix one"
+    light, colour = (", ".join(keys) for keys in by_role.values())
+    return [f"light ({light}) and colour ({colour}) can trade brightness: {told}"]
 
 
 def _doubtful_starts(found: list[Unknown]) -> list[str]:

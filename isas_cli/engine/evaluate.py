@@ -86,7 +86,7 @@ class Evaluator:
 
     def __call__(self, values: dict) -> dict[str, float]:
         """``loss``, ``image_rmse``, ``parameter_rmse``, ``parameter_rmse/<key>``, and ``value/…``:
-        ``_outlines`` and ``few``."""
+        ``_outlines``, ``_scaled`` and ``few``."""
         first, second = self._halves(values)
         weight = mi.Float(1)
         if self.problem.mask is not None:
@@ -100,7 +100,8 @@ class Evaluator:
             "loss": float(dr.sum(loss)[0]) / norm,
             "image_rmse": math.sqrt(max(0.0, float(dr.sum(squared)[0]) / norm)),
         }
-        return result | self._outlines() | self.parameter_errors(values) | self.few(values)
+        known = self._outlines() | self.parameter_errors(values) | self._scaled(values)
+        return result | known | self.few(values)
 
     def _outlines(self) -> dict[str, float]:
         """``value/outlines/overlap``, where objects move and the truth is known: of the pixels
@@ -126,6 +127,18 @@ class Evaluator:
         found &= hit.is_valid()
         dr.eval(found)
         return found
+
+    def _scaled(self, values: dict) -> dict[str, float]:
+        """``value/<key>/scaled``, of textures and maps whose brightness another unknown can make up
+        for: the error after a factor a channel."""
+        unknowns = self.problem.unknowns
+        arrays = {key: unknowns[key].kind.whole(values[key]) for key in unknowns.traded}
+        return {
+            f"{VALUE_PREFIX}{key}/scaled": unknowns[key].scaled_error(array)
+            for key, array in arrays.items()
+            # Of a single colour nothing would be left.
+            if array.ndim > 1 and self.problem.truth_known
+        }
 
     def few(self, values: dict) -> dict[str, float]:
         """What each kind says of its value: ``value/<key>``, or ``value/<key>/<name>``."""

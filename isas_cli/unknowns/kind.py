@@ -19,7 +19,7 @@ import numpy as np
 from ..config.schema import PoseConfig
 from ..runtime import images
 from ..runtime.errors import InputError
-from .parameters import as_numpy, like, owner, usual
+from .parameters import as_numpy, like, owner, role, usual
 
 if TYPE_CHECKING:
     from ..scene.views import Views
@@ -76,7 +76,8 @@ class Kind:
     ``carried``: whether a path's derivative by it is among those that integrators take.
     ``uniform``: whether Adam divides the steps of all entries by one number, and steps go along
     ``smoothed``. ``texture``: whose texels, laid out on meshes, are the unknown; the meshes are
-    checked for it. ``doubtful``: whether ``doubt`` may have something to say.
+    checked for it. ``role``: ``light``, ``colour`` or nothing, see ``Unknowns.traded``.
+    ``doubtful``: whether ``doubt`` may have something to say.
     """
 
     name: ClassVar[str] = "parameter"
@@ -92,6 +93,7 @@ class Kind:
     doubtful: bool = False
     doublings: int = 0
     carried: bool = True
+    role: str = ""
 
     @classmethod
     def matches(cls, params: mi.SceneParameters, key: str) -> bool:
@@ -115,6 +117,7 @@ class Kind:
         self._type = type(value)
         self.present = as_numpy(value)
         *self.range, self.unit = usual(key, owner(loaded.params, key))
+        self.role = role(key, owner(loaded.params, key))
 
     def value(self, array: np.ndarray):
         """``array`` as the Dr.Jit value that estimators differentiate by, the *leaf*."""

@@ -25,6 +25,9 @@ _USUAL = {
     "sigma_t": (0.0, np.inf, "1 / scene unit"),
 }
 
+_LIGHTS = ("radiance", "intensity", "irradiance")
+_COLOURS = ("base_color", "reflectance", "albedo", "diffuse", "specular")
+
 
 def owner(params: mi.SceneParameters, key: str):
     """The object of the scene that holds the parameter."""
@@ -38,6 +41,14 @@ def usual(key: str, holder) -> tuple[float, float, str]:
     positive = isinstance(holder, (mi.Emitter, mi.Medium))
     default = (0.0 if positive else -np.inf, np.inf, "")
     return next((_USUAL[word] for word in reversed(key.split(".")) if word in _USUAL), default)
+
+
+def role(key: str, holder) -> str:
+    """``light`` or ``colour``, which brightness can move between, or nothing."""
+    words = key.split(".")
+    if isinstance(holder, mi.Emitter) or any(word in _LIGHTS for word in words):
+        return "light"
+    return "colour" if any(word in _COLOURS for word in words) else ""
 
 
 def moves_geometry(params: mi.SceneParameters, key: str) -> bool:

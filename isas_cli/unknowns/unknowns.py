@@ -56,6 +56,15 @@ class Unknown:
         """How far ``array`` is from the known truth over what is seen, in the unknown's unit."""
         return self.kind.error(array, self.truth, self.seen)
 
+    def scaled_error(self, array: np.ndarray) -> float:
+        """The same after the factor for each channel, of the last axis, that makes the squares of
+        the differences least."""
+        axes = tuple(range(array.ndim - 1))
+        above = np.sum(array * self.truth, axes, where=self.seen, dtype=np.float64)
+        below = np.sum(array * array, axes, where=self.seen, dtype=np.float64)
+        factor = np.divide(above, below, where=below > 0, out=np.ones_like(below))
+        return self.kind.error(array * factor, self.truth, self.seen)
+
 
 class Unknowns:
     """The unknowns of one scene, and the only writer of the scene's parameters.
@@ -103,6 +112,13 @@ class Unknowns:
     def textures(self) -> dict[str, mi.Texture]:
         """Of those laid out on surfaces, the texture that holds them, by key."""
         return {u.key: u.kind.texture for u in self.items if u.kind.texture is not None}
+
+    @property
+    def traded(self) -> list[str]:
+        """Keys of lights and colours, where both are unknown: twice the light on half the colour
+        is nearly the same image, and only what is known or reflects several times tells."""
+        of = {u.key: u.kind.role for u in self.items if u.kind.role}
+        return list(of) if len(set(of.values())) == 2 else []
 
     @property
     def unit(self) -> str | None:

@@ -94,6 +94,27 @@ def test_recorded_kernels_follow_an_environment_map(rng):
     assert np.abs(traced[4] - traced[5]).max() > 0.01 * np.abs(traced[4]).max()
 
 
+def test_light_and_colour_that_can_trade_brightness(rng):
+    """A factor a channel between a map and its truth leaves nothing; what else differs stays."""
+    made = without_targets(lit("map"), STARTS | UNDER["map"])
+    roles = {made.unknowns[key].kind.role for key in made.unknowns.traded}
+    assert roles == {"light", "colour"} and "sky.data" in made.unknowns.traded
+    sky = made.unknowns["sky.data"]
+    sky.seen = rng.random(SKY) < 0.7
+    array = (sky.truth * [0.5, 1, 3] + rng.normal(0, 0.1, SKY)).astype(np.float32)
+    left = []
+    for channel in range(3):
+        one, true = (x[..., channel][sky.seen[..., channel]] for x in (array, sky.truth))
+        (factor,), *_ = np.linalg.lstsq(one[:, None], true, rcond=None)
+        left.append((one * factor - true) ** 2)
+    expected = np.sqrt(np.concatenate(left).mean())
+    assert sky.scaled_error(array) == pytest.approx(expected, 1e-4)
+    assert sky.scaled_error(array) < 0.3 * sky.error(array)
+    assert sky.scaled_error(sky.truth * np.float32([0.5, 1, 3])) < 1e-6
+    alone = without_targets(lit("map"), {"sky.data": 0.5})
+    assert alone.unknowns.traded == []
+
+
 def render(scene: mi.Scene) -> np.ndarray:
     return np.array(mi.render(scene, spp=16, seed=3))
 
@@ -251,6 +272,10 @@ def test_five_kinds_are_found_together_each_with_its_own_rate_and_range(
         print(key, error[0], error[-1])
         # At the others' rate the lamp would hardly have left its start.
         assert error[-1] < (0.1 if key.startswith("lamp") else 0.7) * error[0], key
+    (said,) = (each for each in recorded.summary["warnings"] if "trade brightness" in each)
+    assert said.index("'sky.data'") < said.index("and colour")
+    scaled = recorded.history["value/sky.data/scaled"]
+    assert (scaled <= recorded.history["parameter_rmse/sky.data"]).all() and scaled.min() > 0
     found = images.read(tmp_path / "r" / "frames" / "result_sky.data.exr")
     assert found.shape == SKY
     assert 0.19 - 1e-3 < found.min() and found.max() < 0.81 + 1e-3
