@@ -1,7 +1,7 @@
 """An hour of all kinds of problem: memory stays flat, and so does the time of a step.
 
 Each kind runs in a process of its own for its part of the hour, with steps too small to change
-anything, so that every step is the same work; the last kind is many small runs in one process. The
+anything and blurs that stay as wide, so that every step is the same work; the last kind is many small runs in one process. The
 first quarter warms up. Writes results/soak.csv: memory in the last tenth of the loop over that after
 a quarter (goal: within 2 %), and the median time of a step in the last quarter over that in the
 second (within 5 %). Machines drift by more than that: a fixed piece of work, the control, is timed
@@ -29,7 +29,7 @@ import pandas
 HERE = Path(__file__).resolve()
 RESULTS = HERE.parent / "results"
 MEMORY, STEP = 0.02, 0.05
-_STILL = ["optimizer.lr=1e-12", "target.spp=16", "frames.views=1", "frames.snapshots=0"]
+_STILL = ["optimizer.factor=1e-12", "target.spp=16", "frames.views=1", "frames.snapshots=0"]
 _STILL += ["report=false", "evaluation.count=60", "evaluation.pixels=4096", "effects=full"]
 # By what is unknown, and how its derivatives are had.
 KINDS = {
@@ -39,8 +39,15 @@ KINDS = {
     "texture and number": ["scene=multires", "sampler=multiresolution"],
     "long paths": ["scene=earth", "sampler=uniform"],
     "through glass": ["scene=caustic_failure", "sampler=relevant"],
-    "a pose": ["scene=cup", "sampler=plateau", "estimator.batch=2048", "estimator.spp=4"],
-    "many poses": ["scene=sort", "sampler=plateau", "estimator.batch=2048"],
+    "a pose": [
+        *("scene=cup", "sampler=plateau", "estimator.batch=2048", "estimator.spp=4"),
+        'scene.unknowns={"cup.angle": {"start": 170, "blur": {"start": 60, "end": 60}}}',
+    ],
+    "many poses": [
+        *("scene=sort", "sampler=plateau", "estimator.batch=2048"),
+        'scene.unknowns={"cubes.place": {"start": {"uniform": [-0.4, 0.4], "seed": 1}, '
+        '"blur": {"start": 0.12, "end": 0.12, "reach": 0.3}}}',
+    ],
     "a mesh": ["scene=kirby", "estimator=silhouettes", "sampler=uniform"],
     "a volume": ["scene=smoke", "sampler=ours"],
     "Mitsuba's own loop": ["scene=pottery", "sampler=mitsuba"],
