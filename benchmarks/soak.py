@@ -1,10 +1,10 @@
 """An hour of all kinds of problem: memory stays flat, and so does the time of a step.
 
 Each kind runs in a process of its own for its part of the hour, with steps too small to change
-anything and blurs that stay as wide, so that every step is the same work; the last kind is many small runs in one process. The
-first quarter warms up. Writes results/soak.csv: memory in the last tenth of the loop over that after
-a quarter (goal: within 2 %), and the median time of a step in the last quarter over that in the
-second (within 5 %). Machines drift by more than that: a fixed piece of work, the control, is timed
+anything and blurs that stay as wide, so that every step is the same work; the last kind is many
+small runs in one process. The first quarter warms up. Writes results/soak.csv: memory in the last
+tenth of the loop over that after a quarter (goal: within 2 %), and the median time of a step in the
+last quarter over that in the second (within 5 %). Machines drift by more than that: a fixed piece of work, the control, is timed
 at every evaluation, and steps are counted in controls. ``control`` says how the control itself
 drifted. Ends with status 1 where a goal is missed.
 

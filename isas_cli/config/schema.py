@@ -320,7 +320,8 @@ class EvaluationConfig:
 
 @dataclass
 class FramesConfig:
-    """Pictures at the end: how many views, paths per pixel; ``snapshots`` on the way, at most."""
+    """Pictures at the end: how many views (0: no turntables either), paths per pixel;
+    ``snapshots`` on the way, at most."""
 
     views: int = 4
     spp: int = setting(64, Role.RECORD, looped=True)

@@ -150,14 +150,15 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
 
 
 def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:
-    by_role = {
-        role: [f"'{key}'" for key in unknowns.traded if unknowns[key].kind.role == role]
-        for role in ("light", "colour")
-    }
-    if not any(by_role.values()):
+    """That lights and colours are unknown together, whose scale images hardly tell."""
+    traded = unknowns.traded
+    if not traded:
         return []
     told = "value/…/scaled has errors after a factor a channel" if truth_known else "fix one"
-    light, colour = (", ".join(keys) for keys in by_role.values())
+    light, colour = (
+        ", ".join(f"'{key}'" for key in traded if unknowns[key].kind.role == role)
+        for role in ("light", "colour")
+    )
     return [f"light ({light}) and colour ({colour}) can trade brightness: {told}"]
 
 

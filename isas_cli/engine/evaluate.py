@@ -131,13 +131,13 @@ class Evaluator:
     def _scaled(self, values: dict) -> dict[str, float]:
         """``value/<key>/scaled``, of textures and maps whose brightness another unknown can make up
         for: the error after a factor a channel."""
-        unknowns = self.problem.unknowns
-        arrays = {key: unknowns[key].kind.whole(values[key]) for key in unknowns.traded}
+        if not self.problem.truth_known:
+            return {}
+        traded = [self.problem.unknowns[key] for key in self.problem.unknowns.traded]
         return {
-            f"{VALUE_PREFIX}{key}/scaled": unknowns[key].scaled_error(array)
-            for key, array in arrays.items()
-            # Of a single colour nothing would be left.
-            if array.ndim > 1 and self.problem.truth_known
+            f"{VALUE_PREFIX}{u.key}/scaled": u.scaled_error(u.kind.whole(values[u.key]))
+            for u in traded
+            if u.start.ndim > 1  # of a single colour nothing would be left
         }
 
     def few(self, values: dict) -> dict[str, float]:

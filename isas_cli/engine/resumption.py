@@ -108,7 +108,8 @@ def configuration(folder: Path, recorded: dict, changes: dict) -> tuple[DictConf
         cfg = OmegaConf.merge(OmegaConf.structured(Config), recorded)
         before = _budget(cfg)
         schema.typed(cfg)
-    except (OmegaConfBaseException, OverflowError, RecursionError) as error:  # nested too deeply
+    # The latter two: a number beyond all floats, and what is nested too deeply.
+    except (OmegaConfBaseException, OverflowError, RecursionError) as error:
         reason = str(error).split("\n")[0]
         raise InputError(f"{folder}/config.yaml does not give a run: {reason}") from error
     return changed(cfg, changes), before

@@ -233,15 +233,13 @@ class Reader:
             self._make()
 
     def _make(self) -> None:
-        import numpy as np
-
         import mitsuba as mi
+        import numpy as np
         import photo_sets
 
         from isas_cli.runtime import images
 
         rng = np.random.default_rng(0)
-
         paint = rng.random((4, 4, 3)).astype(np.float32)
         self.sound.mkdir(parents=True)
         images.write_png(self.sound / "paint.png", (paint * 255).astype(np.uint8))

@@ -114,8 +114,9 @@ CASES = [
         settings=("optimizer.lr=0.03",),
     ),
     _volume(
-        *("in the fog", "a camera inside the medium, which Mitsuba knows only if the file says so", 1.0),
-        *(_uneven(), FROM_ONE),
+        "in the fog",
+        "a camera inside the medium, which Mitsuba knows only if the file says so",
+        *(1.0, _uneven(), FROM_ONE),
         origin="0,0,0.5",
     ),
     _volume(

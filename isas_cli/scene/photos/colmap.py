@@ -141,7 +141,8 @@ def _camera(where: str, words: list[str], lenses: dict, root: Path, called: str)
     if words[8] not in lenses:
         raise InputError(f"{where}: camera {words[8]} is not in cameras.txt")
     name = words[9].strip()
-    folder = next((root / each for each in ("images", "") if os.path.isfile(root / each / name)), root)
+    places = (root / each for each in ("images", ""))
+    folder = next((place for place in places if os.path.isfile(place / name)), root)
     masks = (root / "masks" / f"{name}.png", root / "masks" / Path(name).with_suffix(".png"))
     return Camera(
         name=name,
