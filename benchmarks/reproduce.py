@@ -13,6 +13,7 @@ pages (`pages.py`). The whole takes hours.
     make reproduce SCENES="pottery bowl"
     make reproduce SCENES="dodoco_b kirby"       shapes: see shapes.py
     make reproduce SCENES="smoke lego"           volumes: see volumes.py
+    make reproduce SCENES=pbdr                   everything at once: see pbdr.py
 """
 
 from __future__ import annotations
@@ -231,10 +232,13 @@ def main() -> None:
         sys.argv += ["--folder", str(chosen.folder)] if chosen.folder else []
         _plateau.main()
         return
-    import shapes  # which look at a history as this module does
+    import pbdr  # which look at a history as this module does
+    import shapes
     import volumes
 
-    for script in (shapes, volumes):
+    if chosen.scenes == ["pbdr"]:
+        chosen.scenes = [*pbdr.SCENES]
+    for script in (shapes, volumes, pbdr):
         if chosen.scenes and set(chosen.scenes) <= set(script.SCENES):
             sys.argv = [sys.argv[0], "--scenes", *chosen.scenes]
             sys.argv += ["--seeds", *map(str, chosen.seeds)]
@@ -243,7 +247,7 @@ def main() -> None:
             return
     strange = [scene for scene in chosen.scenes if scene not in SCENES]
     if strange:
-        others = "; or, by themselves, ".join(", ".join(s.SCENES) for s in (shapes, volumes))
+        others = "; or, by themselves, ".join(", ".join(s.SCENES) for s in (shapes, volumes, pbdr))
         valid = f"{', '.join(SCENES)}; or, by themselves, {others}"
         parser.error(f"{strange[0]}: no such scene; valid: {valid}")
     if len(chosen.seeds) < 2:

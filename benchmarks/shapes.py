@@ -20,12 +20,10 @@ Mitsuba's loop at one path a pixel, in turns; prints the ratio, writes results/s
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
-import matplotlib.pyplot as plt
+import _contest
 import numpy as np
 import pages
 import pandas
@@ -58,30 +56,6 @@ def methods(scene: str) -> dict[str, dict]:
 FACTORS = (0.3, 1.0, 3.0)  # of the scene's rate, 0.03
 SETTINGS = ["evaluation.count=6", "frames.views=0", "frames.snapshots=0", "report=false"]
 SETTINGS += ["optimizer.schedule=cosine", "optimizer.final=0.1"]
-
-
-def race(
-    scene: str, folder: Path, contestants: list[dict], seeds: list[int], seconds: float
-) -> None:
-    listed = [",".join(f"{k}:{v}" for k, v in each.items()) for each in contestants]
-    command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *SETTINGS]
-    command += [f"budget.seconds={seconds}", f"seed=[{','.join(map(str, seeds))}]"]
-    command += ["contestants=[" + ",".join(f"{{{each}}}" for each in listed) + "]"]
-    subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
-
-
-def judged(
-    scene: str, root: Path, contestants: dict, by: str, seeds: list[int], seconds: float
-) -> tuple[pandas.DataFrame, pandas.DataFrame]:
-    """The runs of ``contestants``, settings by what they have in the column ``by``: with the first
-    seed at each rate; with the others, each at its best."""
-    every = [each | {"optimizer.factor": f} for each in contestants.values() for f in FACTORS]
-    race(scene, root / "rates", every, seeds[:1], seconds)
-    first = runs(root / "rates", scene)
-    best = first.loc[first.groupby(by, sort=False)["chamfer"].idxmin()]
-    pairs = [contestants[k] | {"optimizer.factor": f} for k, f in zip(best[by], best["factor"])]
-    race(scene, root / "seeds", pairs, seeds[1:], seconds)
-    return first, runs(root / "seeds", scene)
 
 
 def name_of(config: dict, scene: str) -> str:
@@ -144,26 +118,6 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     return pandas.DataFrame(rows)
 
 
-def write(name: str, rows: pandas.DataFrame) -> None:
-    """Rows of one scene; those of scenes that were not measured now stay."""
-    path = RESULTS / f"{name}.csv"
-    before = pandas.read_csv(path)
-    others = before[~before["scene"].isin(rows["scene"])]
-    pandas.concat([others, rows]).to_csv(path, index=False, float_format="%.4g")
-
-
-def draw(found: pandas.DataFrame, scene: str) -> None:
-    figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
-    for number, (name, own) in enumerate(found.groupby("method", sort=False)):
-        for place, history in enumerate(own["history"]):
-            label = name if place == 0 else None
-            ax.plot(history["seconds"], history[ERROR], color=f"C{number}", label=label)
-    ax.set(yscale="log", xlabel="billed seconds", ylabel="chamfer distance", title=scene)
-    ax.legend(fontsize=8)
-    figure.savefig(RESULTS / f"shapes_{scene}.png", dpi=90)
-    plt.close(figure)
-
-
 def steps(rounds: int = 5) -> pandas.DataFrame:
     from isas_cli.runtime import backend
 
@@ -214,7 +168,10 @@ def rebuilds(seeds: list[int], seconds: float) -> pandas.DataFrame:
         for times in (1 / 64, 1 / 4, 1, 4)
     }
     with tempfile.TemporaryDirectory(prefix="isas-shapes-") as root:
-        _, found = judged("kirby", Path(root), contestants, "batch", seeds, seconds)
+        _, found = _contest.judged(
+            *("kirby", Path(root), SETTINGS, contestants, FACTORS, seeds, seconds),
+            *(runs, "chamfer", "batch"),
+        )
         for batch, own in found.groupby("batch"):
             row = {"samples": batch / usual, "factor": own["factor"].iloc[0], "seeds": len(own)}
             row |= {"seconds": seconds, "iterations": own["iterations"].median()}
@@ -249,13 +206,15 @@ def main() -> None:
         return
     for scene in chosen.scenes:
         with tempfile.TemporaryDirectory(prefix="isas-shapes-") as root:
-            first, found = judged(
-                *(scene, Path(root), methods(scene), "method"), chosen.seeds, chosen.seconds
+            contestants = methods(scene)
+            first, found = _contest.judged(
+                *(scene, Path(root), SETTINGS, contestants, FACTORS, chosen.seeds, chosen.seconds),
+                *(runs, "chamfer"),
             )
-            draw(found, scene)
+            _contest.draw(found, RESULTS / f"shapes_{scene}.png", ERROR, "chamfer distance")
             # After each scene: what is measured survives what follows.
-            write("shapes", table(found, chosen.seconds))
-            write("shapes_rates", first.drop(columns="history"))
+            _contest.write(RESULTS / "shapes.csv", table(found, chosen.seconds))
+            _contest.write(RESULTS / "shapes_rates.csv", first.drop(columns="history"))
             pages.write()
 
 

@@ -12,12 +12,10 @@ method), volumes_rates.csv and volumes_<scene>.png (image error against billed t
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
-import matplotlib.pyplot as plt
+import _contest
 import numpy as np
 import pages
 import pandas
@@ -40,16 +38,6 @@ def methods() -> dict[str, dict]:
     for name in (BASE, "progress"):
         found[name + FINE] = {"sampler": name, "scene.sizes.default.levels": 1}
     return found
-
-
-def race(
-    scene: str, folder: Path, contestants: list[dict], seeds: list[int], seconds: float
-) -> None:
-    listed = [",".join(f"{k}:{v}" for k, v in each.items()) for each in contestants]
-    command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *SETTINGS]
-    command += [f"budget.seconds={seconds}", f"seed=[{','.join(map(str, seeds))}]"]
-    command += ["contestants=[" + ",".join(f"{{{each}}}" for each in listed) + "]"]
-    subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
 
 
 def name_of(config: dict) -> str:
@@ -103,29 +91,6 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     return pandas.DataFrame(rows)
 
 
-def write(name: str, rows: pandas.DataFrame) -> None:
-    """Rows of one scene; those of scenes that were not measured now stay."""
-    path = RESULTS / f"{name}.csv"
-    if path.exists():
-        before = pandas.read_csv(path)
-        rows = pandas.concat([before[~before["scene"].isin(rows["scene"])], rows])
-    rows.to_csv(path, index=False, float_format="%.4g")
-
-
-def draw(found: pandas.DataFrame, scene: str) -> None:
-    figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
-    for number, (name, own) in enumerate(found.groupby("method", sort=False)):
-        for place, history in enumerate(own["history"]):
-            label = name if place == 0 else None
-            style = ":" if name.endswith(FINE) else "-"
-            colour = f"C{number}"
-            ax.plot(history["seconds"], history[ERROR], style, color=colour, label=label)
-    ax.set(yscale="log", xlabel="billed seconds", ylabel="image error", title=scene)
-    ax.legend(fontsize=8)
-    figure.savefig(RESULTS / f"volumes_{scene}.png", dpi=90)
-    plt.close(figure)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, help="budget of each run, instead of the scene's")
@@ -135,22 +100,17 @@ def main() -> None:
     for scene in chosen.scenes:
         seconds = chosen.seconds or SCENES[scene]
         with tempfile.TemporaryDirectory(prefix="isas-volumes-") as root:
-            each = methods()
-            every = [m | {"optimizer.factor": f} for m in each.values() for f in FACTORS]
-            race(scene, Path(root) / "rates", every, chosen.seeds[:1], seconds)
-            first = runs(Path(root) / "rates", scene)
-            best = first.loc[first.groupby("method", sort=False)[ERROR].idxmin()]
-            pairs = [
-                each[m] | {"optimizer.factor": f} for m, f in zip(best["method"], best["factor"])
-            ]
-            race(scene, Path(root) / "seeds", pairs, chosen.seeds[1:], seconds)
-            found = runs(Path(root) / "seeds", scene)
-            draw(found, scene)
+            first, found = _contest.judged(
+                *(scene, Path(root), SETTINGS, methods(), FACTORS, chosen.seeds, seconds),
+                *(runs, ERROR),
+            )
+            plot = RESULTS / f"volumes_{scene}.png"
+            _contest.draw(found, plot, ERROR, "image error", dotted=FINE)
             # After each scene: what is measured survives what follows.
             made = table(found, seconds)
             print(made.to_string(index=False), flush=True)
-            write("volumes", made)
-            write("volumes_rates", first.drop(columns="history"))
+            _contest.write(RESULTS / "volumes.csv", made)
+            _contest.write(RESULTS / "volumes_rates.csv", first.drop(columns="history"))
             pages.write()
 
 

@@ -282,7 +282,9 @@ class BudgetConfig:
 class OptimizerConfig:
     """Adam. ``lr``: of unknowns without a rate of their own; ``factor``: on all rates, those too;
     ``schedule``: constant, cosine or exponential over the budget, down to ``final`` of the rates;
-    ``mask_updates``: leave entries alone whose gradient is exactly zero."""
+    ``mask_updates``: leave entries alone whose gradient is exactly zero; ``smoothing``: of the
+    gradients of maps and grids over their neighbours, a standard deviation as a share of the side,
+    which shrinks as the rate does."""
 
     lr: float = 0.02
     factor: float = 1.0
@@ -291,6 +293,7 @@ class OptimizerConfig:
     beta_1: float = 0.9
     beta_2: float = 0.999
     mask_updates: bool = True
+    smoothing: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("lr", "factor"):
@@ -301,6 +304,8 @@ class OptimizerConfig:
         for name in ("beta_1", "beta_2"):
             if not 0 <= getattr(self, name) < 1:
                 raise InputError(f"optimizer.{name}={getattr(self, name)}: must lie in [0, 1)")
+        if not 0 <= self.smoothing < 0.25:
+            raise InputError(f"optimizer.smoothing={self.smoothing}: must lie in [0, 0.25)")
         factor(self.schedule, self.final)
 
 

@@ -154,7 +154,9 @@ def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:
     traded = unknowns.traded
     if not traded:
         return []
-    told = "value/…/scaled has errors after a factor a channel" if truth_known else "fix one"
+    told = "fix one, or let known surfaces tell"
+    if truth_known and any(unknowns[key].start.ndim > 1 for key in traded):
+        told = "value/…/scaled has errors after a factor a channel"
     light, colour = (
         ", ".join(f"'{key}'" for key in traded if unknowns[key].kind.role == role)
         for role in ("light", "colour")

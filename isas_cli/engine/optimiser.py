@@ -13,6 +13,7 @@ from ..runtime.schedule import factor
 from ..samplers.sampler import Moments
 from ..unknowns.parameters import as_numpy, flat, own, unflat
 from ..unknowns.unknowns import Unknowns
+from .neighbours import smoothed
 
 # Of a gradient's entry in units of ``Stepper.scale``: the square of a larger one is infinite, and a
 # second moment that was infinite once holds its entry still for good.
@@ -64,6 +65,8 @@ class Stepper:
       gradients of that size, and ε would slow it silently. ``scale`` (per unknown, fixed for the
       run, from a rehearsal's root mean square) brings them to order 1; Adam is invariant to it
       but for ε.
+    - What has neighbours may have its gradient smoothed over them (``settings.smoothing``),
+      less and less as the rate falls.
     - After the step, values are clamped to their legal ranges.
     - An unknown whose stage it is not (``Unknown.moves``) is left out of the step.
     - Where unknowns pass through levels of resolution, what becomes finer begins with fresh
@@ -72,8 +75,8 @@ class Stepper:
 
     def __init__(self, unknowns: Unknowns, settings: OptimizerConfig):
         self.unknowns, self.settings = unknowns, settings
-        scheduled = factor(settings.schedule, settings.final)
-        self.factor = lambda spent: settings.factor * scheduled(spent)
+        self._scheduled = factor(settings.schedule, settings.final)
+        self.factor = lambda spent: settings.factor * self._scheduled(spent)
         self.scales = [dict.fromkeys(unknowns.keys, 1.0) for _ in unknowns.switches]
         self.restart()
 
@@ -148,6 +151,9 @@ class Stepper:
             clean = dr.select(finite, entries, 0)
             if unknown.kind.uniform:
                 clean = own(mi.Float, self._along(key, clean).astype(np.float32))
+            elif unknown.kind.axes and self.settings.smoothing:
+                wide = self.settings.smoothing, self._scheduled(spent)
+                clean = smoothed(unflat(gradients[key], clean), unknown.kind.axes, *wide).array
             took_part = (clean != 0) | (not self.settings.mask_updates)
             self.visits[key] += dr.select(took_part, mi.Float(1), 0)
             dr.set_grad(self.adam[key], unflat(gradients[key], clean))

@@ -1,0 +1,57 @@
+"""What pbdr.md says: of runs where everything is unknown at once, and of the paper's claims."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas
+
+FULL, PLAIN, STOCK = "full", "ours", "Mitsuba's loop"
+
+
+def facts(results: Path) -> dict | None:
+    """None before there was a race."""
+    path = results / "pbdr.csv"
+    if not path.exists():
+        return None
+    table = pandas.read_csv(path)
+    by = {scene: rows.set_index("method") for scene, rows in table.groupby("scene", sort=False)}
+    return {
+        "scenes": {scene: rows.reset_index().to_dict("records") for scene, rows in by.items()},
+        "seconds": dict(table.groupby("scene", sort=False)["seconds"].max()),
+        "seeds": table["seeds"].min(),
+        "claims": _claims(by),
+        "best": {scene: rows["re"].idxmin() for scene, rows in by.items()},
+        "sooner": {scene: rows.loc[FULL, "time_to_stock"] for scene, rows in by.items()},
+    }
+
+
+def _claims(by: dict[str, pandas.DataFrame]) -> list[dict]:
+    """A row per claim and scene: the measure with the method and with what it is claimed to beat,
+    and whether all seeds agree (``holds``: yes, no, or the ranges overlap)."""
+    rivals = [
+        ("RE is lower than Mitsuba's", "re", FULL, STOCK),
+        ("MPEA is lower than Mitsuba's", "mpea", FULL, STOCK),
+        ("converges in fewer iterations than Mitsuba", "cs", FULL, STOCK),
+        ("smoothing lowers the gradients' noise", "gn", FULL, "without smoothing"),
+        ("without smoothing RE rises", "re", FULL, "without smoothing"),
+        ("without smoothing convergence takes longer", "cs", FULL, "without smoothing"),
+        ("without the prior RE rises", "re", FULL, "without the prior"),
+        ("without the prior convergence takes longer", "cs", FULL, "without the prior"),
+    ]
+    found = []
+    for claim, measure, method, rival in rivals:
+        for scene, rows in by.items():
+            # Where nothing is to be smoothed, the full method without the prior is `ours`.
+            other = rival if rival in rows.index else PLAIN if "prior" in rival else None
+            if other is None:
+                continue
+            ours, theirs = rows.loc[method], rows.loc[other]
+            holds = "the ranges overlap"
+            if ours[f"{measure}_high"] < theirs[f"{measure}_low"]:
+                holds = "yes"
+            elif theirs[f"{measure}_high"] < ours[f"{measure}_low"]:
+                holds = "no, the other way round"
+            values = {"ours": ours[measure], "theirs": theirs[measure]}
+            found.append({"claim": claim, "scene": scene, "holds": holds, **values})
+    return found

@@ -1,0 +1,242 @@
+"""Everything at once: the PBDR paper's tables on scenes that pose its problems.
+
+On each of three scenes: the full method (`ours`, with smoothed gradients and the prior on
+materials), the same without either part and without both, other samplers without both, and
+Mitsuba's own loop (`sampler=mitsuba`), at three factors on the scene's rates each with the first
+seed, then each at its best with three others, which alone are reported. Where all unknowns are
+numbers there is nothing to smooth over, and the methods that differ by it alone are left out. The
+paper's other rival, a mesh rasteriser, is left out throughout.
+
+Measures: RE, its Eq. (7), 3 x the squared image error; MPEA, Eq. (8), the mean over the unknown
+materials of their squared error (of lights not); CS, iterations after which RE stays within a tenth
+of where it ends; GN, Eq. (9), the mean over the run, in the gradients' own unit. And what the result
+is good for: PSNR, SSIM and FLIP of views between those given, and of these under another light,
+which the run has not seen, of the first seed reported.
+
+Writes results/pbdr.csv (a row per scene and method), pbdr_rates.csv, pbdr_<scene>.png (image error
+against billed time) and the page pbdr.md.
+
+    make reproduce SCENES=pbdr
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import tempfile
+from pathlib import Path
+
+import _contest
+import numpy as np
+import pages
+import pandas
+from reproduce import reached
+
+from isas_cli import records
+
+RESULTS = Path(__file__).parent / "results"
+ERROR, FULL, PLAIN, STOCK = "image_rmse", "full", "ours", "Mitsuba's loop"
+SCENES = {"object_joint": 10.0, "room_joint": 8.0, "materials_joint": 10.0}  # billed seconds
+LIGHTS = ("sky", "lamp")
+SMOOTHING, WEIGHT = 0.02, 0.001
+FACTORS = (0.3, 1.0, 3.0)  # of the scene's rates
+SETTINGS = ["estimator.batch=16384", "target.spp=256", "evaluation.count=24", "effects=full"]
+SETTINGS += ["evaluation.pixels=32768", "frames.views=0", "frames.snapshots=0", "report=false"]
+SPP = 32  # of the pictures from elsewhere; result and truth with the same random numbers
+
+
+def methods(scene: str) -> dict[str, dict]:
+    """Settings by name."""
+    prior = {"prior": "materials", **{f"prior.{k}": WEIGHT for k in ("smooth", "metallic")}}
+    prior["prior.roughness"] = WEIGHT
+    smooth, ours = {"optimizer.smoothing": SMOOTHING}, {"sampler": "ours"}
+    others = {name: {"sampler": name} for name in ("uniform", "relevant", "progress")}
+    others[STOCK] = {"sampler": "mitsuba"}
+    if scene != "object_joint":
+        return {FULL: ours | prior, PLAIN: ours, **others}
+    parts = {
+        FULL: ours | prior | smooth,
+        "without smoothing": ours | prior,
+        "without the prior": ours | smooth,
+    }
+    return {**parts, PLAIN: ours, **others}
+
+
+def name_of(config: dict, scene: str) -> str:
+    """Of the method that a run's configuration is."""
+    sampler = config["sampler"]["name"]
+    if sampler != "ours":
+        return STOCK if sampler == "mitsuba" else sampler
+    own = "smooth" in config["prior"], config["optimizer"]["smoothing"] > 0
+    for name, settings in methods(scene).items():
+        if settings["sampler"] == sampler and own == (
+            "prior" in settings,
+            "optimizer.smoothing" in settings,
+        ):
+            return name
+    raise ValueError(f"no method of {scene}: {config}")
+
+
+def runs(folder: Path, scene: str) -> pandas.DataFrame:
+    """A row per run, in the order of ``methods``."""
+    rows = []
+    for path in sorted(folder.rglob("summary.json")):
+        run = records.load(path.parent)
+        history = run.history
+        first, last = history.iloc[0], history.iloc[-1]
+        errors = {key: last[f"parameter_rmse/{key}"] for key in run.config["scene"]["unknowns"]}
+        materials = {k: v for k, v in errors.items() if k.partition(".")[0] not in LIGHTS}
+        colours = [k for k in materials if any(w in k for w in ("diffuse", "color", "reflectance"))]
+        rough = [k for k in materials if any(w in k for w in ("roughness", "alpha"))]
+        counted = history.assign(seconds=history["iteration"])
+        rows.append(
+            {
+                "scene": scene,
+                "method": name_of(run.config, scene),
+                "factor": run.config["optimizer"]["factor"],
+                "seed": run.config["seed"],
+                "history": history,
+                "folder": path.parent,
+                "start": first[ERROR],
+                ERROR: last[ERROR],
+                "re": 3 * last[ERROR] ** 2,
+                "mpea": np.mean(np.square(list(materials.values()))),
+                "cs": reached(counted, np.sqrt(1.1) * last[ERROR], ERROR),
+                "gn": history["gradient_noise"].mean(),
+                "colour": np.mean([last.get(f"value/{k}/scaled", errors[k]) for k in colours]),
+                "roughness": np.mean([errors[k] for k in rough]),
+                "iterations": int(last["iteration"]),
+            }
+        )
+    found = pandas.DataFrame(rows)
+    found["method"] = pandas.Categorical(found["method"], list(methods(scene)), ordered=True)
+    return found.sort_values(["method", "seed"]).astype({"method": str})
+
+
+MEASURES = ("re", "mpea", "cs", "gn", "colour", "roughness")
+
+
+def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
+    """Medians; ``time_to_stock`` and ``time_to_plain``: shares of the budget to the median final
+    image error of Mitsuba's loop and of `ours` without the paper's parts."""
+    finals = found.groupby("method")[ERROR].median()
+    rows = []
+    for name, own in found.groupby("method", sort=False):
+        row = {"scene": own["scene"].iloc[0], "method": name, "factor": own["factor"].iloc[0]}
+        row |= {"seeds": len(own), "seconds": seconds, "start": own["start"].median()}
+        row |= {ERROR: own[ERROR].median(), "iterations": own["iterations"].median()}
+        for measure in MEASURES:
+            row[measure] = own[measure].median()
+            row |= {f"{measure}_low": own[measure].min(), f"{measure}_high": own[measure].max()}
+        for column, rival in (("time_to_stock", STOCK), ("time_to_plain", PLAIN)):
+            times = [reached(h, finals[rival], ERROR) / seconds for h in own["history"]]
+            row[column] = np.median(times)
+        rows.append(row | elsewhere(own.iloc[0]))
+    return pandas.DataFrame(rows)
+
+
+def elsewhere(row: pandas.Series) -> dict[str, float]:
+    """Means over views that no run has seen: ``novel_psnr``, … and ``relit_psnr``, …"""
+    import mitsuba as mi
+
+    from isas_cli.runtime import likeness
+
+    found = {}
+    for kind in ("novel", "relit"):
+        scene, unknowns, values = _moved(records.load(row["folder"]), kind == "relit")
+        pictures = []
+        for each in (unknowns.truths(), values):
+            unknowns.write(each)
+            views = range(len(scene.sensors()))
+            pictures.append(
+                [np.array(mi.render(scene, sensor=v, spp=SPP, seed=v)) for v in views]
+            )
+        each = [
+            likeness.metrics(image, truth, np.ones(truth.shape[:2]))
+            for truth, image in zip(*pictures)
+        ]
+        for name in each[0]:
+            found[f"{kind}_{name}"] = np.mean([one[name] for one in each])
+    return found
+
+
+def _moved(run: records.Run, relit: bool):
+    """The run's scene from elsewhere, its unknowns but for lights that were replaced, and their
+    values where the run ended."""
+    import mitsuba as mi
+
+    from isas_cli.config.schema import UnknownConfig
+    from isas_cli.unknowns.specs import parse
+    from isas_cli.unknowns.unknowns import Unknowns
+
+    scene = run.config["scene"]
+    module, build = scene["builder"].rsplit(".", 1)
+    made = getattr(importlib.import_module(module), build)(**scene["arguments"])
+    made = {k: v for k, v in made.items() if not k.startswith("sensor_")} | _views(scene["name"])
+    if relit:
+        made |= _light(scene["name"], made)
+    specs = {
+        key: UnknownConfig(start=spec["start"], range=spec["range"])
+        for key, spec in scene["unknowns"].items()
+        if not (relit and key.partition(".")[0] in LIGHTS)
+    }
+    loaded = mi.load_dict(made, optimize=False)
+    unknowns = Unknowns(mi.traverse(loaded), parse(mi.traverse(loaded), specs, True))
+    return loaded, unknowns, unknowns.values_of({k: run.parameters()[k] for k in unknowns.keys})
+
+
+def _views(scene: str) -> dict:
+    from isas_cli.scenes.cameras import perspective, spiral
+    from isas_cli.scenes.cornell import LOOK_AT
+
+    if scene == "room_joint":
+        at = [[-0.4, 1.2, 3.4], [0.1, 0.5, 3.6], [0.5, 1.5, 3.3]]
+        return {
+            f"sensor_{view:03d}": perspective(place, LOOK_AT, 34.0, 192)
+            for view, place in enumerate(at)
+        }
+    if scene == "materials_joint":
+        return spiral(3, 192, (0.0, 0.25, 0.0), 4.2, 28.0, (20.0, 45.0), azimuth=60.0)
+    return spiral(3, 192, (0.0, 0.3, 0.0), 3.2, 30.0, (-10.0, 45.0), azimuth=60.0)
+
+
+def _light(scene: str, made: dict) -> dict:
+    import mitsuba as mi
+
+    from isas_cli.scenes import library
+
+    if scene != "room_joint":
+        return {"sky": library.environment("hdri/forest.exr")}
+    place = mi.ScalarTransform4f().translate([0.6, 1.995, 0.8]).rotate([1, 0, 0], 90)
+    emitter = {"type": "area", "radiance": {"type": "rgb", "value": [14.0, 14.0, 14.0]}}
+    return {"lamp": made["lamp"] | {"to_world": place.scale([0.35, 0.35, 1]), "emitter": emitter}}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, help="budget of each run, instead of the scene's")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
+    parser.add_argument("--scenes", nargs="+", default=[*SCENES])
+    chosen = parser.parse_args()
+    from isas_cli.runtime import backend
+
+    backend.start()
+    for scene in chosen.scenes:
+        seconds = chosen.seconds or SCENES[scene]
+        with tempfile.TemporaryDirectory(prefix="isas-pbdr-") as root:
+            contestants = methods(scene)
+            first, found = _contest.judged(
+                *(scene, Path(root), SETTINGS, contestants, FACTORS, chosen.seeds, seconds),
+                *(runs, ERROR),
+            )
+            _contest.draw(found, RESULTS / f"pbdr_{scene}.png", ERROR, "image error")
+            # After each scene: what is measured survives what follows.
+            made = table(found, seconds)
+        print(made.to_string(index=False), flush=True)
+        _contest.write(RESULTS / "pbdr.csv", made)
+        _contest.write(RESULTS / "pbdr_rates.csv", first.drop(columns=["history", "folder"]))
+        pages.write()
+
+
+if __name__ == "__main__":
+    main()
