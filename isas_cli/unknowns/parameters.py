@@ -12,6 +12,8 @@ import numpy as np
 _USUAL = {
     "base_color": (0.0, 1.0, ""),
     "reflectance": (0.0, 1.0, ""),
+    "diffuse_reflectance": (0.0, 1.0, ""),
+    "specular_reflectance": (0.0, 1.0, ""),
     "albedo": (0.0, 1.0, ""),
     "diffuse": (0.0, 1.0, ""),
     "specular": (0.0, 1.0, ""),
@@ -27,6 +29,7 @@ _USUAL = {
 
 _LIGHTS = ("radiance", "intensity", "irradiance")
 _COLOURS = ("base_color", "reflectance", "albedo", "diffuse", "specular")
+_COLOURS += ("diffuse_reflectance", "specular_reflectance")
 
 
 def owner(params: mi.SceneParameters, key: str):

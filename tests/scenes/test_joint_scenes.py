@@ -1,0 +1,80 @@
+"""The index and the roughness of frosted glass, found by path replay."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from scenes_for_tests import without_targets
+
+from isas_cli.rendering import rays
+from isas_cli.rendering.renderer import Renderer
+from isas_cli.scenes.cameras import perspective
+from isas_cli.unknowns.parameters import unflat
+
+INDEX, ROUGH = "ball.bsdf.eta", "ball.bsdf.alpha.value"
+SPP = 768
+
+
+def glass():
+    """A frosted ball before a panel that is bright on one side."""
+    place = mi.ScalarTransform4f()
+    return without_targets(
+        {
+            "type": "scene",
+            "integrator": {"type": "prb", "max_depth": 5},
+            "sky": {"type": "constant", "radiance": 0.2},
+            "panel": {
+                "type": "rectangle",
+                "to_world": place.translate([0.8, 0.0, -1.5]),
+                "bsdf": {"type": "diffuse", "reflectance": 0.0},
+                "emitter": {"type": "area", "radiance": 2.0},
+            },
+            "ball": {
+                "type": "sphere",
+                "radius": 0.8,
+                "bsdf": {"type": "roughdielectric", "int_ior": 1.4, "alpha": 0.25},
+            },
+            "sensor": perspective([0.0, 0.0, 4.0], (0.0, 0.0, 0.0), 30.0, 16),
+        },
+        {INDEX: 1.3, ROUGH: 0.3},
+    )
+
+
+@pytest.mark.parametrize("key, step", [(INDEX, 0.02), (ROUGH, 0.02)])
+def test_derivatives_through_frosted_glass_are_those_of_differences(key, step):
+    """The image's mean against central differences; the right half counts
+    a quarter, so that left and right do not cancel."""
+    p = glass()
+    truth = p.unknowns.truths()
+    n = p.views.total
+    renderer = Renderer(p)
+    halves = np.where(np.arange(n) % 16 < 8, 1.0, 0.25)
+
+    def mean(offset: float) -> np.ndarray:
+        moved = {k: v + (offset if k == key else 0.0) for k, v in truth.items()}
+        p.unknowns.write(moved)
+        found = []
+        for batch in range(8):
+            pixels = renderer.range(0, n, SPP, lambda i, b=batch: 1000 * b + i)
+            found.append(np.mean(np.array(pixels).reshape(n, 3).mean(1) * halves))
+        return np.array(found)
+
+    # The same random numbers on both sides: batches pair.
+    slopes = (mean(step) - mean(-step)) / (2 * step)
+    tangents = {k: unflat(v, dr.zeros(mi.Float, 1)) for k, v in truth.items()}
+    tangents[key] = unflat(truth[key], dr.full(mi.Float, 1, 1))
+    derivatives = []
+    for batch in range(8):
+        p.unknowns.push_tangent(truth, tangents)
+        with dr.suspend_grad():
+            pixel = dr.repeat(dr.arange(mi.UInt32, n), SPP)
+            view, column, row = p.views.locate(pixel)
+            stream = rays.stream(dr.opaque(mi.UInt32, 77 + batch), n * SPP)
+            ray, weight = rays.spawn(p.sensors, p.views, view, column, row, stream)
+            found = p.integrator.forward(p.scene, stream, ray) * weight
+        found = np.array(found).mean(0).reshape(n, SPP).mean(1)
+        derivatives.append(np.mean(found * halves))
+    error = np.hypot(np.std(slopes, ddof=1), np.std(derivatives, ddof=1)) / np.sqrt(8)
+    difference = np.mean(derivatives) - np.mean(slopes)
+    assert error < 0.05 * abs(np.mean(slopes))
+    assert abs(difference) < 4 * error
