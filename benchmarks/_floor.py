@@ -9,6 +9,7 @@ kernel of this one, hence a process per scene.
 from __future__ import annotations
 
 import itertools
+import math
 import statistics
 import sys
 import time
@@ -24,10 +25,13 @@ SIDES = ("step", "passes", "prb")
 
 class Sides:
     """``step``: a gradient step, from its values to new ones. ``passes`` and ``prb``: two ways to
-    trace the rays of its two paths, drawn and spawned beforehand, with a fixed adjoint."""
+    trace the rays of its two paths, drawn and spawned beforehand, with a fixed adjoint. Media that
+    only emit and absorb have no counterpart of Mitsuba's: there is no ``prb``."""
 
     def __init__(self, problem, cfg, batch: int, name: str, overrides: list[str]):
         import drjit as dr
+
+        from mitsuba.python.ad.integrators.common import RBIntegrator
 
         from isas_cli import losses
         from isas_cli.config.compose import compose, instantiate
@@ -41,10 +45,10 @@ class Sides:
         self.estimator = TwoPath(problem, loss, batch)
         self.distribution = sampler.distribution(sampler.look(self.stepper.values, 1, 0))
         self._spawn = dr.freeze(self._spawned(batch))
-        self._passes = {
-            "passes": dr.freeze(own_passes(problem.integrator)),
-            "prb": dr.freeze(stock_passes(problem.integrator)),
-        }
+        self._passes = {"passes": dr.freeze(own_passes(problem.integrator))}
+        if type(problem.integrator.mitsuba).sample is not RBIntegrator.sample:
+            self._passes["prb"] = dr.freeze(stock_passes(problem.integrator))
+        self.names = ("step", *self._passes)
 
     @staticmethod
     def _spawned(batch: int):
@@ -164,18 +168,19 @@ def main(rounds: int, steps: int, batches: str, samplers: str, overrides: list[s
     for batch, name in itertools.product(map(int, batches.split(",")), samplers.split(",")):
         sides = Sides(problem, cfg, batch, name, overrides)
         count = itertools.count()
-        for side in SIDES:
+        names = sides.names
+        for side in names:
             for _ in range(_WARM_UP):
                 sides.measure(side, next(count))
         for round_ in range(rounds):
-            times = {side: [] for side in SIDES}
+            times = {side: [] for side in names}
             for turn in range(steps):
                 i = next(count)  # the same draws for all sides
                 order = turn + round_
-                for side in (SIDES[(order + k) % len(SIDES)] for k in range(len(SIDES))):
+                for side in (names[(order + k) % len(names)] for k in range(len(names))):
                     times[side].append(sides.measure(side, i))
             row = {"batch": batch, "sampler": name, "round": round_}
-            row |= {side: statistics.median(times[side]) for side in SIDES}
+            row |= {side: statistics.median(times.get(side, [math.nan])) for side in SIDES}
             _rows.emit(row)
 
 

@@ -158,10 +158,10 @@ def judged(kind: str, found: list, seconds: float) -> dict:
         "kind": kind,
         "seconds": round(seconds),
         "steps": int(iterations[-1]),
-        "MiB": late / 2**20,
-        "memory": late / early,
+        "MiB": float(late / 2**20),
+        "memory": float(late / early),
         "step": grown(steps),
-        "step_error": error,
+        "step_error": float(error),
         "control": grown(control),
     }
 

@@ -22,7 +22,7 @@ import pages
 import pandas
 
 HERE = Path(__file__).parent
-SCENES = ("pottery", "jumpydumpy", "dodoco")
+SCENES = ("pottery", "jumpydumpy", "dodoco", "smoke", "lego")
 SAMPLERS = ("uniform", "ours")
 BATCHES = (65536, 4096)
 TARGET = 1.3
@@ -30,8 +30,10 @@ TARGET = 1.3
 
 def measure(scene: str, rounds: int, steps: int, more: list[str]) -> list[dict]:
     lists = ",".join(map(str, BATCHES)), ",".join(SAMPLERS)
-    # The step's cost does not depend on how clean the targets are.
+    # The step's cost does not depend on how clean the targets are. Grids are whole from the start.
     overrides = [f"scene={scene}", "target.spp=1", *more]
+    if scene in ("smoke", "lego"):
+        overrides += [f"scene.sizes.{size}.levels=1" for size in ("tiny", "default")]
     command = [sys.executable, str(HERE / "_floor.py"), str(rounds), str(steps), *lists, *overrides]
     return [{"scene": scene} | row for row in _rows.collect(command)]
 
@@ -59,9 +61,10 @@ def main() -> None:
         for (batch, sampler), group in found.groupby(["batch", "sampler"], sort=False):
             own = group["step"] / group["passes"]
             above = f", above {TARGET}" if statistics.median(own) > TARGET else ""
+            stock = group["step"] / group["prb"]
+            stock = "" if stock.isna().all() else f", step / prb = {spread(stock)}"
             print(
-                f"{scene:10s} {sampler:8s} {batch:6d} pixels: step / passes = {spread(own)}, "
-                f"step / prb = {spread(group['step'] / group['prb'])}, "
+                f"{scene:10s} {sampler:8s} {batch:6d} pixels: step / passes = {spread(own)}{stock}, "
                 f"step {1e3 * statistics.median(group['step']):.1f} ms{above}"
             )
     if output is not None:

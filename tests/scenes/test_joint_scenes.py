@@ -1,4 +1,7 @@
-"""The index and the roughness of frosted glass, found by path replay."""
+"""The index and the roughness of frosted glass, found by path replay; shape, paint and sky in one
+run."""
+
+import json
 
 import drjit as dr
 import mitsuba as mi
@@ -6,6 +9,7 @@ import numpy as np
 import pytest
 from scenes_for_tests import without_targets
 
+import isas_cli
 from isas_cli.rendering import rays
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.scenes.cameras import perspective
@@ -78,3 +82,22 @@ def test_derivatives_through_frosted_glass_are_those_of_differences(key, step):
     difference = np.mean(derivatives) - np.mean(slopes)
     assert error < 0.05 * abs(np.mean(slopes))
     assert abs(difference) < 4 * error
+
+
+def test_shape_paint_gloss_and_sky_move_in_one_run(tmp_path):
+    keys = {
+        "bowl.bsdf.diffuse.data": {"start": 0.5},
+        "bowl.bsdf.specular.value": {"start": 0.1},
+        "bowl.bsdf.roughness.value": {"start": 0.5},
+        "sky.data": {"start": 0.8},
+        "bowl.vertices": {"start": "smooth", "lr": 0.01},
+    }
+    run = isas_cli.run(
+        *("scene=object_joint", "size=tiny", "estimator=silhouettes", "sampler=uniform"),
+        *(f"scene.unknowns={json.dumps(keys)}", "budget.iterations=3", "estimator.batch=2048"),
+        *("target.spp=4", "frames.views=0", "report=false", f"hydra.run.dir={tmp_path}"),
+    )
+    first, last = (run.history.iloc[row] for row in (0, -1))
+    assert last["iteration"] == 3 and last["nonfinite"] == 0
+    for key in keys:
+        assert last[f"parameter_rmse/{key}"] != first[f"parameter_rmse/{key}"], key
