@@ -6,7 +6,8 @@ small runs in one process. The first quarter warms up. Writes results/soak.csv: 
 tenth of the loop over that after a quarter (goal: within 2 %), and the median time of a step in the
 last quarter over that in the second (within 5 %), with its standard error. Machines drift by more
 than that: a fixed piece of work, the control, is timed at every evaluation, and steps are counted
-in controls. ``control`` says how the control itself drifted. Ends with status 1 where a goal is
+in controls. It is one large kernel, or for kinds whose steps wait for Python (``LAUNCHED``), many
+small ones. ``control`` says how the control itself drifted. Ends with status 1 where a goal is
 missed.
 
     make soak
@@ -58,10 +59,14 @@ MANY = "many small runs in one process"
 _SMALL = ["scene=pottery", "size=tiny", "estimator.batch=1024", "budget.iterations=20"]
 
 
+# Of short kernels, many a step: what drifts is the time between them.
+LAUNCHED = ("a pose", "many poses")
+
+
 class Watch:
     """At every evaluation: iteration, billed seconds, bytes of memory, seconds of the control."""
 
-    def __init__(self):
+    def __init__(self, launched: bool):
         import drjit as dr
         import mitsuba as mi
         import psutil
@@ -69,24 +74,25 @@ class Watch:
         self.process, self.rows = psutil.Process(), []
 
         def work(x):
-            for _ in range(200):
+            for _ in range(1 if launched else 200):
                 x = dr.fma(x, dr.sin(x), 0.5)
             return x
 
-        self.work = dr.freeze(work)
-        self.data = mi.Float(np.random.default_rng(1).random(1 << 20))
+        self.work, self.times = dr.freeze(work), 200 if launched else 1
+        self.data = mi.Float(np.random.default_rng(1).random(1 << (10 if launched else 20)))
         for _ in range(5):
             self.control()
 
     def control(self) -> float:
-        """Median of five, on all cores, as a step is."""
+        """Median of five, by as many cores as a step."""
         import drjit as dr
 
         taken = []
         for _ in range(5):
             dr.sync_thread()
             begun = time.perf_counter()
-            dr.eval(self.work(self.data))
+            for _ in range(self.times):
+                dr.eval(self.work(self.data))
             dr.sync_thread()
             taken.append(time.perf_counter() - begun)
         return float(np.median(taken))
@@ -104,7 +110,7 @@ def child(kind: str, seconds: float, folder: Path) -> None:
     import isas_cli
     from isas_cli.engine.recorder import Recorder
 
-    watch = Watch()
+    watch = Watch(kind in LAUNCHED)
     if kind == MANY:
         begun, spent, number = time.monotonic(), 0.0, 0
         while time.monotonic() - begun < seconds:

@@ -234,7 +234,8 @@ class PhotosConfig:
 
 @dataclass
 class SceneConfig:
-    """Where the scene comes from and what in it is unknown."""
+    """Where the scene comes from and what in it is unknown. ``weights``: of the views in the loss,
+    see scene/weights.py."""
 
     # Texts and menus; of the rest the content's hash tells the problem.
     name: str = setting(MISSING, Role.RECORD)
@@ -246,6 +247,7 @@ class SceneConfig:
     max_depth: Optional[int] = None
     targets: Optional[List[str]] = None
     masks: Optional[List[str]] = None
+    weights: Any = None
     photos: PhotosConfig = field(default_factory=PhotosConfig)
     poses: Dict[str, PoseConfig] = field(default_factory=dict)
     unknowns: Dict[str, UnknownConfig] = field(default_factory=dict)

@@ -104,6 +104,8 @@ def problem(
         phase("targets")
         pixels, digest = targets.render(result, target.spp, target.seed, rendered)
         result.set_targets(pixels, None, digest)
+    if scene.weights is not None:
+        result.weigh(scene.weights)
     return result
 
 

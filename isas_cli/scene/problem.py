@@ -10,7 +10,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..scene.views import Views
+from ..unknowns.parameters import own
 from ..unknowns.unknowns import Unknowns
+from . import weights
 
 if TYPE_CHECKING:
     from ..rendering.integrators import Integrator
@@ -57,6 +59,14 @@ class Problem:
         self.targets, self.mask, self.target_hash = images, mask, digest
         weight = float(self.views.total) if mask is None else float(dr.sum(mask)[0])
         self.share = dr.opaque(mi.Float, 1.0 / (3.0 * weight))
+
+    def weigh(self, given) -> None:
+        """Let views count as ``weights.of_views`` says, by their pixels' masks."""
+        counts = [width * height for width, height in self.film_sizes]
+        mask = np.ones(self.views.total, np.float32) if self.mask is None else np.array(self.mask)
+        factors = weights.of_views(given, np.split(mask, np.cumsum(counts)[:-1]))
+        mask = own(mi.Float, mask * np.repeat(factors, counts).astype(np.float32))
+        self.set_targets(self.targets, mask, self.target_hash)
 
     def pixels(self, views: tuple[int, ...]) -> np.ndarray:
         """The pixels of some views, ``uint32``, view after view."""

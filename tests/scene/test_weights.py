@@ -1,0 +1,64 @@
+"""Views that count differently."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from scenes_for_tests import TEXTURE, problem
+
+from isas_cli.estimators.two_path import TwoPath
+from isas_cli.losses.l2 import L2
+from isas_cli.rendering.pixels import PixelDistribution, Tiles
+from isas_cli.runtime.errors import InputError
+from isas_cli.scene.weights import of_views
+from isas_cli.unknowns.parameters import as_numpy
+
+MASKS = [np.ones(12), np.array([1.0, 1.0, 0.0, 0.0]), np.ones(8)]
+
+
+def test_equal_lets_every_view_count_alike_whatever_its_size_and_mask():
+    weights = of_views("equal", MASKS)
+    sums = [weight * mask.sum() for weight, mask in zip(weights, MASKS)]
+    assert np.allclose(sums, sums[0]) and np.mean(weights) == pytest.approx(1)
+
+
+def test_numbers_are_taken_as_they_are_up_to_their_mean():
+    assert np.allclose(of_views([1, 2, 3], MASKS), [0.5, 1.0, 1.5])
+
+
+@pytest.mark.parametrize(
+    "given", [[1, 2], [1, 2, 0], [1, 2, -1], [1, 2, float("nan")], "most", "123", 3, [[1], 2, 3]]
+)
+def test_other_weights_are_refused_in_one_line(given):
+    with pytest.raises(InputError, match=r"scene\.weights=.*each of the 3 views"):
+        of_views(given, MASKS)
+
+
+def test_a_view_of_which_nothing_counts_is_named():
+    with pytest.raises(InputError, match="view 1 counts"):
+        of_views("equal", [np.ones(3), np.zeros(3)])
+
+
+def gradient(p) -> np.ndarray:
+    """Mean over 60 estimates."""
+    pmf = PixelDistribution.uniform(Tiles.over(p.views))
+    estimator, values = TwoPath(p, L2(), 4096), p.unknowns.starts()
+    found = [as_numpy(estimator.estimate(values, pmf, 1, i, 0.0)[TEXTURE]) for i in range(60)]
+    return np.array(found, np.float64)
+
+
+def test_the_gradient_is_the_weighted_mean_of_the_views_own():
+    """Two views of equal size: with weights 3 and 1, ¾ of the one's and ¼ of the other's."""
+    both = problem({TEXTURE: 0.5})
+    single = []
+    for view in (0, 1):
+        p = problem({TEXTURE: 0.5})
+        mask = np.repeat([view == 0, view == 1], p.views.total // 2).astype(np.float32)
+        p.set_targets(p.targets, mi.Float(mask), "test")
+        single.append(gradient(p))
+    both.weigh([3, 1])
+    whole = gradient(both)
+    wanted = 0.75 * single[0].mean(0) + 0.25 * single[1].mean(0)
+    error = np.sqrt(whole.var(0) + single[0].var(0) + single[1].var(0)) / np.sqrt(60)
+    assert np.abs((whole.mean(0) - wanted) / np.maximum(error, 1e-12)).max() < 5
+    alike = (single[0].mean(0) + single[1].mean(0)) / 2
+    assert np.abs((whole.mean(0) - alike) / np.maximum(error, 1e-12)).max() > 6
