@@ -122,6 +122,8 @@ class Loop:
             iteration = _REHEARSAL_BASE + i
             # Twice, because the first expansion of the cells is still being recorded.
             if i < 2 or self.sampler.refresh:
+                if self.sampler.delay:
+                    self._glance(iteration)
                 self._look(iteration)
             gradients.append(self._estimate(iteration))
             self.stepper.step(gradients[-1], 0.0)
@@ -186,13 +188,18 @@ class Loop:
     def _iterate(self) -> None:
         p = self.position
         # A level begins as a run does.
-        begins = self._finer() or p.iteration == 0
-        if begins or self.sampler.due(p.iteration):
+        finer, delay = self._finer(), self.sampler.delay
+        first = finer or (p.iteration == delay and not self.stepper.level)
+        if first or self.sampler.due(p.iteration) and p.iteration >= delay:
             with self.clock.billed("stage1"):
-                self._look(p.iteration)
+                self._look(p.iteration, first)
             p.paths += self.sampler.paths_per_look
-            if begins:
+            if first:
                 p.paths += self.sampler.paths_before
+        elif p.iteration == 0:
+            with self.clock.billed("stage1"):
+                self._glance(0)
+            p.paths += self.sampler.paths_per_glance
         if p.iteration == 0:
             p.before = self.clock.seconds, p.paths
         with self.clock.billed("step"):
@@ -212,13 +219,20 @@ class Loop:
             self.stepper.refine(level)
         return True
 
-    def _look(self, iteration: int) -> None:
+    def _look(self, iteration: int, first: bool = False) -> None:
+        """``first``: of a run or level, as if nothing had been before it."""
         moments = None
-        if self.sampler.needs_moments and self.stepper.taken:
+        if self.sampler.needs_moments and self.stepper.taken and not first:
             moments = self.stepper.moments(self.scheduled)
         self.sampler.scheduled = self.scheduled
         found = self.sampler.look(self.stepper.values, self.seed, iteration, moments)
-        self._weights = self.sampler.blended(self._weights, found)
+        self._weights = self.sampler.blended(None if first else self._weights, found)
+        self._spread()
+
+    def _glance(self, iteration: int) -> None:
+        """What draws follow until the first look."""
+        images = self.sampler.measured(self.stepper.values, self.seed, iteration)
+        self._weights = self.sampler.weighed(images)
         self._spread()
 
     @property

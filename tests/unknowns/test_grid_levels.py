@@ -184,6 +184,10 @@ def test_progress_looks_at_each_level_anew(glowing):
     made, shapes, surveys = loop(p, sampler, 24), [], []
     honest = sampler._survey
     sampler._survey = lambda seed, shapes: surveys.append(shapes) or honest(seed, shapes)
+    look, looked = sampler.look, []
+    sampler.look = lambda values, seed, i, moments: looked.append(i) or look(
+        values, seed, i, moments
+    )
 
     def stepped(l, spent):
         shapes.append({k: dr.width(flat(v)) for k, v in l.stepper.values.items()})
@@ -194,9 +198,10 @@ def test_progress_looks_at_each_level_anew(glowing):
     assert shapes[12] == shapes[-1] == {DENSITY: 64, ALBEDO: 192}
     # Surveys where a level begins, and nowhere else: those of the rehearsal are not used.
     assert surveys == [p.unknowns.shapes(0), p.unknowns.shapes(1)]
-    looks = 4  # before iterations 0, 10, 12 (the level) and 20
-    paths = 24 * 2 * 1024 + looks * sampler.paths_per_look + 2 * sampler.paths_before
-    assert made.position.paths == paths
+    # The first only after as many steps as it costs; 12 is where the level begins.
+    assert 0 < sampler.delay < 10 and looked == [sampler.delay, 10, 12, 20]
+    paths = 24 * 2 * 1024 + 4 * sampler.paths_per_look + 2 * sampler.paths_before
+    assert made.position.paths == paths + sampler.paths_per_glance
 
 
 def test_a_continued_run_is_at_its_level(glowing):
