@@ -166,6 +166,7 @@ def _moved(run: records.Run, relit: bool):
     import mitsuba as mi
 
     from isas_cli.config.schema import UnknownConfig
+    from isas_cli.scene import phong  # noqa: F401  (registers it)
     from isas_cli.unknowns.specs import parse
     from isas_cli.unknowns.unknowns import Unknowns
 

@@ -1,0 +1,84 @@
+"""When `progress` looks first: after as many steps as the look costs, against at once.
+
+Both and `uniform` in turns, at the rates that reproduce.py found best for each, three seeds: the
+error over that of `uniform` after an eighth, a quarter, half and all of the time. Writes
+results/first_look.csv.
+
+    .venv/bin/python benchmarks/first_look.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pandas
+import reproduce
+
+from isas_cli.runtime import backend
+
+RESULTS = Path(__file__).parent / "results"
+SCENES = ("pottery", "bowl", "earth")
+SHARES = (0.125, 0.25, 0.5, 1.0)
+NOW, ONCE, BASE = "after steps", "at once", "uniform"
+
+
+def rate(scene: str, sampler: str) -> float:
+    table = pandas.read_csv(RESULTS / f"{scene}.csv").set_index("sampler")
+    return float(table.loc[sampler, "rate"])
+
+
+def measured(scene: str, side: str, seed: int, seconds: float, folder: str) -> list[dict]:
+    import isas_cli
+    from isas_cli.samplers.progress import Progress
+
+    sampler = BASE if side == BASE else "progress"
+    delay = Progress.delay
+    if side == ONCE:
+        Progress.delay = property(lambda self: 0)
+    try:
+        run = isas_cli.run(
+            *(f"scene={scene}", f"sampler={sampler}", *reproduce.COMMON, "effects=full"),
+            *(*reproduce.SCENES[scene].settings, f"optimizer.lr={rate(scene, sampler)}"),
+            *(f"seed={seed}", f"budget.seconds={seconds}", "frames.views=0", "report=false"),
+            *(f"hydra.run.dir={folder}", "overwrite=true"),
+        )
+    finally:
+        Progress.delay = delay
+    history = run.history
+    errors = np.interp(
+        np.multiply(SHARES, seconds), history["seconds"], np.log(history[reproduce.MEASURE])
+    )
+    place = {"scene": scene, "side": side, "seed": seed, "seconds": seconds}
+    return [place | {"share": s, "error": np.exp(e)} for s, e in zip(SHARES, errors)]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=6)
+    parser.add_argument("--seeds", nargs="+", type=int, default=[2, 3, 4])
+    parser.add_argument("--scenes", nargs="+", default=SCENES)
+    chosen = parser.parse_args()
+    backend.start()
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="isas-first-look-") as folder:
+        for scene in chosen.scenes:
+            for seed in chosen.seeds:
+                for side in (NOW, ONCE, BASE):
+                    rows += measured(scene, side, seed, chosen.seconds, folder)
+            pandas.DataFrame(rows).to_csv(
+                RESULTS / "first_look.csv", index=False, float_format="%.4g"
+            )
+    table = pandas.DataFrame(rows).pivot(
+        index=["scene", "seed", "share"], columns="side", values="error"
+    )
+    ratios = np.log(table[[NOW, ONCE]].div(table[BASE], axis=0))
+    print(np.exp(ratios.groupby(["scene", "share"]).mean()).round(3).to_string())
+    print("all scenes, geometric mean of progress / uniform:")
+    print(np.exp(ratios.groupby("share").mean()).round(3).to_string())
+
+
+if __name__ == "__main__":
+    main()
