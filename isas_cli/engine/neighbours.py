@@ -28,7 +28,8 @@ def smoothed(
             continue
         radius, σ = math.ceil(3 * entries), max(entries * share, 1e-3)
         weights = [math.exp(-0.5 * (k / σ) ** 2) for k in range(-radius, radius + 1)]
-        weights = [weight / sum(weights) for weight in weights]
+        total = math.fsum(weights)
+        weights = [weight / total for weight in weights]
         boundary = "wrap" if wraps else "reflect"
         # Symbolic: unrolled, the weights would be part of the kernel, and compile at every step.
         gradient = dr.convolve(gradient, weights, axis=axis, boundary=boundary, mode="symbolic")
