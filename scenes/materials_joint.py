@@ -5,7 +5,8 @@ After *Physics Based Differentiable Rendering for Inverse Problems and Beyond* (
 whose photographed objects are "composed of ordinary materials including glass, metal, and plastic".
 The photographs are not published; these are stand-ins of ours, rendered: a ball of frosted glass
 (its index and roughness unknown), a metal vase and a plastic bowl (colour and roughness) on a plinth
-under the CC0 map `city`. The plastic's index is known: Mitsuba keeps no derivative by it.
+under a soft coloured sky: theirs stood "under regulated illumination", and a sun through frosted
+glass is noise that hides all else. The plastic's index is known: Mitsuba keeps no derivative by it.
 
 The glass is frosted because a clear one bends every path by its index, which path replay does not
 follow; through a rough one, paths keep their directions and change their weight.
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from . import bowl, library, meshes
+from . import bowl, figures, meshes
 from .cameras import spiral
 from .lathe import turn
 from .plinth import plinth
@@ -48,7 +49,7 @@ def build(views: int, resolution: int) -> dict[str, Any]:
     return {
         "type": "scene",
         "integrator": {"type": "prb", "max_depth": 6},
-        "sky": library.environment("hdri/city.exr"),
+        "sky": figures.sky(32),
         "glass": {
             "type": "sphere",
             "center": [-0.55, BALL + 1e-3, 0.2],

@@ -247,10 +247,6 @@ class Mixed(Surfaces):
         self.backward, self.forward = self._short.backward, self._short.forward
 
 
-# Of collisions in thin media, the share that is real at least: benchmarks/volume_collisions.py.
-LEAST = 0.0
-
-
 class Medium(Twice):
     """Paths through one medium and nothing else, by isas's own estimators (``volume``), which
     differentiate forwards as well."""
@@ -276,8 +272,7 @@ class Medium(Twice):
             return volume.emitted(mode, scene, self.medium, sampler, ray, *more)
         depth = self.paths.derivative if differentiated else self.paths.depth
         depths = depth, self.rr_depth
-        least = LEAST if differentiated else 0.0
-        return volume.trace(mode, scene, self.medium, sampler, ray, *depths, *more, least=least)
+        return volume.trace(mode, scene, self.medium, sampler, ray, *depths, *more)
 
     def work(self, scene, sampler, ray) -> mi.Float:
         """Collisions of each path, real or not. Traced."""

@@ -59,23 +59,19 @@ def trace(
     rr_depth: int,
     adjoint: mi.Spectrum | None = None,
     radiance: mi.Spectrum | None = None,
-    least: float = 0.0,
 ) -> mi.Spectrum:
     """Radiance of a path that scatters until it leaves the shell: the light from there, times its
     weight. ``mode``, ``adjoint``, ``radiance`` and the result as in ``replayed.trace``; edges count
-    from the camera, the one to the light included. ``least``: probability that a collision is real
-    where σ/σ̄ is below it. Traced.
+    from the camera, the one to the light included. Traced.
 
     No light is sampled from collisions: a path finds it by leaving, which is the cheaper estimate
     under a sky without a sun.
     """
     depths = max_depth, rr_depth
-    return _trace(mode, scene, medium, sampler, ray, *depths, adjoint, radiance, least)[0]
+    return _trace(mode, scene, medium, sampler, ray, *depths, adjoint, radiance)[0]
 
 
-def _trace(
-    mode, scene, medium, sampler, ray, max_depth, rr_depth, adjoint=None, radiance=None, least=0.0
-):
+def _trace(mode, scene, medium, sampler, ray, max_depth, rr_depth, adjoint=None, radiance=None):
     """What ``trace`` returns, and each path's collisions, real or not."""
     primal, context = mode == dr.ADMode.Primal, mi.PhaseFunctionContext()
     majorant = _majorant(scene, medium)
@@ -90,12 +86,12 @@ def _trace(
         chance = sampler.next_1d()
         with dr.resume_grad(when=not primal):
             scattering, _, total = medium.get_scattering_coefficients(mei, active)
-            share = dr.maximum(dr.detach(total.x) / majorant, least)
+            share = dr.detach(total.x) / majorant
             real = active & (chance < share)
             # The branch that is not taken must be finite too: its derivative is multiplied by 0.
             weight = dr.select(
                 real,
-                scattering / dr.maximum(share * majorant, 1e-20),
+                scattering / dr.maximum(dr.detach(total.x), 1e-20),
                 (majorant - total.x) / majorant / (1 - share),
             )
             found = _add(mode, found, dr.select(active, weight, 1), result, adjoint)
