@@ -28,6 +28,8 @@ from .optimiser import Stepper
 _REHEARSAL_STEPS = 5
 # Evaluations crowd towards the start, where the error falls fastest.
 _EVALUATION_POWER = 1.5
+# The share of the budget after which a first look that was put off is left out.
+_LATEST_FIRST_LOOK = 1 / 3
 # If more than this share of the touched gradient entries since the last evaluation is not finite,
 # going on makes no sense.
 _NONFINITE_LIMIT = 0.5
@@ -83,6 +85,7 @@ class Loop:
         self.estimator, self.prior, self.plan = estimator, prior, plan
         self.warnings: list[str] = []
         self._weights = self._distribution = self._gradients = None
+        self._glanced = False  # whether draws follow a glance, no look
         self._counted = 0, 0
 
     @property
@@ -190,7 +193,9 @@ class Loop:
         # A level begins as a run does.
         finer, delay = self._finer(), self.sampler.delay
         first = finer or (p.iteration == delay and not self.stepper.level)
-        if first or self.sampler.due(p.iteration) and p.iteration >= delay:
+        looks = first or (self.sampler.due(p.iteration) and p.iteration >= delay)
+        # A first look costs what was spent before it: it must leave time for what it finds.
+        if looks and (finer or not self._glanced or self.spent <= _LATEST_FIRST_LOOK):
             with self.clock.billed("stage1"):
                 self._look(p.iteration, first)
             p.paths += self.sampler.paths_per_look
@@ -227,12 +232,14 @@ class Loop:
         self.sampler.scheduled = self.scheduled
         found = self.sampler.look(self.stepper.values, self.seed, iteration, moments)
         self._weights = self.sampler.blended(None if first else self._weights, found)
+        self._glanced = False
         self._spread()
 
     def _glance(self, iteration: int) -> None:
         """What draws follow until the first look."""
         images = self.sampler.measured(self.stepper.values, self.seed, iteration)
         self._weights = self.sampler.weighed(images)
+        self._glanced = True
         self._spread()
 
     @property
@@ -339,6 +346,7 @@ class Loop:
             "paths": p.paths,
             "before": p.before,
             "counted": self._counted,
+            "glanced": self._glanced,
             "lost": self.lost,
             "lost_in_steps": self.lost_in_steps,
             "billed": dict(self.clock.billed_seconds),
@@ -358,6 +366,7 @@ class Loop:
         self.position = Position(int(state["iteration"]), int(state["paths"]))
         self.position.before = float(seconds), int(paths)
         self._counted, self.lost = tuple(state["counted"]), state["lost"]
+        self._glanced = state.get("glanced", False)
         self.lost_in_steps = state.get("lost_in_steps", 0)
         self.clock.billed_seconds.update(state["billed"])
         for phase, seconds in state["unbilled"].items():

@@ -67,7 +67,8 @@ class Progress(Sampler):
     vertices or collisions) are taken once at each resolution of the unknowns, at the start values.
     The first look there takes everything ``passes`` times and x_k ≪ 1. As it costs as much as many
     steps, a run takes as many before it, by the residuals alone, so that it is never more than half
-    of the time: at no error is a run far behind one that does not look. Later looks, after
+    of the time: at no error is a run far behind one that does not look. Where a third of the budget
+    is spent by then, it does not look at all. Later looks, after
     ``refresh``, 2 ``refresh``, 4 ``refresh`` … iterations as the unknowns slow down, take it once,
     with x_k from Adam's moments, and are averaged with the earlier ones. Derivatives of one sign
     are assumed within a pixel and key (reflectances, roughness, radiances have them); of others the

@@ -18,6 +18,7 @@ from isas_cli.runtime.errors import NumericalError
 from isas_cli.samplers.balanced import Balanced
 from isas_cli.samplers.gradient import Gradient
 from isas_cli.samplers.ours import Ours
+from isas_cli.samplers.progress import Progress
 from isas_cli.samplers.relevant import Relevant
 from isas_cli.samplers.sampler import Stage1Settings
 from isas_cli.samplers.uniform import Uniform
@@ -85,6 +86,26 @@ def test_rows_say_what_was_spent():
     assert rows[-1]["seconds"] == pytest.approx(sum(l.clock.billed_seconds.values()))
     assert set(l.clock.billed_seconds) == {"stage1", "step"}
     assert l.clock.unbilled_seconds["evaluation"] > 0 and l.clock.unbilled_seconds["rehearsal"] > 0
+
+
+@pytest.mark.parametrize("times, looked", [(4, True), (2, False)])
+def test_a_first_look_waits_for_as_many_steps_and_is_left_out_where_little_is_left(times, looked):
+    """Of a budget of four times as many steps as it costs it is taken, of twice as many not; paths
+    are counted as they are traced."""
+    p = problem({TEXTURE: 0.5})
+    progress = Progress(refresh=1000, stage1=STAGE1)
+    progress.prepare(p, losses.L2(), 256)
+    delay = progress.delay
+    assert 1 < delay < 100
+    l = loop(p, progress, Budget(iterations=times * delay))
+    look, when = progress.look, []
+    progress.look = lambda values, seed, i, moments: when.append(i) or look(values, seed, i, moments)
+    _, rows = run(l)
+    assert when == ([delay] if looked else [])
+    steps = times * delay * 2 * 256 + progress.paths_per_glance
+    looks = progress.paths_before + progress.paths_per_look
+    assert rows[-1]["paths"] == steps + looked * looks
+    assert l._glanced is not looked
 
 
 def test_evaluating_more_often_changes_nothing():
