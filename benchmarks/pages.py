@@ -1,9 +1,9 @@
 """Writes the pages of results from the tables in results/.
 
 adaptive_sampling.md and plateau.md, a page a paper, cost.md, what steps and records cost,
-effects.md, what leaving out light transport saves, shapes.md, volumes.md and pbdr.md, once there was
-a race on them, and the table in the README. What measures calls this at its end; all numbers in the text are
-filled in from the tables, by the templates in templates/.
+effects.md, what leaving out light transport saves, shapes.md, volumes.md and pbdr.md, once there
+was a race on them, and the table in the README. What measures calls this at its end; all numbers in
+the text are filled in from the tables, by the templates in templates/.
 
     python benchmarks/pages.py
 """

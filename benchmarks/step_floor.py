@@ -62,9 +62,9 @@ def main() -> None:
             own = group["step"] / group["passes"]
             above = f", above {TARGET}" if statistics.median(own) > TARGET else ""
             stock = group["step"] / group["prb"]
-            stock = "" if stock.isna().all() else f", step / prb = {spread(stock)}"
+            told = "" if stock.isna().all() else f", step / prb = {spread(stock)}"
             print(
-                f"{scene:10s} {sampler:8s} {batch:6d} pixels: step / passes = {spread(own)}{stock}, "
+                f"{scene:10s} {sampler:8s} {batch:6d} pixels: step / passes = {spread(own)}{told}, "
                 f"step {1e3 * statistics.median(group['step']):.1f} ms{above}"
             )
     if output is not None:

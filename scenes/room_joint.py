@@ -1,8 +1,8 @@
 """Room, joint: cubes and spheres, diffuse, glossy and specular, in a box; their materials and the
 lamp are unknown.
 
-After *Physics Based Differentiable Rendering for Inverse Problems and Beyond* (Kakkar et al.; PBDR),
-whose artificial scenes "consist of basic geometric forms such as cubes and spheres with well-known
+After *Physics Based Differentiable Rendering for Inverse Problems and Beyond* (Kakkar et al.;
+PBDR), whose artificial scenes "consist of basic geometric forms such as cubes and spheres with well-known
 material characteristics (glossy, specular, or diffuse)", and prints neither scenes nor figures.
 Ours: a Cornell box with two cubes and three spheres: a matt cube and
 a matt sphere, a glossy cube and a glossy sphere in the paper's own reflectance (its Eq. 5), and a
