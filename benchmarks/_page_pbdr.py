@@ -21,9 +21,21 @@ def facts(results: Path) -> dict | None:
         "seconds": dict(table.groupby("scene", sort=False)["seconds"].max()),
         "seeds": table["seeds"].min(),
         "claims": _claims(by),
+        "prior": {scene: _ratio(rows, "mpea", "without the prior") for scene, rows in by.items()},
+        "smoothing": {
+            scene: _ratio(rows, "re", "without smoothing")
+            for scene, rows in by.items()
+            if "without smoothing" in rows.index
+        },
         "best": {scene: rows["re"].idxmin() for scene, rows in by.items()},
         "sooner": {scene: rows.loc[FULL, "time_to_stock"] for scene, rows in by.items()},
     }
+
+
+def _ratio(rows: pandas.DataFrame, measure: str, rival: str) -> float:
+    """Of the full method to a rival; where nothing is to be smoothed, the full method without the
+    prior is `ours`."""
+    return rows.loc[FULL, measure] / rows.loc[rival if rival in rows.index else PLAIN, measure]
 
 
 def _claims(by: dict[str, pandas.DataFrame]) -> list[dict]:
