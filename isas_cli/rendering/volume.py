@@ -13,9 +13,10 @@ import mitsuba as mi
 from mitsuba.python.ad.integrators.common import RBIntegrator
 
 # σ̄ over the medium's largest σ. Were they equal, a constant grid would never have a null collision,
-# and its derivative would lack these. And the least σ̄ times the shell's size: nearly empty media
-# have derivatives, which need collisions.
-_MARGIN, _FEWEST = 1.1, 4.0
+# and its derivative would lack these. And the least σ̄ times the shell's size, where a medium
+# scatters and where it only emits: in a thin one every further collision makes the derivative's
+# variance smaller, and costs less than it saves up to here (benchmarks/majorant.py).
+_MARGIN, _FEWEST = 1.1, {"scatters": 8.0, "emits": 25.0}
 
 
 class Emission(RBIntegrator):
@@ -74,7 +75,7 @@ def trace(
 def _trace(mode, scene, medium, sampler, ray, max_depth, rr_depth, adjoint=None, radiance=None):
     """What ``trace`` returns, and each path's collisions, real or not."""
     primal, context = mode == dr.ADMode.Primal, mi.PhaseFunctionContext()
-    majorant = _majorant(scene, medium)
+    majorant = _majorant(scene, medium, "scatters")
     start, far, active = _within(scene, ray)
     result = mi.Spectrum(0 if primal else radiance)
 
@@ -181,7 +182,7 @@ def collisions(
 def _emitted(mode, scene, medium, sampler, ray, adjoint=None, radiance=None):
     """What ``emitted`` returns, and each path's collisions."""
     primal = mode == dr.ADMode.Primal
-    majorant = _majorant(scene, medium)
+    majorant = _majorant(scene, medium, "emits")
     start, far, active = _within(scene, ray)
 
     def event(L, found, β, met, active, t, sampler):
@@ -223,10 +224,10 @@ def _emitted(mode, scene, medium, sampler, ray, adjoint=None, radiance=None):
 _WEAK = 0.05  # throughput below which Russian roulette begins
 
 
-def _majorant(scene: mi.Scene, medium: mi.Medium) -> mi.Float:
+def _majorant(scene: mi.Scene, medium: mi.Medium, what: str) -> mi.Float:
     largest = dr.detach(medium.get_majorant(dr.zeros(mi.MediumInteraction3f), True)).x
     size = float(dr.max(scene.shapes()[0].bbox().extents()))
-    return dr.maximum(largest * _MARGIN, _FEWEST / size)
+    return dr.maximum(largest * _MARGIN, _FEWEST[what] / size)
 
 
 def _within(scene: mi.Scene, ray: mi.Ray3f) -> tuple[mi.Point3f, mi.Float, mi.Bool]:
