@@ -7,18 +7,16 @@ from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from ..rendering.pixels import PixelDistribution
 from ..rendering.projective import Attached
 from ..rendering.shadows import Shadows
 from ..rendering.silhouettes import Silhouettes
+from ..rendering.standing import others, triangles
 from ..runtime import streams
 from ..runtime.errors import InputError
 from ..samplers.sampler import Sampler
 from ..scene.topology import Topology
-from ..unknowns.parameters import own
-from ..unknowns.vertices import POSITIONS
 from .estimator import Estimator, at_least_one
 from .two_path import TwoPath
 
@@ -35,8 +33,8 @@ class Settings(Estimator):
     """``ByShape``. ``edges``: samples of silhouettes a step; ``adaptive``: drawn by the residuals
     around them; ``shadows``: samples of the edges of shadows a step, 0 to leave these out, None
     for as many as ``edges`` where there are lamps, and 0 under a sky alone, whose shadows are soft:
-    there they bring more noise than they tell (where other meshes stand beside what moves, as many
-    again for their shadows); ``lamps``: points of lamps that these are found for;
+    there they bring more noise than they tell (where what stands still
+    can shade what moves, as many again for its shadows); ``lamps``: points of lamps that these are found for;
     ``paths``: of each sample's pixel, for its residual; ``freeze``: record kernels once instead of
     tracing every iteration."""
 
@@ -111,7 +109,7 @@ class ByShape:
     its samples cost, whatever the films' sizes.
 
     What shadows are followed: of moving meshes, on themselves, on each other and on what stands
-    still; of meshes that stand still, on moving ones. In direct light, seen directly; the rest is
+    still; of what stands still (``standing.others``), on moving ones. In direct light, seen directly; the rest is
     the bias of ``Shadows``. Bias: that of all parts. Silhouettes that other surfaces show
     (reflections, shadows in light that was scattered before) are left out. Traced once and frozen,
     but for ``params.update()``.
@@ -203,24 +201,5 @@ def _meshes(problem: "Problem") -> dict[str, Topology]:
                     f"{where}, which has face normals: its shading steps from facet to facet, "
                     "which is not differentiated; give it smooth normals, or take sampler=plateau"
                 )
-            found[key] = Topology.of(*_triangles(params, key))
+            found[key] = Topology.of(*triangles(params, key))
     return found
-
-
-def _triangles(params: mi.SceneParameters, key: str) -> tuple[np.ndarray, np.ndarray]:
-    """Positions ``(n, 3)``, which are ``params[key]``, and faces ``(F, 3)`` of a mesh."""
-    faces = np.array(params[f"{key.rpartition('.')[0]}.faces"]).reshape(-1, 3)
-    return np.array(params[key]).reshape(-1, 3), faces.astype(np.int64)
-
-
-def others(problem: "Problem") -> tuple[mi.Float, Topology] | None:
-    """Of the meshes that stand still, all as one, the vertices' positions and how their triangles
-    hang together; None where there are none."""
-    params, shapes = mi.traverse(problem.scene), problem.scene.shapes()
-    ids = {shape.id() for shape in shapes if shape.is_mesh()} - problem.unknowns.moved
-    keys = [f"{id}.{name}" for id in sorted(ids) for name in POSITIONS if f"{id}.{name}" in params]
-    if not keys:
-        return None
-    meshes = [_triangles(params, key) for key in keys]
-    positions = np.concatenate([each for each, _ in meshes]).astype(np.float32)
-    return own(mi.Float, positions.ravel()), Topology.together([Topology.of(*m) for m in meshes])
