@@ -8,28 +8,40 @@ import mitsuba as mi
 from .sampler import Moments
 
 
-def masses(sensitivity: dict, curvature: dict, moments: Moments | None, least: float) -> dict:
-    """P_k ∝ (C_k / h_k)^⅔ (1 + x_k)^(-4/3) by key, flat; 0 for unknowns that nothing depends on.
+def masses(
+    sensitivity: dict,
+    curvature: dict,
+    moments: Moments | None,
+    least: float,
+    rates: dict | None = None,
+) -> dict:
+    """P_k ∝ (w η C_k / h_k)^⅔ (1 + x_k)^(-4/3) by key, flat; 0 for unknowns that nothing depends on.
 
-    The minimiser of Σ_k F_k over ΣP = 1 (``Progress`` derives F and defines all symbols):
+    The minimiser of Σ_k w F_k over ΣP = 1 (``Progress`` derives F and defines all symbols):
 
-        F_k = δ_k² x_k / (1 + x_k),   x_k = η s_k / (2 h_k δ_k²),   s_k = C_k / √P_k.
+        F_k = δ_k² x_k / (1 + x_k),   x_k = η s_k / (2 h_k δ_k²),   s_k = C_k / √P_k,
 
-    ∂F_k/∂P_k must be alike for all: P_k^(3/2) ∝ (C_k/h_k) / (1 + x_k)². x_k depends on P_k: where
+    w = 1/(n η²) of each key's n entries that anything depends on and its rate η (``rates`` where
+    there are no ``moments``; None: alike): a mean over each key, in steps. So keys count alike,
+    whatever their units, and a number is not starved by a texture of thousands.
+
+    ∂F_k/∂P_k must be alike for all: P_k^(3/2) ∝ (w η C_k/h_k) / (1 + x_k)². x_k depends on P_k: where
     there are ``moments`` s_k is the root of Adam's v̂_k, which the pmf so far has brought about,
     and each look is one step of a fixed-point iteration; before, x_k ≪ 1 is taken.
 
     ``sensitivity``: C_k; ``curvature``: h_k; both are held above ``least`` times their mean over
     the key's entries that anything depends on: one grazing path must not draw all samples.
     """
-    found = {}
+    found, rates = {}, rates if moments is None else moments.rate
     for key, c in sensitivity.items():
         h = curvature[key]
         known = (c > 0) & (h > 0) & dr.isfinite(c) & dr.isfinite(h)
         # Out of the sums that follow as well: one entry must not spoil its whole key.
         c, h = dr.select(known, c, 0), dr.select(known, h, 0)
         c, h = _held(c, known, least), _held(h, known, least)
-        mass = dr.power(c / h, 2 / 3)
+        entries = dr.maximum(mi.Float(dr.count(known)), 1)
+        rate = dr.opaque(mi.Float, (rates and rates[key]) or 1.0)
+        mass = dr.power(c / (h * entries * rate), 2 / 3)
         if moments is not None and not moments.rate[key]:
             mass = mi.Float(0)  # it rests until its stage
         elif moments is not None:
@@ -38,13 +50,23 @@ def masses(sensitivity: dict, curvature: dict, moments: Moments | None, least: f
     return found
 
 
-def tangents(sensitivity: dict, curvature: dict, moments: Moments | None, least: float) -> dict:
+def tangents(
+    sensitivity: dict,
+    curvature: dict,
+    moments: Moments | None,
+    least: float,
+    rates: dict | None = None,
+) -> dict:
     """P_k / C_k by key, flat, the largest 1. Where no unknown is to have any mass, by ``moments``,
     as if there were none. Evaluates."""
-    found = _over_sensitivity(masses(sensitivity, curvature, moments, least), sensitivity, least)
+
+    def along(moments: Moments | None) -> dict:
+        mass = masses(sensitivity, curvature, moments, least, rates)
+        return _over_sensitivity(mass, sensitivity, least)
+
+    found = along(moments)
     if moments is not None:
-        most = _most(found)
-        plain = _over_sensitivity(masses(sensitivity, curvature, None, least), sensitivity, least)
+        most, plain = _most(found), along(None)
         found = {key: dr.select(most > 0, x, plain[key]) for key, x in found.items()}
     most = _most(found)
     scale = dr.select(most > 0, dr.rcp(most), 0)

@@ -48,6 +48,8 @@ class Progress(Sampler):
 
         p_j = (r_j/√c_j) Σ_k P_k J_jk/C_k,   P_k ∝ (C_k/h_k)^⅔ (1 + x_k)^(-4/3).
 
+    Keys of unlike units and sizes are made alike (``allocation.masses``).
+
     **What is in it.** One unknown: the sum has one term and p_j ∝ Σ_c r_jc J_jc/√c_j, Eq. (12) at
     equal cost but for the channels c of a path, which are summed and not squared first. A texture
     of like texels, n_k pixels to each: C_k = n_k r J, h_k ∝ n_k J², p_j ∝ 1/n_k: equal mass per
@@ -115,6 +117,9 @@ class Progress(Sampler):
         self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
         self._surveys: dict = {}  # by base seed and the unknowns' shapes
         self._step = 2 * batch
+        rates = {u.key: u.lr for u in problem.unknowns}
+        # Some without their own have the optimiser's, which is not known here.
+        self._rates = rates if all(rates.values()) else None
 
     def look(
         self, values: dict, seed: int, iteration: int, moments: Moments | None = None
@@ -138,7 +143,7 @@ class Progress(Sampler):
         weighted = noise * dr.sqrt(cost)
         dr.eval(weighted)
         sensitivity = self._stage1.sensitivity(values, passes, seed, first, weighted)
-        along = tangents(sensitivity, curvature, moments, self.least)
+        along = tangents(sensitivity, curvature, moments, self.least, self._rates)
         weights = mi.Float(0)
         for key, tangent in along.items():
             mean, second = self._along(values, key, tangent, passes, seed, first)

@@ -134,6 +134,42 @@ def test_masses_minimise_what_adam_leaves():
     assert objective(np.log(best)) < objective(np.log(greedy))
 
 
+def test_masses_minimise_the_mean_over_keys_in_steps():
+    """A texture of 40 and a number in a unit 100 times as large, against a numerical minimiser of
+    the mean over keys of each key's mean squared error in steps; the same in any other unit. The
+    plain sum over entries would leave the number a share as if there were 41 texels."""
+    rng = np.random.default_rng(6)
+    counts, η = {"t": 40, "x": 1}, {"t": 0.02, "x": 2.0}
+    c = {"t": rng.uniform(0.5, 2, 40), "x": np.array([0.03])}
+    h = {"t": rng.uniform(0.5, 4, 40), "x": np.array([4e-4])}
+
+    def left(logits):  # x_k ≪ 1: F = η s / 2h
+        mass = np.exp(logits - logits.max())
+        mass /= mass.sum()
+        total = 0.0
+        for key, part in (("t", mass[:40]), ("x", mass[40:])):
+            total += np.mean(η[key] * c[key] / np.sqrt(part) / (2 * h[key]) / η[key] ** 2)
+        return total
+
+    best = np.exp(minimize(left, np.zeros(41), tol=1e-14).x)
+    best /= best.sum()
+
+    def found(unit: float = 1.0, **rates) -> np.ndarray:
+        scaled = {"t": 1.0, "x": unit}
+        given = (
+            {key: mi.Float(x[key] / scaled[key] ** power) for key in counts}
+            for x, power in ((c, 1), (h, 2))
+        )
+        own = {key: rate * scaled[key] for key, rate in η.items()} if not rates else rates
+        made = masses(*given, None, 1e-6, own)
+        mass = np.concatenate([np.array(made[key], np.float64) for key in counts])
+        return mass / mass.sum()
+
+    assert np.allclose(found(), best, rtol=0.01)
+    assert np.allclose(found(unit=1e-3), best, rtol=0.01)
+    assert not np.allclose(found(t=1.0, x=1.0), best, rtol=0.5)
+
+
 def test_unknowns_that_are_done_or_out_of_reach_are_dropped():
     """Of two keys alike the one whose mean gradient has vanished gets next to nothing; so does an
     entry whose noise is far above what its error could show."""
