@@ -3,13 +3,12 @@
 On each scene, with `sampler=progress`: everything (`full`), the plan that is made (`auto`), four
 light samples with all depths (`lights`), the same where only the shortest beginning of a path that
 meets every unknown is differentiated (`derivative`), this with paths no longer than that until the
-last third of the budget (`staged`), and with `--ladder` each depth below the scene's own (`depth
-2`, …); with `--plans` those alone. Each at its own best rate with the first seed. `full` and `auto`
-run again at theirs with the other seeds, which alone are reported; the other plans are leads from
-one seed. Settings and budgets are those of `reproduce.py`. Writes results/effects.csv (a row per
-scene and plan), effects_rates.csv and effects_<scene>.png (error against billed time); of several
-scenes together
-effects_across.csv and effects_arrivals.png. Scenes and plans that are not named keep their rows.
+last third of the budget (`staged`), and each depth below the scene's own (`depth 2`, …). Each at its
+own best rate with the first seed, then with the others, which alone are reported. With `--plans`
+those alone and `full`; scenes and plans that are not named keep their rows. Settings and budgets are
+those of `reproduce.py`. Writes results/effects.csv (a row per scene and plan), effects_rates.csv
+and effects_<scene>.png (error against billed time); where all plans of several scenes ran,
+effects_across.csv and effects_arrivals.png.
 
     .venv/bin/python benchmarks/effects.py pottery bowl
 """
@@ -44,11 +43,11 @@ PLAIN = {
     "effects.derivative_depth": None,
     "effects.light_samples": None,
 }
-REPEATED = ("full", "auto")
+MAIN = ("full", "auto")
 LADDER = (2, 3, 4, 6, 8)
 
 
-def plans(scene: str, ladder: bool) -> dict[str, dict]:
+def plans(scene: str) -> dict[str, dict]:
     """Name → settings. Depths below the scene's own, which its module states."""
     from isas_cli.runtime import backend
 
@@ -70,9 +69,7 @@ def plans(scene: str, ladder: bool) -> dict[str, dict]:
         short = PLANS["lights"] | {"effects.derivative_depth": depths[0]}
         found["derivative"] = short
         found["staged"] = short | {"effects.max_depth": depths[0], "effects.finish": 0.33}
-    if ladder:
-        found |= {f"depth {d}": {"effects": "full", "effects.max_depth": d} for d in depths}
-    return found
+    return found | {f"depth {d}": {"effects": "full", "effects.max_depth": d} for d in depths}
 
 
 def _reaches(scene: str, depth: int) -> bool:
@@ -107,6 +104,7 @@ def runs(folder: Path, named: dict[str, dict]) -> pandas.DataFrame:
                 "plan": name,
                 "rate": run.config["optimizer"]["lr"],
                 "seed": run.config["seed"],
+                "folder": path.parent,
                 "history": history,
                 "final": history[MEASURE].iloc[-1],
                 "image": history["image_rmse"].iloc[-1],
@@ -149,7 +147,7 @@ def draw(scene: str, found: pandas.DataFrame) -> None:
     for number, (name, own) in enumerate(found.groupby("plan", sort=False)):
         for history in own["history"]:
             label = name if history is own["history"].iloc[0] else None
-            style = "-" if name in REPEATED else ":"
+            style = "-" if name in MAIN else ":"
             ax.plot(history["seconds"], history[MEASURE], style, color=f"C{number}", label=label)
     ax.set(title=scene, yscale="log", xlabel="billed seconds", ylabel="parameter error")
     ax.legend(fontsize=7)
@@ -161,39 +159,37 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
-    parser.add_argument("--ladder", action="store_true", help="each depth below the scene's, too")
     parser.add_argument("--plans", nargs="+", help="these alone; `full` is among them")
     chosen = parser.parse_args()
     root = Path(tempfile.mkdtemp(prefix="isas-effects-"))
     print(f"runs: {root}", flush=True)
+    judged: list[Path] = []  # below 10 s there is no probe
     for scene in chosen.scenes or SCENES:
-        seconds, named = SCENES[scene].seconds, plans(scene, chosen.ladder)
+        seconds, named = SCENES[scene].seconds, plans(scene)
         if chosen.plans:
-            named = {name: named[name] for name in dict.fromkeys(["full", *chosen.plans])}
+            named = {name: named[name] for name in named if name in ("full", *chosen.plans)}
         rates = SCENES[scene].rates
         every = [{**p, "optimizer.lr": rate} for p in named.values() for rate in rates]
         race(root / scene / "rates", scene, every, chosen.seeds[:1], seconds)
         first = runs(root / scene / "rates", named)
         best = first.loc[first.groupby("plan", sort=False)["final"].idxmin()]
-        again = best[best["plan"].isin(REPEATED)]
-        pairs = [{**named[p], "optimizer.lr": r} for p, r in zip(again["plan"], again["rate"])]
+        pairs = [{**named[p], "optimizer.lr": r} for p, r in zip(best["plan"], best["rate"])]
         race(root / scene / "seeds", scene, pairs, chosen.seeds[1:], seconds)
         found = runs(root / scene / "seeds", named)
-        found = pandas.concat([found, best[~best["plan"].isin(REPEATED)]])
-        _merged("effects_rates.csv", first.drop(columns="history").assign(scene=scene), scene)
+        judged += found[found["plan"].isin(MAIN)]["folder"].tolist() if seconds >= 10 else []
+        told = first.drop(columns=["history", "folder"]).assign(scene=scene)
+        _merged("effects_rates.csv", told, scene)
         print(_merged("effects.csv", table(scene, found, seconds), scene).to_string(), flush=True)
         draw(scene, found)
         # After each scene: what is measured survives what follows.
         pages.write()
-    # Below 10 s there is no probe.
-    probed = [s for s in chosen.scenes or SCENES if SCENES[s].seconds >= 10]
-    if len(probed) > 1:
-        together([root / scene / "seeds" for scene in probed], root / "together")
+    if len(judged) > 2 * len(chosen.seeds) and not chosen.plans:
+        together(judged, root / "together")
         pages.write()
 
 
 def together(folders: list[Path], output: Path) -> None:
-    """`full` and `auto` on all these scenes: effects_across.csv and effects_arrivals.png."""
+    """Runs of `full` and `auto` on all scenes: effects_across.csv and effects_arrivals.png."""
     command = [sys.executable, "-m", "isas_cli", "compare", *map(str, folders)]
     command += ["--baseline", "progress effects=full", "--output", str(output)]
     subprocess.run(command, check=True)
@@ -207,6 +203,8 @@ def _merged(name: str, rows: pandas.DataFrame, scene: str) -> pandas.DataFrame:
     if path.exists():
         earlier = pandas.read_csv(path)
         same = (earlier["scene"] == scene) & earlier["plan"].isin(rows["plan"])
+        # What stays was measured against another `full`.
+        earlier.loc[earlier["scene"] == scene, earlier.columns.str.startswith("time")] = np.nan
         whole = pandas.concat([rows, earlier[~same]]).sort_values("scene", kind="stable")
     else:
         whole = rows

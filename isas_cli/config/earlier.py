@@ -22,7 +22,8 @@ def modern(config: dict[str, Any]) -> dict[str, Any]:
     if "effects" not in config:
         config = {**config, "effects": _ALL_EFFECTS}
     if "name" in (estimator or {}):
-        return config
+        missing = _ONE_WAY.get(estimator["name"], {}).keys() - estimator.keys()
+        return {**config, "estimator": {**_ONE_WAY["two_path"], **estimator}} if missing else config
     common = {key: value for key, value in (estimator or {}).items() if key in _OF_ESTIMATORS}
     chosen = sampler.get("name")
     if chosen in PRESETS:
@@ -36,10 +37,12 @@ def modern(config: dict[str, Any]) -> dict[str, Any]:
     else:
         own, name = {}, "two_path"
     target = f"isas_cli.estimators.{name}.Settings"
-    found = {"name": name, "_target_": target, **common, **_known(own)}
+    found = {"name": name, "_target_": target, **_ONE_WAY.get(name, {}), **common, **_known(own)}
     return {**config, "estimator": found, "prior": config.get("prior") or _NO_PRIOR}
 
 
+# Before both paths of a pixel were differentiated.
+_ONE_WAY = {"two_path": {"crossed": False}}
 _ALL_EFFECTS = {
     "name": "full",
     "_target_": "isas_cli.effects.settings.Effects",

@@ -30,7 +30,7 @@ _LIGHTS = ((1, 1), (4, 1), (4, 4))
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
 # Of the entries that any view sees, the share that may lose all of their derivative.
 _LOST = 0.01
-_FORMAT = 9
+_FORMAT = 10
 
 
 @dataclass(frozen=True)

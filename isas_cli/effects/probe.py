@@ -182,7 +182,7 @@ class Probe:
         unknowns = self.problem.unknowns
         # An exposure's derivative is no path's.
         images, rows, seconds = [], {u.key: [] for u in unknowns if u.kind.carried}, []
-        earlier = dr.zeros(mi.Color3f, self.lanes)
+        earlier = [dr.zeros(mi.Color3f, self.lanes) for _ in range(2)]
         dr.make_opaque(earlier)
         for batch in range(-_WARM_UP, _MOST_BATCHES):
             radiance, spent = self._estimate(kernel, paths, earlier, batch, fixed)
@@ -199,7 +199,7 @@ class Probe:
                 seconds = []
             self.seconds += spent
             seconds.append(spent)
-            images.append(float(dr.mean(dr.mean(radiance))[0]))
+            images.append(float(dr.mean(dr.mean(radiance[0]))[0]))
             for key, gradient in unknowns.gradients().items():
                 if key in rows:
                     rows[key].append(_some(as_numpy(gradient).ravel()))
@@ -208,7 +208,7 @@ class Probe:
         return np.array(images), {k: np.array(r) for k, r in rows.items()}, np.median(seconds)
 
     def _estimate(self, kernel, paths: Paths, earlier, batch: int, fixed: bool):
-        """One gradient, left in the unknowns' leaves; its radiances and seconds."""
+        """One gradient, left in the unknowns' leaves; both paths' radiances, and seconds."""
         p = self.problem
         seeds = [
             dr.opaque(mi.UInt32, streams.seed(self.seed, _FAR + number, purpose))
@@ -241,21 +241,31 @@ class Probe:
                 view, column, row, probability = pixels.draw(lanes, seeds[0])
                 pixel = views.index(view, column, row)
                 dr.eval(view, column, row, pixel, probability)
-                first = rays.stream(seeds[1], lanes)
-                ray, weight = rays.spawn(sensors, views, view, column, row, first)
-                radiance, _ = paths.primal(scene, first, ray)
-                radiance *= weight
                 target = dr.gather(mi.Color3f, targets, pixel)
-                seen = radiance if of_targets else radiance - earlier + target
-                residual = loss.derivative(seen, target)
-                if mask is not None:
-                    residual *= dr.gather(mi.Float, mask, pixel)
-                second = rays.stream(seeds[2], lanes)
-                ray, weight = rays.spawn(sensors, views, view, column, row, second)
-                adjoint = residual * weight * (share / (probability * lanes))
-                paths.backward(scene, second, ray, adjoint)
-                dr.eval(radiance)
-                return radiance
+                streams = [rays.stream(seed, lanes) for seed in seeds[1:]]
+                spawned, weights = zip(
+                    *(rays.spawn(sensors, views, view, column, row, each) for each in streams)
+                )
+                seen = []
+
+                def adjoints(radiances: list) -> list:
+                    found = []
+                    for radiance, own, other in zip(radiances, weights, reversed(weights)):
+                        shown = radiance * own
+                        seen.append(shown)
+                        if not of_targets:
+                            shown = shown - earlier[len(found)] + target
+                        residual = loss.derivative(shown, target)
+                        if mask is not None:
+                            residual *= dr.gather(mi.Float, mask, pixel)
+                        part = share / (probability * lanes * len(radiances))
+                        found.append(residual * other * part)
+                    return found
+
+                paths.pair(scene, streams, spawned, adjoints)
+                seen = [seen[0], seen[-1]]
+                dr.eval(seen)
+                return seen
 
         return dr.freeze(kernel)
 

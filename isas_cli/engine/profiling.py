@@ -5,8 +5,9 @@ so the phases cannot be read off a clock. Three cut-down steps run beside the wh
 same draws and with the same random numbers, each ending one phase later:
 
     drawing    t₁: a step that ends with the drawn pixels
-    primal     t₂ - t₁: … with the first path and the loss derivative
-    adjoint    t₃ - t₂: … with the second path's derivative taken *forward* along a tangent, which
+    primal     t₂ - t₁: … with the radiance of the first path, or of both where both are
+               differentiated, and the loss derivative
+    adjoint    t₃ - t₂: … with the paths' derivatives taken *forward* along a tangent, which
                needs the same paths and partial derivatives and gives one number per channel
                where the whole step adds to every unknown that a path meets
     scatter    t₄ - t₃: the whole estimate, up to gradients in the unknowns' own order: clearing
@@ -94,15 +95,14 @@ _HOW = {
 }
 
 
-def _up_to_primal(integrator, scene, stream, ray, adjoint) -> None:
-    """In place of the second path: nothing."""
-    dr.eval(adjoint)
+def _up_to_primal(integrator, scene, streams, rays, adjoints) -> None:
+    """What derivatives are weighted with, and none."""
+    dr.eval(adjoints(integrator.radiances(scene, streams, rays)))
 
 
-def _up_to_adjoint(integrator, scene, stream, ray, adjoint) -> None:
+def _up_to_adjoint(integrator, scene, streams, rays, adjoints) -> None:
     """A derivative that is summed over the unknowns instead of scattered to them."""
-    dr.schedule(adjoint)  # evaluated with what comes next, as in the whole step
-    integrator.forward(scene, stream, ray)
+    integrator.pair(scene, streams, rays, adjoints, dr.ADMode.Forward)
 
 
 class _Pass:

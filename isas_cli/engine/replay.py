@@ -125,11 +125,13 @@ def _bad_paths(loop: Loop, iteration: int) -> Iterator[tuple[str, np.ndarray]]:
     for key in [None, *problem.unknowns.keys]:
         found: list[np.ndarray] = []
 
-        def look(integrator, scene, stream, ray, adjoint, key=key, found=found):
-            part = adjoint
+        def look(integrator, scene, streams, rays, adjoints, key=key, found=found):
+            again = [stream.clone() for stream in streams]
+            parts = adjoints(integrator.radiances(scene, streams, rays))
             if key is not None:
-                part = adjoint * integrator.forward(scene, stream, ray)
-            found.append(np.array(part))
+                paths = zip(reversed(again), reversed(rays))
+                parts = [a * integrator.forward(scene, *path) for a, path in zip(parts, paths)]
+            found.append(sum(np.array(part) for part in parts))
 
         estimator = TwoPath(problem, loop.estimator.loss, loop.estimator.batch, False, look)
         if key is None:

@@ -24,14 +24,16 @@ if TYPE_CHECKING:
 
 @dataclass
 class Settings(Estimator):
-    """``TwoPath``. ``derivative_sampling``: directions for derivatives by roughness are drawn for
-    these (``rendering.derivative_sampling``); ``freeze``: record kernels once instead of tracing
-    every iteration."""
+    """``TwoPath``. ``crossed``: both paths of a pixel are differentiated, each with the other's
+    residual, where the integrator can; ``derivative_sampling``: directions for derivatives by
+    roughness are drawn for these (``rendering.derivative_sampling``); ``freeze``: record kernels
+    once instead of tracing every iteration."""
 
     name: ClassVar[str] = "two_path"
     replays: ClassVar[bool] = True
 
     freeze: bool = True
+    crossed: bool = True
     derivative_sampling: bool = False
 
     def fits(self, sampler: Sampler) -> None:
@@ -42,7 +44,13 @@ class Settings(Estimator):
             )
 
     def on(self, problem: "Problem") -> "Problem":
-        return derivative_sampling.sampled(problem) if self.derivative_sampling else problem
+        if self.derivative_sampling:
+            return derivative_sampling.sampled(problem)
+        integrator = problem.integrator
+        if self.crossed or not integrator.crosses:
+            return problem
+        one_way = integrator.cut(replace(integrator.paths, crossed=False))
+        return replace(problem, integrator=one_way)
 
     def made(self, problem: "Problem", loss) -> "TwoPath":
         return TwoPath(problem, loss, self.batch, self.freeze)
@@ -73,9 +81,9 @@ class TwoPath:
     and the gradients are read outside, after the call.
     """
 
-    def __init__(self, problem: "Problem", loss, batch: int, freeze: bool = True, second_pass=None):
-        """``second_pass(integrator, scene, stream, ray, adjoint)``: what is done along the second
-        path, for measurements; None for its ``backward``.
+    def __init__(self, problem: "Problem", loss, batch: int, freeze: bool = True, along=None):
+        """``along(integrator, scene, streams, rays, adjoints)``: what is done along both paths, for
+        measurements; None for the integrator's ``pair``.
 
         Raises InputError where an unknown moves objects."""
         if problem.unknowns.moving and not problem.integrator.moves:
@@ -104,40 +112,46 @@ class TwoPath:
                 # Once for all kernels that follow: each would search the CDF again.
                 dr.eval(view, column, row, pixel, probability)
 
-                first = rays.stream(seeds[1], batch)
-                ray, weight = rays.spawn(sensors, views, view, column, row, first)
-                radiance, _ = integrator.primal(scene, first, ray)
                 target = dr.gather(mi.Color3f, targets, pixel)
-                residual = loss.derivative(radiance * weight, target)
-                if mask is not None:
-                    residual *= dr.gather(mi.Float, mask, pixel)
-                finite = dr.all(dr.isfinite(residual))
-                # With the next kernel: counted in one of its own, the path would be traced again.
-                dr.schedule(residual, finite)
+                scale = share / (probability * batch)
+                random = [rays.stream(seed, batch) for seed in seeds[1:3]]
+                spawned, weights = zip(
+                    *(rays.spawn(sensors, views, view, column, row, each) for each in random)
+                )
+                residuals, missed = [], []
 
-                second = rays.stream(seeds[2], batch)
-                ray, weight = rays.spawn(sensors, views, view, column, row, second)
-                adjoint = residual * weight * (share / (probability * batch))
-                if second_pass is None:
-                    integrator.backward(scene, second, ray, adjoint)
-                else:
-                    second_pass(integrator, scene, second, ray, adjoint)
+                def adjoints(radiances: list) -> list:
+                    for radiance, weight in zip(radiances, weights):
+                        residual = loss.derivative(radiance * weight, target)
+                        if mask is not None:
+                            residual *= dr.gather(mi.Float, mask, pixel)
+                        residuals.append(residual)
+                        missed.append(~dr.all(dr.isfinite(residual)))
+                    # With the next kernel: counted in one of its own, the paths would be traced
+                    # again.
+                    dr.schedule(residuals, missed)
+                    part = scale / len(residuals)
+                    return [r * w * part for r, w in zip(residuals, reversed(weights))]
+
+                done = along or type(integrator).pair
+                done(integrator, scene, random, spawned, adjoints)
+                residual = residuals[0]
                 if exposed is not None:
                     # A path of its own: the second one's radiance is inside the integrator, and the
                     # first one's noise is the residual's.
                     third = rays.stream(seeds[3], batch)
                     ray, _ = rays.spawn(sensors, views, view, column, row, third)
                     radiance, _ = integrator.primal(scene, third, ray)
-                    slope = residual * radiance * (share / (probability * batch))
+                    slope = residual * radiance * scale
                     dr.eval(slope)
                     exposure.add(leaves[exposed.key], view, slope)
                 if moved is not None:
                     where = scene, sensors, views, (view, column, row)
                     step = _half_difference(integrator, *where, seeds[4], jitter)
-                    slope = dr.sum(residual * step) * (share / (probability * batch))
+                    slope = dr.sum(residual * step) * scale
                     dr.eval(slope)
                     motion.add(leaves[moved.key], view, slope, jitter[0])
-                lost[0] += dr.count(~finite)
+                lost[0] += sum(dr.count(each) for each in missed)
 
         self._kernel = dr.freeze(kernel) if freeze else kernel
 

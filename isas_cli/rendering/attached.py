@@ -23,7 +23,7 @@ def radiance(
     ray: mi.Ray3f,
     max_depth: int,
     lights: int = 1,
-    attach: bool = True,
+    differentiated: int | None = None,
 ) -> mi.Spectrum:
     """Radiance of one path per ray, the derivative by materials and lights attached.
 
@@ -33,9 +33,10 @@ def radiance(
     long path's graph is dear. Unrolled, a short path's graph lives in registers and every ray is
     traced once; values and derivatives agree with ``prb`` path by path.
 
-    ``lights``: samples of emitters at the first vertex; at later ones it is one. ``attach``: call
-    it with derivatives on (``dr.resume_grad``) and propagate from or to the result; False for the
-    radiance alone. Geometry is not differentiated. Traced.
+    ``lights``: samples of emitters at the first vertex; at later ones it is one.
+    ``differentiated``: edges of the longest paths whose derivatives are attached (None: all; 0: the
+    radiance alone): call it with derivatives on (``dr.resume_grad``) and propagate from or to the
+    result. Geometry is not differentiated. Traced.
 
     β: throughput so far, with the derivatives of all earlier BSDF values; L: radiance so far.
     """
@@ -43,6 +44,7 @@ def radiance(
     L, β = mi.Spectrum(0), mi.Spectrum(1)
     active, delta = mi.Bool(True), mi.Bool(True)
     pdf, count = mi.Float(1), 1
+    differentiated = max_depth if differentiated is None else differentiated
     previous = dr.zeros(mi.SurfaceInteraction3f)
     with dr.suspend_grad():
         ray = mi.Ray3f(ray)
@@ -58,14 +60,20 @@ def radiance(
             if depth > 0:
                 of_light = scene.pdf_emitter_direction(previous, ds, ~delta)
                 mis = mis_weight(pdf, count * of_light)
-        L += β * mis * ds.emitter.eval(si, active)
+        with dr.suspend_grad(when=depth + 1 > differentiated):
+            emitted = β * mis * ds.emitter.eval(si, active)
+        L += emitted
         active &= si.is_valid()
         if depth + 1 == max_depth:
             break
 
         # ---------------------- Emitter sampling ----------------------
         count = lights if depth == 0 else 1
-        L += dr.select(active, β * gathered(scene, sampler, si, bsdf, active, count, attach), 0)
+        attach = depth + 2 <= differentiated
+        β = β if attach else dr.detach(β)
+        with dr.suspend_grad(when=not attach):
+            lit = β * gathered(scene, sampler, si, bsdf, active, count, attach)
+        L += dr.select(active, lit, 0)
 
         # ------------------ Detached BSDF sampling -------------------
         with dr.suspend_grad():

@@ -4,6 +4,7 @@ Everything that traces goes through an ``Integrator`` of this module, which says
 
 - ``primal``: radiance of one path per ray;
 - ``backward``: adds ⟨adjoint, dL/dθ⟩ to the gradients of the scene;
+- ``pair``: the same with adjoints from the radiance of another path of the same pixels;
 - ``forward``: the derivative along a tangent, where ``has_forward``;
 - ``work``: what a path's time grows with;
 - ``simulates``: the effects that its paths have: 'surfaces', 'media';
@@ -42,7 +43,8 @@ class Integrator:
     """Path replay backpropagation by an integrator of Mitsuba's, ``mitsuba``.
 
     ``moves``: whether derivatives by what moves surfaces are among its own, silhouettes left out.
-    ``samples_lights``: whether light is sampled where a path scatters.
+    ``samples_lights``: whether light is sampled where a path scatters. ``crosses``: whether both
+    paths of a ``pair`` are differentiated.
     ``max_depth``: edges of the longest path (2^32 - 1: no limit); ``paths_per_derivative``: light
     paths behind one estimate of a pixel's derivative.
     """
@@ -52,6 +54,7 @@ class Integrator:
     cuts = False
     moves = False
     samples_lights = True
+    crosses = False
 
     def __init__(self, base: mi.Integrator):
         self.mitsuba = base
@@ -78,6 +81,27 @@ class Integrator:
         _, state = self.primal(scene, sampler, ray)
         dr.eval(adjoint, state)
         self._sample(dr.ADMode.Backward, scene, replayed, ray, adjoint, state)
+
+    def pair(self, scene, samplers, rays, adjoints, mode=dr.ADMode.Backward) -> None:
+        """Trace two independent paths of every pixel, along ``rays``, and add to the gradients of
+        the scene ⟨adjoint, dL/dθ⟩ along the second, with the adjoint that the first one's radiance
+        makes; where it ``crosses``, as well along the first, with the second one's.
+
+        ``adjoints``: of radiances ``(3, N)``, of the first path or of both, makes as many
+        ``(3, N)``: for the second path, and for the first. ``mode``: Forward for measurements,
+        where derivatives along a tangent are evaluated and forgotten.
+        """
+        (adjoint,) = adjoints(self.radiances(scene, samplers, rays))
+        if mode == dr.ADMode.Backward:
+            self.backward(scene, samplers[1], rays[1], adjoint)
+        else:
+            dr.schedule(adjoint)  # evaluated with what comes next, as in a step
+            self.forward(scene, samplers[1], rays[1])
+
+    def radiances(self, scene, samplers, rays) -> list[mi.Color3f]:
+        """Of a ``pair``, those that adjoints are made from."""
+        paths = list(zip(samplers, rays))[: 1 + self.crosses]
+        return [self.primal(scene, *path)[0] for path in paths]
 
     def forward(self, scene, sampler, ray) -> mi.Color3f:
         """Directional derivative of each path's radiance, ``(3, N)``; only where ``has_forward``.
@@ -161,12 +185,20 @@ class Paths:
     """``depth``: edges of the longest path that brings radiance; ``derivative``: of the longest
     that is differentiated, at most ``depth``; ``lights``: samples of emitters at the first vertex,
     in a primal pass and in one that differentiates (one at later vertices); ``roulette``: vertices
-    after which Russian roulette ends paths (None: as the scene's integrator has it)."""
+    after which Russian roulette ends paths (None: as the scene's integrator has it);
+    ``crossed``: whether a ``pair`` may differentiate both of its paths."""
 
     depth: int
     derivative: int
     lights: tuple[int, int] = (1, 1)
     roulette: int | None = None
+    crossed: bool = True
+
+    @property
+    def alike(self) -> bool:
+        """Whether all of what a path brings is differentiated, as far as is known before a kernel
+        runs."""
+        return isinstance(self.depth, int) and self.depth == self.derivative
 
 
 class Surfaces(Integrator):
@@ -179,6 +211,7 @@ class Surfaces(Integrator):
         super().__init__(base)
         self.paths, self.max_depth = paths, paths.depth
         self.rr_depth = _roulette(base, paths)
+        self.crosses = paths.crossed and paths.lights[0] == paths.lights[1]
 
     def cut(self, paths: Paths) -> "Integrator":
         return _surfaces(self.mitsuba, paths)
@@ -194,7 +227,21 @@ class Unrolled(Surfaces, InOneGo):
 
     def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, None]:
         depth, lights = self.paths.depth, self.paths.lights[0]
-        return attached.radiance(scene, sampler, ray, depth, lights, attach=False), None
+        return attached.radiance(scene, sampler, ray, depth, lights, 0), None
+
+    def pair(self, scene, samplers, rays, adjoints, mode=dr.ADMode.Backward) -> None:
+        if not self.crosses:
+            return super().pair(scene, samplers, rays, adjoints, mode)
+        whole = self.paths.depth, self.paths.lights[0], self.paths.derivative
+        with dr.resume_grad():
+            found = [attached.radiance(scene, *path, *whole) for path in zip(samplers, rays)]
+            with dr.suspend_grad():
+                weights = adjoints([dr.detach(radiance) for radiance in found])
+            total = weights[1] * found[0] + weights[0] * found[1]
+            if dr.grad_enabled(total) and mode == dr.ADMode.Backward:
+                dr.backward_from(total)
+            elif dr.grad_enabled(total):
+                dr.eval(dr.forward_to(total))
 
     def radiance(self, scene, sampler, ray) -> mi.Spectrum:
         depth, lights = self.paths.derivative, self.paths.lights[1]
@@ -219,6 +266,18 @@ class Twice(Integrator):
         dr.eval(derivative)
         return derivative
 
+    def pair(self, scene, samplers, rays, adjoints, mode=dr.ADMode.Backward) -> None:
+        if not self.crosses:
+            return super().pair(scene, samplers, rays, adjoints, mode)
+        again = [sampler.clone() for sampler in samplers]
+        found = self.radiances(scene, samplers, rays)
+        weights = adjoints(found)
+        dr.eval(weights, found)
+        for path, weight, radiance in zip(zip(again, rays), reversed(weights), found):
+            derivative = self.once(mode, scene, *path, True, weight, radiance)
+            if mode == dr.ADMode.Forward:
+                dr.eval(derivative)
+
     def _twice(self, mode, scene, sampler, ray, adjoint=None):
         again = sampler.clone()
         radiance = self.once(dr.ADMode.Primal, scene, sampler, ray, True)
@@ -228,6 +287,11 @@ class Twice(Integrator):
 
 class Replayed(Surfaces, Twice):
     """Long paths, replayed (``replayed``)."""
+
+    def __init__(self, base: mi.Integrator, paths: Paths):
+        super().__init__(base, paths)
+        # The second replay costs more than its derivative is worth (benchmarks/crossed.py).
+        self.crosses = False
 
     def once(self, mode, scene, sampler, ray, differentiated, *more):
         depth = self.paths.derivative if differentiated else self.paths.depth
@@ -242,6 +306,7 @@ class Mixed(Surfaces):
 
     def __init__(self, base: mi.Integrator, paths: Paths):
         super().__init__(base, paths)
+        self.crosses = False
         self._long, self._short = Replayed(base, paths), Unrolled(base, paths)
         self.primal = self._long.primal
         self.backward, self.forward = self._short.backward, self._short.forward
@@ -261,6 +326,8 @@ class Medium(Twice):
         self.cuts = not self.emits
         self.paths = paths or self.paths
         self.max_depth, self.rr_depth = self.paths.depth, _roulette(base, self.paths)
+        # Without scattering a second replay costs more than its derivative is worth.
+        self.crosses = self.paths.crossed and self.paths.alike and not self.emits
 
     def cut(self, paths: Paths) -> "Integrator":
         return Medium(self.mitsuba, self.medium, paths)

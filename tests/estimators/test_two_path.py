@@ -1,12 +1,17 @@
-"""The two-path estimator: freezing and masks. That it is unbiased: ``test_unbiased``."""
+"""The two-path estimator: freezing, masks, both paths differentiated. That it is unbiased with any
+sampler: ``test_unbiased``."""
 
+from dataclasses import replace
 from functools import partial
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import pytest
+import volumes_for_tests
 from gradient_estimates import Gradients
-from scenes_for_tests import ROUGHNESS, TEXTURE, problem
+from montecarlo import welch
+from scenes_for_tests import ROUGHNESS, TEXTURE, problem, render_targets
 
 from isas_cli import losses
 from isas_cli.estimators.two_path import TwoPath
@@ -35,3 +40,57 @@ def test_masked_pixels_do_not_count():
     p.set_targets(p.targets, mi.Float(mask), "test")
     # The corner sees the sky only.
     assert np.all(made.uniform(2, 1) == 0)
+
+
+def surfaces(derivative: int):
+    p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}, depth=3)
+    whole = p.integrator.paths
+    return replace(p, integrator=p.integrator.cut(replace(whole, derivative=derivative)))
+
+
+def medium():
+    p = volumes_for_tests.problem(*volumes_for_tests.uneven())
+    render_targets(p, 64)
+    return p
+
+
+def one_way(p):
+    paths = replace(p.integrator.paths, crossed=False)
+    return replace(p, integrator=p.integrator.cut(paths))
+
+
+def own_residuals(p, loss, batch: int) -> TwoPath:
+    """Each path weighted by its own residual, whose noise is that of its derivative."""
+
+    def along(integrator, scene, streams, rays, adjoints):
+        integrator.pair(scene, streams, rays, lambda found: adjoints(found)[::-1])
+
+    return TwoPath(p, loss, batch, True, along)
+
+
+@pytest.mark.parametrize(
+    "made", [partial(surfaces, 3), partial(surfaces, 2), medium], ids=["all", "beginning", "medium"]
+)
+def test_both_paths_tell_the_same_and_more(made):
+    """The same mean as one path's derivative with the other's residual, and less noise; a path's
+    own residual is noticed."""
+    p, repeats, level = made(), 200, 1e-3
+    assert p.integrator.crosses and not one_way(p).integrator.crosses
+    once = Gradients(one_way(p), losses.L2(), BATCH).uniform(2 * repeats, 2)
+    both = Gradients(p, losses.L2(), BATCH).uniform(repeats, 1)
+    outcome = welch(both, once, level)
+    noise = both.var(axis=0, ddof=1).sum() / once.var(axis=0, ddof=1).sum()
+    print(outcome, noise)
+    assert outcome.p_value > level and noise < 0.85
+    wrong = Gradients(p, losses.L2(), BATCH, own_residuals).uniform(repeats, 1)
+    assert welch(wrong, once, level).p_value < level
+
+
+def test_a_bad_path_is_counted_whichever_it_is():
+    p = problem({TEXTURE: 0.5})
+    made = Gradients(p, losses.L2(), BATCH)
+    made.uniform(1, 1)
+    assert made._estimator.nonfinite == 0
+    p.set_targets(dr.full(mi.Float, np.nan, dr.width(p.targets)), None, "test")
+    made.uniform(1, 1)
+    assert made._estimator.nonfinite == BATCH * (1 + p.integrator.crosses)
