@@ -110,20 +110,21 @@ def _stream(seed, ray):
 
 
 def own_passes(integrator):
-    """isas's own: a primal pass, and one that gives radiance and derivative together where paths
-    are short; where they are long, Mitsuba's."""
+    """isas's own: both paths' radiance, and their derivative where both are differentiated, else
+    the second one's."""
     import drjit as dr
     import mitsuba as mi
 
     def kernel(scene, leaves, both, seeds):
         with dr.suspend_grad():
-            first, second = (mi.Ray3f(o, d) for o, d in both)
-            streams = _stream(seeds[1], first), _stream(seeds[2], second)
-            radiance, _ = integrator.primal(scene, streams[0], first)
-            dr.schedule(radiance)  # in one kernel with what follows, as in the step
-            adjoint = mi.Color3f(1.0 / dr.width(second.o))
-            integrator.backward(scene, streams[1], second, adjoint)
-            dr.eval(radiance)
+            traced = [mi.Ray3f(o, d) for o, d in both]
+            streams = [_stream(seed, ray) for seed, ray in zip(seeds[1:], traced)]
+
+            def adjoints(radiances):
+                dr.schedule(radiances)  # in one kernel with what follows, as in the step
+                return [mi.Color3f(1.0 / dr.width(traced[0].o)) for _ in radiances]
+
+            integrator.pair(scene, streams, traced, adjoints)
 
     return kernel
 

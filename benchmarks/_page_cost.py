@@ -18,6 +18,7 @@ def facts(results: Path) -> dict:
     return {
         "step_time": step_time(read("step_time")),
         "floor": floor(read("step_floor")),
+        "crossed": crossed(read("crossed_estimates"), read("crossed")),
         "stage1": {name: list(rows["share"]) for name, rows in shares.groupby("sampler")},
         "first_look": list(shares[shares["sampler"] == "progress"]["first_ms"] / 1000),
         "half": shares[shares["sampler"] == "progress"]["share_half"].max(),
@@ -55,6 +56,16 @@ def floor(table: pandas.DataFrame) -> list[dict]:
         row |= {"prb": (group["step"] / group["prb"]).median()}
         rows.append(row)
     return rows
+
+
+def crossed(estimates: pandas.DataFrame, runs: pandas.DataFrame) -> dict:
+    """Of `estimator.crossed`: per scene and unknown, from start to truth; and runs."""
+    rows = []
+    for (scene, key), own in estimates.groupby(["scene", "key"], sort=False):
+        row = {"scene": scene, "key": key}
+        rows.append(row | {name: list(own[name]) for name in ("time", "variance", "product")})
+    seeds = int(runs["seeds"].min())
+    return {"estimates": rows, "runs": runs.to_dict("records"), "seeds": seeds}
 
 
 def sizes(table: pandas.DataFrame) -> list[dict]:

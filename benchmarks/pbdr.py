@@ -51,8 +51,9 @@ def methods(scene: str) -> dict[str, dict]:
     """Settings by name."""
     prior = {"prior": "materials", **{f"prior.{k}": WEIGHT for k in ("smooth", "metallic")}}
     prior["prior.roughness"] = WEIGHT
-    smooth, ours = {"optimizer.smoothing": SMOOTHING}, {"sampler": "ours"}
-    others = {name: {"sampler": name} for name in ("uniform", "relevant", "progress")}
+    one_way = {"estimator.crossed": "false"}  # the papers' estimator
+    smooth, ours = {"optimizer.smoothing": SMOOTHING}, {"sampler": "ours"} | one_way
+    others = {name: {"sampler": name} | one_way for name in ("uniform", "relevant", "progress")}
     others[STOCK] = {"sampler": "mitsuba"}
     if scene != "object_joint":
         return {FULL: ours | prior, PLAIN: ours, **others}

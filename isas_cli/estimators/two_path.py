@@ -67,9 +67,15 @@ class TwoPath:
         ⟨dℒ/dθ⟩ = 1/N Σ_i  ⟨∂ℒ/∂I⟩_{j_i} ⟨dI/dθ⟩_{j_i} / p_{j_i}
 
     The first path's radiance gives ⟨∂ℒ/∂I⟩ through the loss, a second, independent path gives
-    ⟨dI/dθ⟩ as ``problem.integrator`` estimates it. One path for both would be biased
-    for L2: its noise is correlated with itself. By a photograph's exposure e, where I = e L,
-    the derivative is ⟨∂ℒ/∂I⟩ ⟨L⟩, with L from a third path. By a camera's pose it is a blurred
+    ⟨dI/dθ⟩ as ``problem.integrator`` estimates it. One path for both would be biased for L2: its
+    noise is correlated with itself. Where the integrator ``crosses`` the same is done the other way
+    round as well, and the estimate is the mean of both: each path tells its radiance and its
+    derivative anyway. With residuals r and derivatives J of two paths the variance of r₁J₂ is
+    σ_r²σ_J² + μ_J²σ_r² + μ_r²σ_J², that of (r₁J₂ + r₂J₁)/2 between a half of that and, where r and
+    J are one up to a factor, σ_r²σ_J² + (…)/2.
+
+    By a photograph's exposure e, where I = e L, the derivative is ⟨∂ℒ/∂I⟩ ⟨L⟩, with L from the
+    other path, or from a third one where that does not tell it. By a camera's pose it is a blurred
     difference, of two more paths (``unknowns.motion``).
 
     Symbols: N → ``batch`` (pixels a step; 2 N light paths, more with derivative sampling);
@@ -96,8 +102,9 @@ class TwoPath:
         integrator = problem.integrator
         exposed, moved = (problem.unknowns.of(kind) for kind in (Exposure, Motion))
         self._moved = moved
-        # Without a derivative.
-        self._paths = 1 + (exposed is not None) + 2 * (moved is not None)
+        # Beside that whose derivative is counted.
+        third = exposed is not None and not integrator.crosses
+        self._paths = 1 + third + 2 * (moved is not None)
 
         # Paths whose residual was not finite so far. Dr.Jit leaves them out of the sums that
         # gradients are: without a count nobody would know.
@@ -118,9 +125,10 @@ class TwoPath:
                 spawned, weights = zip(
                     *(rays.spawn(sensors, views, view, column, row, each) for each in random)
                 )
-                residuals, missed = [], []
+                shown, residuals, missed = [], [], []
 
                 def adjoints(radiances: list) -> list:
+                    shown.extend(radiances)
                     for radiance, weight in zip(radiances, weights):
                         residual = loss.derivative(radiance * weight, target)
                         if mask is not None:
@@ -137,12 +145,14 @@ class TwoPath:
                 done(integrator, scene, random, spawned, adjoints)
                 residual = residuals[0]
                 if exposed is not None:
-                    # A path of its own: the second one's radiance is inside the integrator, and the
-                    # first one's noise is the residual's.
-                    third = rays.stream(seeds[3], batch)
-                    ray, _ = rays.spawn(sensors, views, view, column, row, third)
-                    radiance, _ = integrator.primal(scene, third, ray)
-                    slope = residual * radiance * scale
+                    if len(shown) < 2:
+                        # A path of its own: the second one's radiance is inside the integrator.
+                        third = rays.stream(seeds[3], batch)
+                        ray, _ = rays.spawn(sensors, views, view, column, row, third)
+                        shown.append(integrator.primal(scene, third, ray)[0])
+                    # Not its own: what is noise in it is so in the residual as well.
+                    slopes = [r * other for r, other in zip(residuals, reversed(shown))]
+                    slope = sum(slopes[1:], slopes[0]) * (scale / len(slopes))
                     dr.eval(slope)
                     exposure.add(leaves[exposed.key], view, slope)
                 if moved is not None:

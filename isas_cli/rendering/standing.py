@@ -94,9 +94,8 @@ def _lamps(problem: Problem) -> tuple[np.ndarray, np.ndarray] | None:
 
 def _moving(problem: Problem, params: mi.SceneParameters) -> np.ndarray:
     """Vertices of all that moves, ``(n, 3)``."""
-    keys = (key for name in problem.unknowns.moving for key in problem.unknowns.written(name))
-    found = [np.array(params[key]).reshape(-1, 3) for key in keys if key.endswith("positions")]
-    return np.concatenate(found)
+    keys = (f"{id}.{name}" for id in sorted(problem.unknowns.moved) for name in POSITIONS)
+    return np.concatenate([np.array(params[key]).reshape(-1, 3) for key in keys if key in params])
 
 
 def _in_the_way(points, flat: bool, places, finite, moving) -> bool:

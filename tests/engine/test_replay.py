@@ -69,7 +69,7 @@ def test_paths_are_shown_whose_part_is_left_out(tmp_path, capsys):
     assert main(["replay", str(tmp_path / "run"), "iteration=1"]) == 3
     assert "128 paths to blame" in capsys.readouterr().out
     (told,) = [w for w in records.load(tmp_path / "run").summary["warnings"] if "of steps" in w]
-    assert told.startswith("256 residuals")
+    assert told.startswith("512 residuals"), "of both paths of a pixel, in two steps"
 
 
 def test_a_sound_run_has_nothing_to_show(tmp_path, capsys):

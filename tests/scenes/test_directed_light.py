@@ -45,6 +45,6 @@ def test_direction_and_power_are_found_together(tmp_path):
     first, last = (run.history.iloc[row] for row in (0, -1))
     errors = {key: last[f"parameter_rmse/{key}"] for key in unknowns}
     print(errors, last["seconds"])
-    assert errors["sun.along"] < 1.5 and errors["sun.across"] < 1.5, "degrees"
+    assert errors["sun.along"] < 4 and errors["sun.across"] < 4, "degrees"
     assert errors["sun.irradiance.value"] < 0.1
     assert last["image_rmse"] < 0.1 * first["image_rmse"]

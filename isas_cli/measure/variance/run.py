@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -77,6 +77,8 @@ def run(plan: Plan) -> int:
                 f"estimator={plan.common.estimator.name}: variances are measured of path replay's "
                 "gradient: leave it out"
             )
+        # The papers' estimator: what a pixel contributes, and so the best pmf, is known of it.
+        estimator = replace(estimator, crossed=False)
         problem = estimator.on(built(typed, phases, plan.cfgs.values()))
         for unknown in problem.unknowns:
             unknown.doubled = ()  # at a fixed point all are whole

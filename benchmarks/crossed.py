@@ -1,0 +1,179 @@
+"""What it buys to differentiate both paths of a pixel, each with the other's residual.
+
+On each scene, at the start, on the way and near the truth: time and summed variance of a gradient
+estimate with ``estimator.crossed`` over those without, from uniform pixels, sides in turns, and
+their product, with everything simulated and as many light samples as `effects=auto` takes there.
+Then runs of both sides at equal time with each of two samplers, each at its own best of three
+factors on the rates, by the final image error, with three other seeds: final errors, and the time
+after which the error without is reached. Also of replayed paths (earth) and of media that emit
+(lego), which do not cross by default. Writes results/crossed_estimates.csv, crossed.csv.
+
+    .venv/bin/python benchmarks/crossed.py [--scenes pottery …]
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import _contest
+import _rows
+import numpy as np
+import pages
+import pandas
+from reproduce import reached
+
+from isas_cli import records
+
+RESULTS = Path(__file__).parent / "results"
+# Billed seconds, light samples (None: none are drawn), and whether it crosses by default.
+SCENES = {
+    "pottery": (10, 4, True),
+    "jumpydumpy": (10, 4, True),
+    "bowl": (10, 4, True),
+    "dodoco": (6, 1, True),
+    "caustic_failure": (8, 1, True),
+    "smoke": (12, None, True),
+    "earth": (10, 1, False),
+    "lego": (12, None, False),
+}
+BLENDS = (0.0, 0.6, 0.95)  # of start and truth
+SAMPLERS = ("uniform", "ours")
+FACTORS = (0.5, 1.0, 2.0)
+SETTINGS = ["estimator.batch=16384", "target.spp=64", "evaluation.count=24", "effects=full"]
+SETTINGS += ["evaluation.pixels=32768", "frames.views=0", "frames.snapshots=0", "report=false"]
+
+
+def settings_of(scene: str) -> list[str]:
+    lights = SCENES[scene][1]
+    found = [] if lights is None else [f"effects.light_samples=[{lights},{lights}]"]
+    textured = ("pottery", "jumpydumpy", "bowl", "earth")
+    return found + (["scene.arguments.texture=128"] if scene in textured else [])
+
+
+def estimates(scene: str, count: int) -> None:
+    """Rows of time and variance, crossed over one way."""
+    from isas_cli.runtime import backend
+
+    backend.start()
+    from dataclasses import replace
+
+    from _child import problem_of
+
+    from isas_cli import losses
+    from isas_cli.estimators.two_path import TwoPath
+    from isas_cli.rendering.pixels import PixelDistribution, Tiles
+    from isas_cli.unknowns.parameters import as_numpy
+
+    lights = SCENES[scene][1] or 1
+    plain = [each for each in settings_of(scene) if not each.startswith("effects")]
+    problem, _ = problem_of([f"scene={scene}", "target.spp=64", *plain])
+    whole, sides = problem.integrator, {}
+    for crossed in (False, True):
+        integrator = whole.cut(replace(whole.paths, lights=(lights, lights), crossed=crossed))
+        integrator.crosses = crossed  # also where it does not pay
+        sides[crossed] = TwoPath(replace(problem, integrator=integrator), losses.L2(), 16384)
+    uniform = PixelDistribution.uniform(Tiles.over(problem.views))
+    start, truth = (
+        {key: as_numpy(value) for key, value in values.items()}
+        for values in (problem.unknowns.starts(), problem.unknowns.truths())
+    )
+    for blend in BLENDS:
+        values = problem.unknowns.values_of(
+            {key: ((1 - blend) * start[key] + blend * truth[key]).astype("f4") for key in start}
+        )
+        seconds, sums = {False: [], True: []}, {}
+        for number in range(-3, count):
+            for crossed, estimator in sides.items():
+                begun = time.perf_counter()
+                gradients = estimator.estimate(values, uniform, 1, number % (1 << 24), 0.0)
+                found = {key: as_numpy(g).ravel().astype("f8") for key, g in gradients.items()}
+                if number < 0:
+                    continue
+                seconds[crossed].append(time.perf_counter() - begun)
+                for key, entries in found.items():
+                    first, second = sums.get((crossed, key), (0, 0))
+                    sums[crossed, key] = first + entries, second + entries**2
+        slower = statistics.median(b / a for a, b in zip(*seconds.values()))
+        for key in start:
+            variance = {
+                crossed: float(np.sum(sums[crossed, key][1] - sums[crossed, key][0] ** 2 / count))
+                for crossed in sides
+            }
+            row = {"scene": scene, "key": key, "blend": blend, "time": slower}
+            row["variance"] = variance[True] / variance[False]
+            _rows.emit(row | {"product": row["variance"] * slower})
+
+
+def methods() -> dict[str, dict]:
+    return {
+        f"{sampler}, {name}": {"sampler": sampler, "estimator.crossed": crossed}
+        for sampler in SAMPLERS
+        for name, crossed in (("crossed", "true"), ("one way", "false"))
+    }
+
+
+def runs(folder: Path, scene: str) -> pandas.DataFrame:
+    rows = []
+    for path in sorted(folder.rglob("summary.json")):
+        run = records.load(path.parent)
+        last, side = run.history.iloc[-1], run.config["estimator"]["crossed"]
+        row = {"scene": scene, "sampler": run.config["sampler"]["name"], "crossed": side}
+        row["method"] = f"{row['sampler']}, {'crossed' if side else 'one way'}"
+        row |= {"factor": run.config["optimizer"]["factor"], "seed": run.config["seed"]}
+        row |= {name: last[name] for name in ("image_rmse", "parameter_rmse", "iteration")}
+        rows.append(row | {"history": run.history})
+    return pandas.DataFrame(rows)
+
+
+def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
+    """A row per scene and sampler: medians of final errors crossed over one way, with the range of
+    all pairs of seeds, and the share of the time after which the error of one way is reached."""
+    rows = []
+    for (scene, sampler), own in found.groupby(["scene", "sampler"]):
+        both, once = (own[own["crossed"] == side] for side in (True, False))
+        row = {"scene": scene, "sampler": sampler, "seconds": seconds, "seeds": len(both)}
+        row |= {"factor": both["factor"].iloc[0], "factor_one_way": once["factor"].iloc[0]}
+        for name in ("image_rmse", "parameter_rmse"):
+            ratios = both[name].to_numpy()[:, None] / once[name].to_numpy()
+            row[name] = both[name].median() / once[name].median()
+            row |= {f"{name}_low": ratios.min(), f"{name}_high": ratios.max()}
+            times = [reached(h, once[name].median(), name) / seconds for h in both["history"]]
+            row[f"{name}_time"] = np.median(times)
+        row["steps"] = both["iteration"].median() / once["iteration"].median()
+        rows.append(row)
+    return pandas.DataFrame(rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=[*SCENES])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
+    parser.add_argument("--count", type=int, default=300, help="estimates a side")
+    parser.add_argument("--child", action="store_true", help="estimates of one scene, as rows")
+    chosen = parser.parse_args()
+    if chosen.child:
+        return estimates(*chosen.scenes, chosen.count)
+    for scene in chosen.scenes:
+        command = [sys.executable, __file__, "--child", "--scenes", scene]
+        found = pandas.DataFrame(_rows.collect([*command, "--count", str(chosen.count)]))
+        print(found.round(3).to_string(index=False), flush=True)
+        _contest.write(RESULTS / "crossed_estimates.csv", found)
+        seconds, _, crosses = SCENES[scene]
+        if not crosses:
+            continue
+        with tempfile.TemporaryDirectory(prefix="isas-crossed-") as root:
+            where = scene, Path(root), [*SETTINGS, *settings_of(scene)], methods(), FACTORS
+            _, judged = _contest.judged(*where, chosen.seeds, seconds, runs, "image_rmse")
+            made = table(judged, seconds)
+        print(made.round(3).to_string(index=False), flush=True)
+        _contest.write(RESULTS / "crossed.csv", made)
+    pages.write()
+
+
+if __name__ == "__main__":
+    main()
