@@ -32,12 +32,12 @@ from isas_cli import records
 RESULTS = Path(__file__).parent / "results"
 # Billed seconds, light samples (None: none are drawn), and whether it crosses by default.
 SCENES = {
-    "pottery": (10, 4, True),
-    "jumpydumpy": (10, 4, True),
-    "bowl": (10, 4, True),
-    "dodoco": (6, 1, True),
-    "caustic_failure": (8, 1, True),
-    "smoke": (12, None, True),
+    "pottery": (6, 4, True),
+    "jumpydumpy": (6, 4, True),
+    "bowl": (6, 4, True),
+    "dodoco": (4, 1, True),
+    "caustic_failure": (5, 1, True),
+    "smoke": (8, None, True),
     "earth": (10, 1, False),
     "lego": (12, None, False),
 }

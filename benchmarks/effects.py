@@ -3,12 +3,12 @@
 On each scene, with `sampler=progress`: everything (`full`), the plan that is made (`auto`), four
 light samples with all depths (`lights`), the same where only the shortest beginning of a path that
 meets every unknown is differentiated (`derivative`), this with paths no longer than that until the
-last third of the budget (`staged`), and each depth below the scene's own (`depth 2`, …). Each at its
-own best rate with the first seed, then with the others, which alone are reported. With `--plans`
-those alone and `full`; scenes and plans that are not named keep their rows. Settings and budgets are
-those of `reproduce.py`. Writes results/effects.csv (a row per scene and plan), effects_rates.csv
-and effects_<scene>.png (error against billed time); where all plans of several scenes ran,
-effects_across.csv and effects_arrivals.png.
+last third of the budget (`staged`), and each depth below the scene's own (`depth 2`, …). Each at
+its own best rate with the first seed, then with the others, which alone are reported. With
+`--plans` those alone and `full`; scenes and plans that are not named keep their rows. Settings and
+budgets are those of `reproduce.py`. Writes results/effects.csv (a row per scene and plan),
+effects_rates.csv and effects_<scene>.png (error against billed time); where all plans of several
+scenes ran, effects_across.csv and effects_arrivals.png.
 
     .venv/bin/python benchmarks/effects.py pottery bowl
 """

@@ -61,7 +61,8 @@ def measure(scene: str, estimates: int, batch: int) -> None:
                     taken[least].append(found)
         for least in LEAST:
             row = {"scene": scene, "blend": blend, "least": least}
-            row["time"] = statistics.median(a / b for a, b in zip(seconds[least], seconds[LEAST[0]]))
+            pairs = zip(seconds[least], seconds[LEAST[0]])
+            row["time"] = statistics.median(a / b for a, b in pairs)
             for key in start:
                 own, first = (np.stack([g[key] for g in taken[n]]) for n in (least, LEAST[0]))
                 name = "density" if "sigma_t" in key else "albedo"
