@@ -1,8 +1,8 @@
 """When `progress` looks first: after as many steps as the look costs, against at once.
 
 Both, a look of half the paths (`sampler.passes=1`) and `uniform` in turns, at the rates that
-reproduce.py found best for each, three seeds: the error over that of `uniform` after an eighth, a quarter, half and all of the time. Writes
-results/first_look.csv.
+reproduce.py found best for each, three seeds: the error over that of `uniform` after an eighth, a
+quarter, half and all of the time. Writes results/first_look.csv.
 
     .venv/bin/python benchmarks/first_look.py
 """

@@ -409,10 +409,12 @@ class Config:
                     f"estimator={self.estimator['name']} needs: "
                     "give blur: {start: 0.5, end: 0.01}, widths of a Gaussian in its unit"
                 )
-            if unknown.levels != 1 and self.estimator.get("name") in _BLURRING:
+            blurring = self.estimator.get("name") in _BLURRING or self.estimator.get("blurred")
+            if unknown.levels != 1 and blurring:
                 raise InputError(
                     f"scene.unknowns['{key}'].levels={unknown.levels}: "
-                    f"estimator={self.estimator['name']} moves whole grids; leave levels out"
+                    f"estimator={self.estimator['name']} blurs and moves whole grids; leave levels "
+                    "out"
                 )
         # A preset names the estimator that it picks.
         preset, picked = self.sampler.get("name"), self.estimator.get("name")

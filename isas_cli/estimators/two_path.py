@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from ..rendering import derivative_sampling, rays
 from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
 from ..runtime.errors import InputError
 from ..samplers.sampler import Sampler
-from ..unknowns import exposure, motion
+from ..unknowns import exposure, motion, smoothing
+from ..unknowns.blur import Blur
 from ..unknowns.exposure import Exposure
 from ..unknowns.motion import Motion
 from .estimator import Estimator
@@ -24,7 +26,8 @@ if TYPE_CHECKING:
 
 @dataclass
 class Settings(Estimator):
-    """``TwoPath``. ``crossed``: both paths of a pixel are differentiated, each with the other's
+    """``TwoPath``. ``blurred``: the gradient of the objective blurred over the unknowns, as wide as
+    each one's ``blur`` says; ``crossed``: both paths of a pixel are differentiated, each with the other's
     residual, where the integrator can; ``derivative_sampling``: directions for derivatives by
     roughness are drawn for these (``rendering.derivative_sampling``); ``freeze``: record kernels
     once instead of tracing every iteration."""
@@ -34,6 +37,7 @@ class Settings(Estimator):
 
     freeze: bool = True
     crossed: bool = True
+    blurred: bool = False
     derivative_sampling: bool = False
 
     def fits(self, sampler: Sampler) -> None:
@@ -53,7 +57,7 @@ class Settings(Estimator):
         return replace(problem, integrator=one_way)
 
     def made(self, problem: "Problem", loss) -> "TwoPath":
-        return TwoPath(problem, loss, self.batch, self.freeze)
+        return TwoPath(problem, loss, self.batch, self.freeze, blurred=self.blurred)
 
     def derivatives(self, problem: "Problem") -> str:
         return problem.integrator.derivatives
@@ -87,9 +91,11 @@ class TwoPath:
     and the gradients are read outside, after the call.
     """
 
-    def __init__(self, problem: "Problem", loss, batch: int, freeze: bool = True, along=None):
+    def __init__(
+        self, problem: "Problem", loss, batch: int, freeze: bool = True, along=None, blurred=False
+    ):
         """``along(integrator, scene, streams, rays, adjoints)``: what is done along both paths, for
-        measurements; None for the integrator's ``pair``.
+        measurements; None for the integrator's ``pair``. ``blurred``: as in ``Settings``.
 
         Raises InputError where an unknown moves objects."""
         if problem.unknowns.moving and not problem.integrator.moves:
@@ -102,6 +108,7 @@ class TwoPath:
         integrator = problem.integrator
         exposed, moved = (problem.unknowns.of(kind) for kind in (Exposure, Motion))
         self._moved = moved
+        self._blur = Blur(problem, "estimator.blurred=true") if blurred else None
         # Beside that whose derivative is counted.
         third = exposed is not None and not integrator.crosses
         self._paths = 1 + third + 2 * (moved is not None)
@@ -183,10 +190,23 @@ class TwoPath:
         iteration: int,
         spent: float,
     ) -> dict:
-        """The gradient at ``values``, by key; the same at all the share ``spent`` of the budget."""
-        self.problem.unknowns.attach(values)
+        """The gradient at ``values``, by key; where it is blurred, at values that are off by
+        Gaussian offsets of the widths at the share ``spent`` of the budget, else the same at all.
+
+        Without bias for ∂(κ ⋆ ℒ)/∂θ (PRDPT Eq. 8 in the space of the loss), with 0 outside an
+        unknown's range, where values are clamped. Waits where it is blurred."""
+        unknowns = self.problem.unknowns
+        if self._blur is None:
+            unknowns.attach(values)
+            self.accumulate(distribution, seed, iteration)
+            return unknowns.gradients()
+        θ = self._blur.vector(values)
+        rng = np.random.default_rng(streams.seed(seed, iteration, "offset"))
+        at = θ + smoothing.blurred(self._blur.widths(θ, spent), rng)
+        unknowns.attach(self._blur.clamped(at))
         self.accumulate(distribution, seed, iteration)
-        return self.problem.unknowns.gradients()
+        found = self._blur.vector(unknowns.gradients())
+        return self._blur.values(np.where(self._blur.inside(at), found, 0))
 
     def accumulate(self, distribution: PixelDistribution, seed: int, iteration: int) -> None:
         """Add one estimate to the gradients of the unknowns' leaves (``Unknowns.attach`` first)."""

@@ -72,6 +72,11 @@ class Grid(Kind):
     def start(self, spec: str, where: str) -> np.ndarray:
         """A ``.npy`` or ``.vol`` file."""
         path = Path(spec)
+        if path.suffix == ".vdb":
+            raise InputError(
+                f"{where}={spec}: OpenVDB has no package that pip installs: write the grid as .npy "
+                "or .vol, in Blender's Python with openvdb's copyToArray"
+            )
         if path.suffix not in (".npy", ".vol") or not path.is_file():
             raise InputError(f"{where}={spec}: a .npy or .vol file that exists")
         try:

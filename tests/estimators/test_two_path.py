@@ -14,7 +14,10 @@ from montecarlo import welch
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem, render_targets
 
 from isas_cli import losses
+from isas_cli.config.schema import BlurConfig
 from isas_cli.estimators.two_path import TwoPath
+from isas_cli.rendering.pixels import PixelDistribution, Tiles
+from isas_cli.unknowns.parameters import flat
 
 BATCH = 512
 
@@ -94,3 +97,34 @@ def test_a_bad_path_is_counted_whichever_it_is():
     p.set_targets(dr.full(mi.Float, np.nan, dr.width(p.targets)), None, "test")
     made.uniform(1, 1)
     assert made._estimator.nonfinite == BATCH * (1 + p.integrator.crosses)
+
+
+def test_a_blurred_gradient_is_the_mean_over_the_blur():
+    """Against Gauss-Hermite quadrature of sharp gradients, of a roughness whose slope changes much
+    within the blur; the sharp gradient in the middle is another."""
+    σ, repeats = 0.15, 300
+    p = problem({ROUGHNESS: 0.5})
+    unknown = p.unknowns[ROUGHNESS]
+    unknown.blur = BlurConfig(start=σ, end=σ)
+    estimator = TwoPath(p, losses.L2(), 4 * BATCH, blurred=True)
+    sharp = Gradients(p, losses.L2(), 4 * BATCH)
+    uniform = PixelDistribution.uniform(Tiles.over(p.views))
+    values = p.unknowns.starts()
+    found = [
+        float(np.array(flat(estimator.estimate(values, uniform, 1, i, 0.0)[ROUGHNESS]))[0])
+        for i in range(repeats)
+    ]
+    nodes, weights = np.polynomial.hermite_e.hermegauss(7)
+    means, errors = [], []
+    for node, base in zip(nodes, range(20, 40)):
+        sharp.values = p.unknowns.values_of({ROUGHNESS: unknown.start + np.float32(σ * node)})
+        rows = sharp.uniform(repeats, base)[:, 0]
+        means.append(rows.mean())
+        errors.append(rows.std(ddof=1) / np.sqrt(repeats))
+    p.unknowns.write(values)
+    weights = weights / weights.sum()
+    exact, middle = float(weights @ means), means[3]
+    error = np.hypot(np.std(found, ddof=1) / repeats**0.5, (weights**2 @ np.square(errors)) ** 0.5)
+    print(np.mean(found), exact, middle, error)
+    assert abs(np.mean(found) - exact) < 4 * error
+    assert abs(np.mean(found) - middle) > 6 * error, "the case shows nothing"
