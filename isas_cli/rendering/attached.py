@@ -7,14 +7,13 @@ import mitsuba as mi
 
 from .light import gathered, mis_weight
 
-# Paths up to this many edges are unrolled. Longer ones would cost compile time, and Russian
-# roulette, which starts at depth 5, is not unrolled.
-LONGEST = 5
+# Paths up to this many edges are unrolled. Longer ones would cost compile time.
+LONGEST = 8
 
 
-def handles(max_depth: int, rr_depth: int) -> bool:
-    """Whether paths are short enough to unroll and to need no roulette."""
-    return 1 <= max_depth <= min(LONGEST, rr_depth)
+def handles(max_depth: int) -> bool:
+    """Whether paths are short enough to unroll."""
+    return 1 <= max_depth <= LONGEST
 
 
 def radiance(
@@ -22,6 +21,7 @@ def radiance(
     sampler: mi.Sampler,
     ray: mi.Ray3f,
     max_depth: int,
+    rr_depth: int,
     lights: int = 1,
     differentiated: int | None = None,
 ) -> mi.Spectrum:
@@ -41,7 +41,7 @@ def radiance(
     β: throughput so far, with the derivatives of all earlier BSDF values; L: radiance so far.
     """
     context = mi.BSDFContext()
-    L, β = mi.Spectrum(0), mi.Spectrum(1)
+    L, β, η = mi.Spectrum(0), mi.Spectrum(1), mi.Float(1)
     active, delta = mi.Bool(True), mi.Bool(True)
     pdf, count = mi.Float(1), 1
     differentiated = max_depth if differentiated is None else differentiated
@@ -78,10 +78,16 @@ def radiance(
         # ------------------ Detached BSDF sampling -------------------
         with dr.suspend_grad():
             sample, weight = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), active)
-            # The roulette's number, unused: the stream stays in step with prb's.
-            sampler.next_1d()
             next_ray = si.spawn_ray(si.to_world(sample.wo))
-            active &= dr.any(dr.detach(β) * weight != 0)
+            η *= sample.eta
+            most = dr.max(dr.detach(β) * weight)
+            active &= most != 0
+            # Used or not: the stream stays in step with prb's.
+            number = sampler.next_1d()
+            if depth >= rr_depth:
+                chance = dr.minimum(most * dr.square(η), 0.95)
+                active &= number < chance
+                weight = dr.select(active, weight * dr.rcp(chance), 0)
         if attach:  # the sampled weight, with the derivative of the BSDF's value
             weight = weight * dr.relative_grad(bsdf.eval(context, si, sample.wo, active))
         β *= weight

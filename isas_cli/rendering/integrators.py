@@ -226,13 +226,13 @@ class Unrolled(Surfaces, InOneGo):
     derivatives = "short paths unrolled and differentiated in one go"
 
     def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, None]:
-        depth, lights = self.paths.depth, self.paths.lights[0]
-        return attached.radiance(scene, sampler, ray, depth, lights, 0), None
+        depths, lights = (self.paths.depth, self.rr_depth), self.paths.lights[0]
+        return attached.radiance(scene, sampler, ray, *depths, lights, 0), None
 
     def pair(self, scene, samplers, rays, adjoints, mode=dr.ADMode.Backward) -> None:
         if not self.crosses:
             return super().pair(scene, samplers, rays, adjoints, mode)
-        whole = self.paths.depth, self.paths.lights[0], self.paths.derivative
+        whole = self.paths.depth, self.rr_depth, self.paths.lights[0], self.paths.derivative
         with dr.resume_grad():
             found = [attached.radiance(scene, *path, *whole) for path in zip(samplers, rays)]
             with dr.suspend_grad():
@@ -244,8 +244,8 @@ class Unrolled(Surfaces, InOneGo):
                 dr.eval(dr.forward_to(total))
 
     def radiance(self, scene, sampler, ray) -> mi.Spectrum:
-        depth, lights = self.paths.derivative, self.paths.lights[1]
-        return attached.radiance(scene, sampler, ray, depth, lights)
+        depths, lights = (self.paths.derivative, self.rr_depth), self.paths.lights[1]
+        return attached.radiance(scene, sampler, ray, *depths, lights)
 
 
 class Twice(Integrator):
@@ -290,7 +290,7 @@ class Replayed(Surfaces, Twice):
 
     def __init__(self, base: mi.Integrator, paths: Paths):
         super().__init__(base, paths)
-        # The second replay costs more than its derivative is worth (benchmarks/crossed.py).
+        # A second replay costs about what its derivative is worth (benchmarks/crossed.py).
         self.crosses = False
 
     def once(self, mode, scene, sampler, ray, differentiated, *more):
@@ -381,8 +381,5 @@ def _roulette(base: mi.Integrator, paths: Paths) -> int:
 
 
 def _surfaces(base: mi.Integrator, paths: Paths) -> Surfaces:
-    rr_depth = _roulette(base, paths)
-    primal, derivative = (
-        attached.handles(depth, rr_depth) for depth in (paths.depth, paths.derivative)
-    )
+    primal, derivative = (attached.handles(each) for each in (paths.depth, paths.derivative))
     return (Unrolled if primal else Mixed if derivative else Replayed)(base, paths)

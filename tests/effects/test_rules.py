@@ -119,7 +119,8 @@ def test_a_convex_object_alone_is_done_with_two_edges():
     plan = decided(p, 60.0)
     assert (plan.paths.depth, plan.paths.derivative) == (2, 2)
     rows = []
-    for paths in (p.integrator.paths, Paths(2, 2, crossed=False)):
+    whole = p.integrator.max_depth
+    for paths in (Paths(whole, whole, crossed=False), Paths(2, 2, crossed=False)):
         p.integrator = p.integrator.cut(paths)
         rows.append(Gradients(p, L2(), 1024).uniform(4, 3))
     assert np.allclose(*rows, rtol=1e-4)

@@ -129,9 +129,9 @@ def test_reference_is_the_derivative_of_the_loss(bench, seed):
 
 @pytest.mark.parametrize("bench", some([*SCENES], ("mirror", "glass")), indirect=True)
 def test_short_paths_differentiate_like_replayed_ones(bench):
-    """Both ways to differentiate the same paths of at most five edges, through glass, mirrors and
-    all."""
-    p = hard_problem(bench.name, depth=5)
+    """Both ways to differentiate the same paths of at most seven edges, through glass, mirrors and
+    all, some of which end by roulette."""
+    p = hard_problem(bench.name, depth=7)
     assert isinstance(p.integrator, Unrolled)
     starts, found = p.unknowns.starts(), []
     weights = mi.Color3f(np.random.default_rng(1).normal(size=(3, 16 * p.views.total)))

@@ -39,8 +39,8 @@ def directions(unknown, rng: np.random.Generator) -> list[np.ndarray]:
     return [together, first, last]
 
 
-# Unrolled at depth 4, replayed at depth 6.
-OTHERS = (("map", 6), ("constant", 4))
+# Unrolled at depth 4, replayed at depth 9.
+OTHERS = (("map", 9), ("constant", 4))
 
 
 @pytest.mark.parametrize(
