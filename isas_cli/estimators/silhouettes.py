@@ -33,8 +33,8 @@ class Settings(Estimator):
     """``ByShape``. ``edges``: samples of silhouettes a step; ``adaptive``: drawn by the residuals
     around them; ``shadows``: samples of the edges of shadows a step, 0 to leave these out, None
     for as many as ``edges`` where there are lamps, and 0 under a sky alone, whose shadows are soft:
-    there they bring more noise than they tell (where what stands still
-    can shade what moves, as many again for its shadows); ``lamps``: points of lamps that these are found for;
+    there they bring more noise than they tell (where what stands still can shade
+    what moves, as many again for its shadows); ``lamps``: points of lamps that these are found for;
     ``paths``: of each sample's pixel, for its residual; ``freeze``: record kernels once instead of
     tracing every iteration."""
 
@@ -109,10 +109,10 @@ class ByShape:
     its samples cost, whatever the films' sizes.
 
     What shadows are followed: of moving meshes, on themselves, on each other and on what stands
-    still; of what stands still (``standing.others``), on moving ones. In direct light, seen directly; the rest is
-    the bias of ``Shadows``. Bias: that of all parts. Silhouettes that other surfaces show
-    (reflections, shadows in light that was scattered before) are left out. Traced once and frozen,
-    but for ``params.update()``.
+    still; of what stands still (``standing.others``), on moving ones. In direct light, seen
+    directly; the rest is the bias of ``Shadows``. Bias: that of all parts. Silhouettes that other
+    surfaces show (reflections, shadows in light that was scattered before) are left out. Traced
+    once and frozen, but for ``params.update()``.
     What ``adaptive`` met is not saved: a run that is resumed begins with lengths alone.
     """
 

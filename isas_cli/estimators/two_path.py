@@ -26,11 +26,12 @@ if TYPE_CHECKING:
 
 @dataclass
 class Settings(Estimator):
-    """``TwoPath``. ``blurred``: the gradient of the objective blurred over the unknowns, as wide as
-    each one's ``blur`` says; ``crossed``: both paths of a pixel are differentiated, each with the other's
-    residual, where the integrator can; ``derivative_sampling``: directions for derivatives by
-    roughness are drawn for these (``rendering.derivative_sampling``); ``freeze``: record kernels
-    once instead of tracing every iteration."""
+    """``TwoPath``. ``crossed``: both paths of a pixel are differentiated, each with the other's
+    residual, where that pays (``Integrator.crosses``); ``blurred``: the gradient of the objective
+    blurred over the unknowns, as wide as each one's ``blur`` says; ``derivative_sampling``:
+    directions for derivatives by roughness are drawn for these
+    (``rendering.derivative_sampling``); ``freeze``: record kernels once instead of tracing every
+    iteration."""
 
     name: ClassVar[str] = "two_path"
     replays: ClassVar[bool] = True
@@ -74,9 +75,9 @@ class TwoPath:
     ⟨dI/dθ⟩ as ``problem.integrator`` estimates it. One path for both would be biased for L2: its
     noise is correlated with itself. Where the integrator ``crosses`` the same is done the other way
     round as well, and the estimate is the mean of both: each path tells its radiance and its
-    derivative anyway. With residuals r and derivatives J of two paths the variance of r₁J₂ is
-    σ_r²σ_J² + μ_J²σ_r² + μ_r²σ_J², that of (r₁J₂ + r₂J₁)/2 between a half of that and, where r and
-    J are one up to a factor, σ_r²σ_J² + (…)/2.
+    derivative anyway. With residuals r and derivatives J of two paths, of means μ, let V be the
+    variance of r₁J₂ and c the covariance of a path's own r and J: that of (r₁J₂ + r₂J₁)/2 is
+    (V + c² + 2 c μ_r μ_J)/2.
 
     By a photograph's exposure e, where I = e L, the derivative is ⟨∂ℒ/∂I⟩ ⟨L⟩, with L from the
     other path, or from a third one where that does not tell it. By a camera's pose it is a blurred

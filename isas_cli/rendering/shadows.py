@@ -112,9 +112,9 @@ class Shadows:
     q moves with the edge, and with the plane of the surface that it falls on.
 
     Bias: none for light that comes from an emitter directly to what a camera sees directly, under
-    the conditions of ``Silhouettes``, for shadows of meshes, and of rectangles, disks and spheres that
-    stand still; those of other shapes, those in other light, and those that mirrors and glass show, are left out. An emitter
-    that moves itself is not followed.
+    the conditions of ``Silhouettes``, for shadows of meshes, and of rectangles, disks and spheres
+    that stand still; those of other shapes, those in other light, and those that mirrors and glass
+    show, are left out. An emitter that moves itself is not followed.
     """
 
     def __init__(

@@ -53,7 +53,7 @@ def triangles(params: mi.SceneParameters, key: str) -> tuple[np.ndarray, np.ndar
 
 
 def _flat(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points ``(n, 3)`` and triangles ``(n - 2, 3)`` of a convex polygon with ``corners (n, 2)``."""
+    """Points ``(n, 3)`` and triangles ``(n - 2, 3)`` of a convex polygon, ``corners (n, 2)``."""
     second = np.arange(1, len(corners) - 1)
     faces = np.stack([np.zeros_like(second), second, second + 1], axis=1)
     return np.pad(corners, ((0, 0), (0, 1))), faces

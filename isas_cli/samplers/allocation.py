@@ -15,7 +15,7 @@ def masses(
     least: float,
     rates: dict | None = None,
 ) -> dict:
-    """P_k ∝ (w η C_k / h_k)^⅔ (1 + x_k)^(-4/3) by key, flat; 0 for unknowns that nothing depends on.
+    """P_k ∝ (w η C_k / h_k)^⅔ (1 + x_k)^(-4/3) by key, flat; 0 for what nothing depends on.
 
     The minimiser of Σ_k w F_k over ΣP = 1 (``Progress`` derives F and defines all symbols):
 
@@ -25,9 +25,9 @@ def masses(
     there are no ``moments``; None: alike): a mean over each key, in steps. So keys count alike,
     whatever their units, and a number is not starved by a texture of thousands.
 
-    ∂F_k/∂P_k must be alike for all: P_k^(3/2) ∝ (w η C_k/h_k) / (1 + x_k)². x_k depends on P_k: where
-    there are ``moments`` s_k is the root of Adam's v̂_k, which the pmf so far has brought about,
-    and each look is one step of a fixed-point iteration; before, x_k ≪ 1 is taken.
+    Its derivative must be alike for all: P_k^(3/2) ∝ (w η C_k/h_k) / (1 + x_k)². x_k depends on
+    P_k: where there are ``moments`` s_k is the root of Adam's v̂_k, which the pmf so far has brought
+    about, and each look is one step of a fixed-point iteration; before, x_k ≪ 1 is taken.
 
     ``sensitivity``: C_k; ``curvature``: h_k; both are held above ``least`` times their mean over
     the key's entries that anything depends on: one grazing path must not draw all samples.

@@ -11,7 +11,8 @@ def test_a_pixel_sampler_s_run_gets_the_two_path_estimator():
     found = modern({"sampler": sampler, "estimator": ESTIMATOR, "seed": 1})
     assert found["sampler"] == sampler and found["seed"] == 1
     today = compose(["scene=pottery", "sampler=ours", "estimator.batch=512"])
-    assert found["estimator"] == {**today.estimator, "crossed": False} and found["prior"] == today.prior
+    assert found["estimator"] == {**today.estimator, "crossed": False}
+    assert found["prior"] == today.prior
 
 
 def test_a_gradient_s_run_gets_its_estimator_and_the_sampler_that_drew_for_it():

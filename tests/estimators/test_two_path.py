@@ -124,7 +124,8 @@ def test_a_blurred_gradient_is_the_mean_over_the_blur():
     p.unknowns.write(values)
     weights = weights / weights.sum()
     exact, middle = float(weights @ means), means[3]
-    error = np.hypot(np.std(found, ddof=1) / len(found) ** 0.5, (weights**2 @ np.square(errors)) ** 0.5)
+    own = np.std(found, ddof=1) / len(found) ** 0.5
+    error = np.hypot(own, np.sqrt(weights**2 @ np.square(errors)))
     print(np.mean(found), exact, middle, error)
     assert abs(np.mean(found) - exact) < 4 * error
     assert abs(np.mean(found) - middle) > 4 * error, "the case shows nothing"

@@ -25,7 +25,8 @@ class Moments:
     """A_j = E‖Σ_c ⟨∂ℒ/∂I⟩_jc ⟨dI_jc/dθ⟩‖² of every pixel j, from two independent halves of paths.
 
     That is the second moment of what one draw of pixel j contributes to the two-path estimate that
-    goes one way (``Paths.crossed``), before it is divided by p_j. Residual r and derivative J come from independent paths, so
+    goes one way (``Paths.crossed``), before it is divided by p_j. Residual r and derivative J come
+    from independent paths, so
 
         A_j = Σ_cc' E[r_c r_c'] E[Σ_k J_ck J_c'k],
 
