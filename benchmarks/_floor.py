@@ -120,11 +120,15 @@ def own_passes(integrator):
             traced = [mi.Ray3f(o, d) for o, d in both]
             streams = [_stream(seed, ray) for seed, ray in zip(seeds[1:], traced)]
 
+            kept = []  # what nobody refers to is not computed
+
             def adjoints(radiances):
-                dr.schedule(radiances)  # in one kernel with what follows, as in the step
+                kept.extend(radiances)
+                dr.schedule(kept)  # in one kernel with what follows, as in the step
                 return [mi.Color3f(1.0 / dr.width(traced[0].o)) for _ in radiances]
 
             integrator.pair(scene, streams, traced, adjoints)
+            dr.eval(kept)
 
     return kernel
 
