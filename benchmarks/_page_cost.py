@@ -62,8 +62,8 @@ def crossed(estimates: pandas.DataFrame, runs: pandas.DataFrame) -> dict:
     """Of `estimator.crossed`: per scene and unknown, from start to truth; and runs."""
     rows = []
     for (scene, key), own in estimates.groupby(["scene", "key"], sort=False):
-        row = {"scene": scene, "key": key}
-        rows.append(row | {name: list(own[name]) for name in ("time", "variance", "product")})
+        row = {"scene": scene, "key": key, "replayed": own["product, replayed"].notna().all()}
+        rows.append(row | {name: list(own[name]) for name in own.columns[3:]})
     seeds = int(runs["seeds"].min())
     return {"estimates": rows, "runs": runs.to_dict("records"), "seeds": seeds}
 

@@ -1,13 +1,13 @@
 """What it buys to differentiate both paths of a pixel, each with the other's residual.
 
 On each scene, at the start, on the way and near the truth: time and summed variance of a gradient
-estimate with ``estimator.crossed`` over those without, from uniform pixels, sides in turns, and
-their product, with everything simulated and as many light samples as `effects=auto` takes there.
-Then runs of both sides at equal time with each of two samplers, each at its own best of two
-factors on the rates, by the final parameter error (of media, whose images say
-more, by that), with three other seeds: final errors, and the time
-after which the error without is reached. Also of media that emit (lego), which do not cross by
-default. Writes results/crossed_estimates.csv, crossed.csv.
+estimate with `estimator.crossed` over those without, and over those of replayed paths one way, from
+uniform pixels, sides in turns, with everything simulated and as many light samples as
+`effects=auto` takes there. Then runs with and without at equal time with each of two samplers, each
+at its own best of two factors on the rates, by the final parameter error (of media, whose images
+say more, by theirs), with three other seeds: final errors, and the time after which the error
+without is reached. Estimates alone of media that emit (lego), which do not cross by default, and of
+more long paths. Writes results/crossed_estimates.csv, crossed.csv.
 
     .venv/bin/python benchmarks/crossed.py [--scenes pottery …]
 """
@@ -31,15 +31,17 @@ from reproduce import reached
 from isas_cli import records
 
 RESULTS = Path(__file__).parent / "results"
-# Billed seconds, light samples (None: none are drawn), and whether it crosses by default.
+# Billed seconds (None: no runs), and light samples (None: none are drawn).
 SCENES = {
-    "pottery": (6, 4, True),
-    "jumpydumpy": (6, 4, True),
-    "dodoco": (4, 1, True),
-    "caustic_failure": (5, 1, True),
-    "smoke": (8, None, True),
-    "earth": (6, 1, True),
-    "lego": (8, None, False),
+    "pottery": (6, 4),
+    "jumpydumpy": (6, 4),
+    "dodoco": (4, 1),
+    "caustic_failure": (5, 1),
+    "smoke": (8, None),
+    "earth": (6, 1),
+    "trashcan": (None, 1),
+    "multires": (None, 1),
+    "lego": (None, None),
 }
 MEASURES = ("image_rmse", "parameter_rmse")
 BLENDS = (0.0, 0.6, 0.95)  # of start and truth
@@ -52,12 +54,12 @@ SETTINGS += ["evaluation.pixels=32768", "frames.views=0", "frames.snapshots=0", 
 def settings_of(scene: str) -> list[str]:
     lights = SCENES[scene][1]
     found = [] if lights is None else [f"effects.light_samples=[{lights},{lights}]"]
-    textured = ("pottery", "jumpydumpy", "earth")
+    textured = ("pottery", "jumpydumpy", "earth", "multires")
     return found + (["scene.arguments.texture=128"] if scene in textured else [])
 
 
 def estimates(scene: str, count: int) -> None:
-    """Rows of time and variance, crossed over one way."""
+    """Rows of time and variance, crossed over the other sides."""
     from isas_cli.runtime import backend
 
     backend.start()
@@ -67,47 +69,52 @@ def estimates(scene: str, count: int) -> None:
 
     from isas_cli import losses
     from isas_cli.estimators.two_path import TwoPath
+    from isas_cli.measure.variance.run import point
+    from isas_cli.rendering.integrators import Replayed
     from isas_cli.rendering.pixels import PixelDistribution, Tiles
     from isas_cli.unknowns.parameters import as_numpy
 
     lights = SCENES[scene][1] or 1
     plain = [each for each in settings_of(scene) if not each.startswith("effects")]
     problem, _ = problem_of([f"scene={scene}", "target.spp=64", *plain])
-    whole, sides = problem.integrator, {}
-    for crossed in (False, True):
-        integrator = whole.cut(replace(whole.paths, lights=(lights, lights), crossed=crossed))
-        integrator.crosses = crossed  # also where it does not pay
-        sides[crossed] = TwoPath(replace(problem, integrator=integrator), losses.L2(), 16384)
+    whole = problem.integrator
+    paths = replace(whole.paths, lights=(lights, lights), crossed=False)
+    sides = {"crossed": whole.cut(replace(paths, crossed=True)), "one way": whole.cut(paths)}
+    sides["crossed"].crosses = True  # also where it does not pay
+    if whole.samples_lights:
+        sides["replayed"] = Replayed(whole.mitsuba, paths)
+    sides = {
+        name: TwoPath(replace(problem, integrator=each), losses.L2(), 16384)
+        for name, each in sides.items()
+    }
     uniform = PixelDistribution.uniform(Tiles.over(problem.views))
-    start, truth = (
-        {key: as_numpy(value) for key, value in values.items()}
-        for values in (problem.unknowns.starts(), problem.unknowns.truths())
-    )
     for blend in BLENDS:
-        values = problem.unknowns.values_of(
-            {key: ((1 - blend) * start[key] + blend * truth[key]).astype("f4") for key in start}
-        )
-        seconds, sums = {False: [], True: []}, {}
+        values = point(problem, blend)
+        seconds, sums = {name: [] for name in sides}, {}
         for number in range(-3, count):
-            for crossed, estimator in sides.items():
+            for name, estimator in sides.items():
                 begun = time.perf_counter()
                 gradients = estimator.estimate(values, uniform, 1, number % (1 << 24), 0.0)
                 found = {key: as_numpy(g).ravel().astype("f8") for key, g in gradients.items()}
                 if number < 0:
                     continue
-                seconds[crossed].append(time.perf_counter() - begun)
+                seconds[name].append(time.perf_counter() - begun)
                 for key, entries in found.items():
-                    first, second = sums.get((crossed, key), (0, 0))
-                    sums[crossed, key] = first + entries, second + entries**2
-        slower = statistics.median(b / a for a, b in zip(*seconds.values()))
-        for key in start:
+                    first, second = sums.get((name, key), (0, 0))
+                    sums[name, key] = first + entries, second + entries**2
+        for key in values:
             variance = {
-                crossed: float(np.sum(sums[crossed, key][1] - sums[crossed, key][0] ** 2 / count))
-                for crossed in sides
+                name: float(np.sum(sums[name, key][1] - sums[name, key][0] ** 2 / count))
+                for name in sides
             }
-            row = {"scene": scene, "key": key, "blend": blend, "time": slower}
-            row["variance"] = variance[True] / variance[False]
-            _rows.emit(row | {"product": row["variance"] * slower})
+            row = {"scene": scene, "key": key, "blend": blend}
+            for rival in list(sides)[1:]:
+                pairs = zip(seconds["crossed"], seconds[rival])
+                slower = statistics.median(a / b for a, b in pairs)
+                ratio = variance["crossed"] / variance[rival]
+                own = {"time": slower, "variance": ratio, "product": ratio * slower}
+                row |= {f"{name}, {rival}": value for name, value in own.items()}
+            _rows.emit(row)
 
 
 def methods() -> dict[str, dict]:
@@ -157,6 +164,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=[*SCENES])
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
     parser.add_argument("--count", type=int, default=300, help="estimates a side")
+    parser.add_argument("--no-runs", action="store_true", help="estimates alone")
     parser.add_argument("--child", action="store_true", help="estimates of one scene, as rows")
     chosen = parser.parse_args()
     if chosen.child:
@@ -166,12 +174,12 @@ def main() -> None:
         found = pandas.DataFrame(_rows.collect([*command, "--count", str(chosen.count)]))
         print(found.round(3).to_string(index=False), flush=True)
         _contest.write(RESULTS / "crossed_estimates.csv", found)
-        seconds, _, crosses = SCENES[scene]
-        if not crosses:
+        seconds, lights = SCENES[scene]
+        if seconds is None or chosen.no_runs:
             continue
         with tempfile.TemporaryDirectory(prefix="isas-crossed-") as root:
             where = scene, Path(root), [*SETTINGS, *settings_of(scene)], methods(), FACTORS
-            by = MEASURES[SCENES[scene][1] is not None]
+            by = MEASURES[lights is not None]
             _, judged = _contest.judged(*where, chosen.seeds, seconds, runs, by)
             made = table(judged, seconds)
         print(made.round(3).to_string(index=False), flush=True)

@@ -33,6 +33,7 @@ def measure(scene: str, estimates: int, batch: int) -> None:
 
     from isas_cli import losses
     from isas_cli.estimators.two_path import TwoPath
+    from isas_cli.measure.variance.run import point
     from isas_cli.rendering import volume
     from isas_cli.rendering.pixels import PixelDistribution, Tiles
     from isas_cli.unknowns.parameters import as_numpy
@@ -41,14 +42,8 @@ def measure(scene: str, estimates: int, batch: int) -> None:
     problem, _ = problem_of([f"scene={scene}", "target.spp=16", *sizes])
     uniform = PixelDistribution.uniform(Tiles.over(problem.views))
     sides = {least: TwoPath(problem, losses.L2(), batch) for least in LEAST}
-    start, truth = (
-        {key: as_numpy(value) for key, value in values.items()}
-        for values in (problem.unknowns.starts(), problem.unknowns.truths())
-    )
     for blend in BLENDS:
-        values = problem.unknowns.values_of(
-            {key: ((1 - blend) * start[key] + blend * truth[key]).astype("f4") for key in start}
-        )
+        values = point(problem, blend)
         taken, seconds = ({least: [] for least in LEAST} for _ in range(2))
         for number in range(-3, estimates):
             for least, estimator in sides.items():
@@ -63,7 +58,7 @@ def measure(scene: str, estimates: int, batch: int) -> None:
             row = {"scene": scene, "blend": blend, "least": least}
             pairs = zip(seconds[least], seconds[LEAST[0]])
             row["time"] = statistics.median(a / b for a, b in pairs)
-            for key in start:
+            for key in values:
                 own, first = (np.stack([g[key] for g in taken[n]]) for n in (least, LEAST[0]))
                 name = "density" if "sigma_t" in key else "albedo"
                 row[name] = own.var(axis=0, ddof=1).sum() / first.var(axis=0, ddof=1).sum()

@@ -2,11 +2,12 @@
 unknown.
 
 After *Physics Based Differentiable Rendering for Inverse Problems and Beyond* (Kakkar et al.;
-PBDR), whose photographed objects are "composed of ordinary materials including glass, metal, and plastic".
-The photographs are not published; these are stand-ins of ours, rendered: a ball of frosted glass
-(its index and roughness unknown), a metal vase and a plastic bowl (colour and roughness) on a
-plinth under a soft coloured sky: theirs stood "under regulated illumination", and a sun through frosted
-glass is noise that hides all else. The plastic's index is known: Mitsuba keeps no derivative by it.
+PBDR), whose photographed objects are "composed of ordinary materials including glass, metal, and
+plastic". The photographs are not published; these are stand-ins of ours, rendered: a ball of
+frosted glass (its index and roughness unknown), a metal vase and a plastic bowl (colour and
+roughness) on a plinth under a soft coloured sky: theirs stood "under regulated illumination", and a
+sun through frosted glass is noise that hides all else. The plastic's index is known: Mitsuba keeps
+no derivative by it.
 
 The glass is frosted because a clear one bends every path by its index, which path replay does not
 follow; through a rough one, paths keep their directions and change their weight.

@@ -2,12 +2,12 @@
 lamp are unknown.
 
 After *Physics Based Differentiable Rendering for Inverse Problems and Beyond* (Kakkar et al.;
-PBDR), whose artificial scenes "consist of basic geometric forms such as cubes and spheres with well-known
-material characteristics (glossy, specular, or diffuse)", and prints neither scenes nor figures.
-Ours: a Cornell box with two cubes and three spheres: a matt cube and
-a matt sphere, a glossy cube and a glossy sphere in the paper's own reflectance (its Eq. 5), and a
-metal sphere. The walls are known; the lamp is in no picture, its colour and power are unknown.
-The cameras stand in a row at the far end. Shapes and places are given.
+PBDR), whose artificial scenes "consist of basic geometric forms such as cubes and spheres with
+well-known material characteristics (glossy, specular, or diffuse)", and prints neither scenes nor
+figures. Ours: a Cornell box with two cubes and three spheres: a matt cube and a matt sphere, a
+glossy cube and a glossy sphere in the paper's own reflectance (its Eq. 5), and a metal sphere. The
+walls are known; the lamp is in no picture, its colour and power are unknown. The cameras stand in a
+row at the far end. Shapes and places are given.
 
 The known walls fix the scale that lamp and colours would else share.
 

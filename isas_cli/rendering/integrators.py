@@ -194,12 +194,6 @@ class Paths:
     roulette: int | None = None
     crossed: bool = True
 
-    @property
-    def alike(self) -> bool:
-        """Whether all of what a path brings is differentiated, as far as is known before a kernel
-        runs."""
-        return isinstance(self.depth, int) and self.depth == self.derivative
-
 
 class Surfaces(Integrator):
     """Paths between surfaces that do not move, by isas's own estimators, as ``paths`` says: what
@@ -211,7 +205,6 @@ class Surfaces(Integrator):
         super().__init__(base)
         self.paths, self.max_depth = paths, paths.depth
         self.rr_depth = _roulette(base, paths)
-        self.crosses = paths.crossed and paths.lights[0] == paths.lights[1]
 
     def cut(self, paths: Paths) -> "Integrator":
         return _surfaces(self.mitsuba, paths)
@@ -224,6 +217,10 @@ class Unrolled(Surfaces, InOneGo):
     """Short paths, unrolled (``attached``)."""
 
     derivatives = "short paths unrolled and differentiated in one go"
+
+    def __init__(self, base: mi.Integrator, paths: Paths):
+        super().__init__(base, paths)
+        self.crosses = paths.crossed and paths.lights[0] == paths.lights[1]
 
     def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, None]:
         depths, lights = (self.paths.depth, self.rr_depth), self.paths.lights[0]
@@ -266,18 +263,6 @@ class Twice(Integrator):
         dr.eval(derivative)
         return derivative
 
-    def pair(self, scene, samplers, rays, adjoints, mode=dr.ADMode.Backward) -> None:
-        if not self.crosses:
-            return super().pair(scene, samplers, rays, adjoints, mode)
-        again = [sampler.clone() for sampler in samplers]
-        found = self.radiances(scene, samplers, rays)
-        weights = adjoints(found)
-        dr.eval(weights, found)
-        for path, weight, radiance in zip(zip(again, rays), reversed(weights), found):
-            derivative = self.once(mode, scene, *path, True, weight, radiance)
-            if mode == dr.ADMode.Forward:
-                dr.eval(derivative)
-
     def _twice(self, mode, scene, sampler, ray, adjoint=None):
         again = sampler.clone()
         radiance = self.once(dr.ADMode.Primal, scene, sampler, ray, True)
@@ -287,11 +272,6 @@ class Twice(Integrator):
 
 class Replayed(Surfaces, Twice):
     """Long paths, replayed (``replayed``)."""
-
-    def __init__(self, base: mi.Integrator, paths: Paths):
-        super().__init__(base, paths)
-        # A second replay costs about what its derivative is worth (benchmarks/crossed.py).
-        self.crosses = False
 
     def once(self, mode, scene, sampler, ray, differentiated, *more):
         depth = self.paths.derivative if differentiated else self.paths.depth
@@ -306,7 +286,6 @@ class Mixed(Surfaces):
 
     def __init__(self, base: mi.Integrator, paths: Paths):
         super().__init__(base, paths)
-        self.crosses = False
         self._long, self._short = Replayed(base, paths), Unrolled(base, paths)
         self.primal = self._long.primal
         self.backward, self.forward = self._short.backward, self._short.forward
@@ -326,8 +305,10 @@ class Medium(Twice):
         self.cuts = not self.emits
         self.paths = paths or self.paths
         self.max_depth, self.rr_depth = self.paths.depth, _roulette(base, self.paths)
-        # Without scattering a second replay costs more than its derivative is worth.
-        self.crosses = self.paths.crossed and self.paths.alike and not self.emits
+        # As far as is known before a kernel runs. Without scattering a second replay costs more than
+        # its derivative is worth (benchmarks/crossed.py).
+        whole = isinstance(self.paths.depth, int) and self.paths.depth == self.paths.derivative
+        self.crosses = self.paths.crossed and whole and not self.emits
 
     def cut(self, paths: Paths) -> "Integrator":
         return Medium(self.mitsuba, self.medium, paths)
@@ -340,6 +321,18 @@ class Medium(Twice):
         depth = self.paths.derivative if differentiated else self.paths.depth
         depths = depth, self.rr_depth
         return volume.trace(mode, scene, self.medium, sampler, ray, *depths, *more)
+
+    def pair(self, scene, samplers, rays, adjoints, mode=dr.ADMode.Backward) -> None:
+        if not self.crosses:
+            return super().pair(scene, samplers, rays, adjoints, mode)
+        again = [sampler.clone() for sampler in samplers]
+        found = self.radiances(scene, samplers, rays)
+        weights = adjoints(found)
+        dr.eval(weights, found)
+        for path, weight, radiance in zip(zip(again, rays), reversed(weights), found):
+            derivative = self.once(mode, scene, *path, True, weight, radiance)
+            if mode == dr.ADMode.Forward:
+                dr.eval(derivative)
 
     def work(self, scene, sampler, ray) -> mi.Float:
         """Collisions of each path, real or not. Traced."""

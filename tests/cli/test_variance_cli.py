@@ -18,7 +18,7 @@ from isas_cli.cli import app
 from isas_cli.cli import variance as command
 from isas_cli.config.compose import pixel_samplers
 from isas_cli.measure.variance import table
-from isas_cli.measure.variance.run import _point
+from isas_cli.measure.variance.run import point
 from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns.parameters import as_numpy
@@ -180,14 +180,14 @@ def test_help_names_every_setting_of_its_own(capsys):
 def test_the_point_lies_between_start_and_truth():
     p = problem({TEXTURE: 0.5})
     unknown = next(iter(p.unknowns))
-    assert np.array_equal(as_numpy(_point(p, 0.0)[TEXTURE]), unknown.start)
-    assert np.allclose(as_numpy(_point(p, 1.0)[TEXTURE]), unknown.truth, atol=1e-6)
-    middle = as_numpy(_point(p, 0.5)[TEXTURE])
+    assert np.array_equal(as_numpy(point(p, 0.0)[TEXTURE]), unknown.start)
+    assert np.allclose(as_numpy(point(p, 1.0)[TEXTURE]), unknown.truth, atol=1e-6)
+    middle = as_numpy(point(p, 0.5)[TEXTURE])
     assert np.allclose(middle, (unknown.start + unknown.truth) / 2, atol=1e-6)
     unknown.truth = None
-    assert as_numpy(_point(p, 0.0)[TEXTURE]).shape == unknown.start.shape
+    assert as_numpy(point(p, 0.0)[TEXTURE]).shape == unknown.start.shape
     with pytest.raises(InputError, match="at=0.5: the truth is not known"):
-        _point(p, 0.5)
+        point(p, 0.5)
 
 
 def test_what_is_finished_stays_after_ctrl_c(tmp_path):

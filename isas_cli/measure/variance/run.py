@@ -100,7 +100,7 @@ def _prepared(plan: Plan, typed: Config, problem: "Problem", phases: Phases):
     from .table import BEST
 
     phases.begin("prepare")
-    values = _point(problem, plan.at)
+    values = point(problem, plan.at)
     loss = instantiate(plan.common.loss, "loss")
     batch, freeze = typed.estimator["batch"], typed.estimator["freeze"]
     bench = Bench(problem, loss, values, batch, typed.seed, typed.optimizer, freeze)
@@ -124,7 +124,7 @@ def _prepared(plan: Plan, typed: Config, problem: "Problem", phases: Phases):
     return bench, contestants, best
 
 
-def _point(problem: "Problem", at: float) -> dict:
+def point(problem: "Problem", at: float) -> dict:
     """The values between start (0) and truth (1). Raises InputError where no truth is known."""
     if at and not problem.truth_known:
         raise InputError(f"at={at:g}: the truth is not known, so only the start values, at=0")
