@@ -1,7 +1,7 @@
 """Volumes from images: samplers race at equal time, from coarse to fine and on the fine grid alone.
 
 On smoke and lego every sampler from coarse to fine, and `uniform` and `progress` on the fine grid
-from the start, at three factors on the scene's rates each with the first seed, then each at its
+from the start, at four factors on the scene's rates each with the first seed, then each at its
 best, by the final image error, with three others, which alone are reported: what no image tells is
 in the parameters' error. Contestants take turns. Writes results/volumes.csv (a row per scene and
 method), volumes_rates.csv and volumes_<scene>.png (image error against billed time).
@@ -25,9 +25,9 @@ from isas_cli import records
 
 RESULTS = Path(__file__).parent / "results"
 ERROR, BASE, FINE = "image_rmse", "uniform", ", fine"
-SCENES = {"smoke": 30.0, "lego": 30.0}  # billed seconds
+# Billed seconds, and factors on the scene's rates.
+SCENES = {"smoke": (12.0, (0.1, 0.3, 1.0, 3.0)), "lego": (12.0, (0.3, 1.0, 3.0, 10.0))}
 SAMPLERS = ("uniform", "relevant", "gradient", "ours", "multiresolution", "progress")
-FACTORS = (0.3, 1.0, 3.0)  # of the scene's rates
 SETTINGS = ["estimator.batch=16384", "target.spp=256", "evaluation.count=24", "effects=full"]
 SETTINGS += ["frames.views=1", "frames.snapshots=0", "report=false"]
 
@@ -98,10 +98,10 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", default=[*SCENES])
     chosen = parser.parse_args()
     for scene in chosen.scenes:
-        seconds = chosen.seconds or SCENES[scene]
+        seconds, factors = chosen.seconds or SCENES[scene][0], SCENES[scene][1]
         with tempfile.TemporaryDirectory(prefix="isas-volumes-") as root:
             first, found = _contest.judged(
-                *(scene, Path(root), SETTINGS, methods(), FACTORS, chosen.seeds, seconds),
+                *(scene, Path(root), SETTINGS, methods(), factors, chosen.seeds, seconds),
                 *(runs, ERROR),
             )
             plot = RESULTS / f"volumes_{scene}.png"

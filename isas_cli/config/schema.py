@@ -81,7 +81,8 @@ class UnknownConfig:
     high], seed: n}``), legal range, own learning rate, and the blur of ``estimator=plateau``;
     ``during``: the shares of the budget between which it moves, [from, to]; before and after it
     keeps its value (None: it always moves); ``levels``: of a grid, how many resolutions it passes
-    through, each twice the last, or the shares of the budget at which it doubles."""
+    through, each twice the last and for twice the time, or the shares of the budget at which it
+    doubles."""
 
     start: Any = None
     # How fast, and within which bounds, an unknown may move is the method's affair.

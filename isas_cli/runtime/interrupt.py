@@ -1,7 +1,8 @@
-"""Ctrl-C that lets the record be finished first."""
+"""Ctrl-C that lets the record be finished first, and Ctrl-Z that is not billed."""
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -20,9 +21,10 @@ def graceful(notice: Callable[[], None] = lambda: None) -> Iterator[Callable[[],
 
     A step cut in half would leave parameters and moments of different iterations. ``notice`` is
     called when the flag is first read as set (not by the handler, which may come in the middle of
-    another print); the second signal interrupts at once.
+    another print); the second signal interrupts at once. SIGTSTP, Ctrl-Z, suspends the process when
+    the function is next called: between steps, where no clock runs.
     """
-    wanted = noticed = False
+    wanted = noticed = held = False
 
     def ask(number, frame) -> None:
         global _asked
@@ -32,15 +34,22 @@ def graceful(notice: Callable[[], None] = lambda: None) -> Iterator[Callable[[],
             raise KeyboardInterrupt
         wanted = True
 
+    def hold(number, frame) -> None:
+        nonlocal held
+        held = True
+
     def stop() -> bool:
-        nonlocal noticed
+        nonlocal noticed, held
         check()
+        if held:
+            held = False
+            os.kill(os.getpid(), signal.SIGSTOP)
         if wanted and not noticed:
             noticed = True
             notice()
         return wanted
 
-    with _handled({signal.SIGINT: ask, signal.SIGTERM: ask}):
+    with _handled({signal.SIGINT: ask, signal.SIGTERM: ask, signal.SIGTSTP: hold}):
         yield stop
 
 

@@ -93,11 +93,12 @@ def _given(spec, key: str) -> list[float]:
 
 
 def _doubled(levels, kind: Kind) -> tuple[float, ...]:
-    """The shares of the budget at which resolutions double: ``levels`` is their number, of equal
-    shares, or those shares themselves."""
+    """The shares of the budget at which resolutions double: ``levels`` is their number, each of
+    which has twice the time of the one before, or those shares themselves. Coarse grids are soon
+    as good as they can be."""
     where = f"scene.unknowns['{kind.key}'].levels={levels}"
     if isinstance(levels, int) and not isinstance(levels, bool) and levels >= 1:
-        shares = [number / levels for number in range(1, levels)]
+        shares = [(2**number - 1) / (2**levels - 1) for number in range(1, levels)]
     else:
         try:
             shares = [float(share) for share in levels]

@@ -99,12 +99,12 @@ def test_only_grids_have_levels():
 
 def test_levels_follow_the_budget():
     p = problem(*uneven(8), levels=3)
-    assert p.unknowns.switches == pytest.approx([0, 1 / 3, 2 / 3])
-    assert [p.unknowns.level(x) for x in (0, 0.3, 0.34, 0.7, 1)] == [0, 0, 1, 2, 2]
+    assert p.unknowns.switches == pytest.approx([0, 1 / 7, 3 / 7])
+    assert [p.unknowns.level(x) for x in (0, 0.14, 0.15, 0.43, 1)] == [0, 0, 1, 2, 2]
     sides = [p.unknowns.shapes(level)[ALBEDO][0] for level in range(3)]
     assert sides == [2, 4, 8]
-    p.unknowns[ALBEDO].doubled = (0.5,)
-    assert p.unknowns.switches == pytest.approx([0, 1 / 3, 0.5, 2 / 3])
+    p.unknowns[ALBEDO].doubled = (0.3,)
+    assert p.unknowns.switches == pytest.approx([0, 1 / 7, 0.3, 3 / 7])
     assert [p.unknowns.shapes(level)[ALBEDO][0] for level in range(4)] == [4, 4, 8, 8]
     assert [p.unknowns.shapes(level)[DENSITY][0] for level in range(4)] == [2, 4, 4, 8]
 
@@ -155,7 +155,7 @@ def loop(p, sampler, iterations: int, batch: int = 1024) -> Loop:
 
 @pytest.fixture(scope="module")
 def glowing():
-    p = problem(*uneven(), "emission", levels=2)
+    p = problem(*uneven(), "emission", levels=[0.5])
     render_targets(p, 256)
     return p
 

@@ -1,0 +1,35 @@
+"""Signals between steps and in the middle of one."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+_LOOP = """
+import time
+from isas_cli.runtime import interrupt
+
+billed = 0.0
+with interrupt.graceful() as stop:
+    print("begun", flush=True)
+    while not stop():
+        before = time.perf_counter()
+        time.sleep(0.2)
+        billed += time.perf_counter() - before
+print(billed)
+"""
+
+
+def test_a_suspended_run_is_not_billed():
+    begun = time.perf_counter()
+    loop = subprocess.Popen([sys.executable, "-c", _LOOP], stdout=subprocess.PIPE, text=True)
+    assert loop.stdout.readline() == "begun\n"
+    loop.send_signal(signal.SIGTSTP)
+    _, status = os.waitpid(loop.pid, os.WUNTRACED)
+    assert os.WIFSTOPPED(status)
+    time.sleep(2)
+    loop.send_signal(signal.SIGCONT)
+    loop.send_signal(signal.SIGINT)
+    billed = float(loop.communicate()[0])
+    assert 0.2 <= billed < time.perf_counter() - begun - 2
