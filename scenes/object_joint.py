@@ -1,14 +1,14 @@
 """Object, joint: a painted bowl whose paint, gloss and surroundings are all unknown.
 
-After *Physics Based Differentiable Rendering for Inverse Problems and Beyond* (Kakkar et al.; PBDR),
-which estimates materials and light at once, of "intricate items with varied surface roughness and
-lifelike patterns", and prints neither scenes nor figures. Ours: the bowl of the scene `bowl` in the
-paper's own reflectance (its Eq. 5: diffuse and specular albedo, roughness), hanging under a coarse
-coloured sky that is unknown as well.
+After *Physics Based Differentiable Rendering for Inverse Problems and Beyond* (Kakkar et al.;
+PBDR), which estimates materials and light at once, of "intricate items with varied surface
+roughness and lifelike patterns", and prints neither scenes nor figures. Ours: the bowl of the
+scene `bowl` in the paper's own reflectance (its Eq. 5: diffuse and specular albedo, roughness),
+hanging under a coarse coloured sky that is unknown as well.
 
 Light and albedo can stand for each other in what the bowl reflects: twice the light on half of the
-albedo looks alike. The sky is in the pictures, beside the bowl, and so fixes the scale. Its shape is
-given.
+albedo looks alike. The sky is in the pictures, beside the bowl, and so fixes the scale. Its shape
+is given.
 
 Depth 3: camera, two surfaces, light, as in `bowl`.
 """

@@ -1,6 +1,8 @@
 """The rooms of isas_cli and who may know whom: imports run one way."""
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -50,6 +52,14 @@ def test_a_room_knows_nobody_above_it(room):
     for path in (ROOT / room).rglob("*.py"):
         above = {other for other in imported(path) if LEVEL[other] > LEVEL[room]}
         assert not above, f"{path.relative_to(ROOT)} imports from {', '.join(sorted(above))}"
+
+
+@pytest.mark.parametrize("command", ["check", "format --check"])
+def test_the_code_is_as_the_linter_wants_it(command):
+    ruff = [sys.executable, "-m", "ruff", *command.split(), "--no-cache", "--quiet"]
+    ruff += ["isas_cli", "scenes", "benchmarks", "tests"]
+    done = subprocess.run(ruff, cwd=ROOT.parent, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_the_report_never_renders():

@@ -213,17 +213,13 @@ class PhotosConfig:
             ("up", _UPS),
         ):
             if getattr(self, name) not in valid:
-                raise InputError(
-                    f"photos.{name}={getattr(self, name)}: valid: {', '.join(valid)}"
-                )
+                raise InputError(f"photos.{name}={getattr(self, name)}: valid: {', '.join(valid)}")
         shapes = [n for n in ("mesh", "plane", "sphere") if getattr(self, n) is not None]
         if len(shapes) > 1:
             raise InputError(f"photos.{shapes[0]} and photos.{shapes[1]}: one shape alone")
         for name in ("plane", "sphere"):
             numbers = getattr(self, name)
-            if numbers is not None and (
-                len(numbers) != 4 or not all(map(math.isfinite, numbers))
-            ):
+            if numbers is not None and (len(numbers) != 4 or not all(map(math.isfinite, numbers))):
                 raise InputError(f"photos.{name}={list(numbers)}: four numbers")
         if self.plane and not (self.plane[0] < self.plane[2] and self.plane[1] < self.plane[3]):
             raise InputError(f"photos.plane={list(self.plane)}: [x0, y0, x1, y1], x0 < x1, y0 < y1")
@@ -428,7 +424,6 @@ class Config:
             raise InputError("scene.masks needs scene.targets: rendered targets have no masks")
         if scene.targets is not None and self.target != TargetConfig():
             raise InputError("target.… is for rendered targets, but scene.targets are given")
-
 
     def _of_photographs(self) -> None:
         """Refuse what is another scene's."""

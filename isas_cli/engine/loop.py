@@ -30,6 +30,9 @@ _REHEARSAL_STEPS = 5
 _EVALUATION_POWER = 1.5
 # The share of the budget after which a first look that was put off is left out.
 _LATEST_FIRST_LOOK = 1 / 3
+# A later look may cost as much as the last did only where that is no more than this share of what
+# is left: what it finds must still pay.
+_MOST_OF_REST = 1 / 4
 # If more than this share of the touched gradient entries since the last evaluation is not finite,
 # going on makes no sense.
 _NONFINITE_LIMIT = 0.5
@@ -46,6 +49,7 @@ class Position:
     evaluations: int = 0
     # What was spent before the first step: billed seconds, light paths.
     before: tuple[float, int] = (0.0, 0)
+    looked: float = 0.0  # share of the budget that the last look took
 
 
 @dataclass
@@ -194,13 +198,14 @@ class Loop:
         finer, delay = self._finer(), self.sampler.delay
         first = finer or (p.iteration == delay and not self.stepper.level)
         looks = first or (self.sampler.due(p.iteration) and p.iteration >= delay)
-        # A first look costs what was spent before it: it must leave time for what it finds.
-        if looks and (finer or not self._glanced or self.spent <= _LATEST_FIRST_LOOK):
+        if looks and self._affordable(finer):
+            begun = self.spent
             with self.clock.billed("stage1"):
                 self._look(p.iteration, first)
             p.paths += self.sampler.paths_per_look
             if first:
                 p.paths += self.sampler.paths_before
+            p.looked = self.spent - begun
         elif p.iteration == 0:
             with self.clock.billed("stage1"):
                 self._glance(0)
@@ -213,6 +218,13 @@ class Loop:
             self.stepper.step(self._gradients, scheduled)
         p.paths += self.estimator.paths_per_step
         p.iteration += 1
+
+    def _affordable(self, finer: bool) -> bool:
+        """Whether a look would leave time for what it finds. A first one that was put off costs
+        what was spent before it."""
+        if self._glanced and not finer:
+            return self.spent <= _LATEST_FIRST_LOOK
+        return self.position.looked <= _MOST_OF_REST * (1 - self.spent)
 
     def _finer(self) -> bool:
         """Go on to the level that is due, if that is a finer one: with a larger budget, it may be
@@ -345,6 +357,7 @@ class Loop:
             "iteration": p.iteration,
             "paths": p.paths,
             "before": p.before,
+            "looked": p.looked,
             "counted": self._counted,
             "glanced": self._glanced,
             "lost": self.lost,
@@ -365,6 +378,7 @@ class Loop:
         seconds, paths = state.get("before", (0.0, 0))
         self.position = Position(int(state["iteration"]), int(state["paths"]))
         self.position.before = float(seconds), int(paths)
+        self.position.looked = state.get("looked", 0.0)
         self._counted, self.lost = tuple(state["counted"]), state["lost"]
         self._glanced = state.get("glanced", False)
         self.lost_in_steps = state.get("lost_in_steps", 0)

@@ -3,9 +3,9 @@
     R = smooth R_s + metallic Σ_m mean x (1 - x) + roughness Σ_r mean (x - expected)²
 
 R_s as in ``priors.Smoothness``, over all unknowns with neighbours; m over the unknowns called
-metallic, r over those called roughness or alpha, by a word of their key. The PBDR paper has such a
-"material regularisation" and prints no formula: x (1 - x) stands for the entropy of a share x, which
-is 0 at both ends too, and has a derivative there. Each term is left out at a weight of 0.
+metallic, r over those called roughness or alpha, by a word of their key. The PBDR paper has such
+a "material regularisation" and prints no formula: x (1 - x) stands for the entropy of a share x,
+which is 0 at both ends too, and has a derivative there. Each term is left out at a weight of 0.
 """
 
 from __future__ import annotations

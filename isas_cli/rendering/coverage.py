@@ -33,8 +33,8 @@ def fill_in(problem: Problem, seed: int) -> None:
     Of what moves geometry, and of what paths do not carry, all entries count. The others are judged
     by what path replay differentiates, at the start values; where something moves and the truth is
     known, also with that at its true place: an entry counts that is seen from either. One that
-    shows itself only on the way between is left out of the errors. Where entries hide each other, as
-    those of volumes do, they are judged with all unknowns at the truth, where that is known and
+    shows itself only on the way between is left out of the errors. Where entries hide each other,
+    as those of volumes do, they are judged with all unknowns at the truth, where that is known and
     shows any.
 
     Raises InputError for an unknown that no view sees: nothing could be learnt about it. Where

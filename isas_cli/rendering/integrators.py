@@ -305,8 +305,8 @@ class Medium(Twice):
         self.cuts = not self.emits
         self.paths = paths or self.paths
         self.max_depth, self.rr_depth = self.paths.depth, _roulette(base, self.paths)
-        # As far as is known before a kernel runs. Without scattering a second replay costs more than
-        # its derivative is worth (benchmarks/crossed.py).
+        # As far as is known before a kernel runs. Without scattering a second replay costs more
+        # than its derivative is worth (benchmarks/crossed.py).
         whole = isinstance(self.paths.depth, int) and self.paths.depth == self.paths.derivative
         self.crosses = self.paths.crossed and whole and not self.emits
 

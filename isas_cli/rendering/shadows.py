@@ -16,7 +16,6 @@ from .outline import Cameras, Crossing, Eyes, Outline, at, backward_ray, draw, p
 from .outline import silhouettes as seen_from
 from .silhouettes import hidden_by_nothing, residual
 
-
 # Of edges and points of lamps, the pairs that a step looks at, at most; one point a lamp it does.
 _MOST = 1 << 21
 

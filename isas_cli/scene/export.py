@@ -60,7 +60,7 @@ def write(scene: SceneConfig, arrays: dict[str, np.ndarray], folder: Path) -> Pa
     for key in dict.fromkeys(name for each in unknowns for name in each.kind.writes):
         _Place(params, key, made_from, written).put(folder)
     brought: dict[str, Path] = {}
-    for number, node in enumerate(written.nodes):
+    for node in written.nodes:
         if node.props.id() in named:
             node.props.set_id("")
         if "filename" in node.props:
@@ -143,7 +143,9 @@ class _Place:
         else:
             numbers = as_numpy(self.value).ravel()
             if numbers.size not in (1, 3):
-                raise InputError(f"'{self.key}' holds {numbers.size} numbers: 1 or 3 can be written")
+                raise InputError(
+                    f"'{self.key}' holds {numbers.size} numbers: 1 or 3 can be written"
+                )
             plain = numbers.size == 1
             self.props[self.name] = float(numbers[0]) if plain else mi.ScalarColor3f(*numbers)
 

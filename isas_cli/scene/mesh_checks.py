@@ -77,8 +77,8 @@ def check_values(
 
 
 def check_indices(faces: np.ndarray, count: int, where: str) -> None:
-    """Raise InputError, which begins with ``where``, where a triangle of ``faces (F, 3)`` names none
-    of ``count`` vertices."""
+    """Raise InputError, which begins with ``where``, where a triangle of ``faces (F, 3)`` names
+    none of ``count`` vertices."""
     beyond = np.flatnonzero(((faces < 0) | (faces >= count)).any(axis=1))
     if beyond.size:
         bad = faces[beyond[0]]

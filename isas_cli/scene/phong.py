@@ -3,10 +3,10 @@
     f_r = ρ_d / π + ρ_s (n + 2) / (2π) max(0, r · ω_o)^n,    n = 2 / α² - 2,
 
 r the mirror direction of ω_i. The paper names a roughness α beside the exponent n and does not
-connect them; here they are by the usual relation of a Phong lobe to a microfacet one, in which α = 1
-is n = 0. Parameters ``diffuse`` ρ_d, ``specular`` ρ_s and ``roughness`` α are textures, colours or
-numbers, and can be unknown. Energy is conserved where ρ_d + ρ_s ≤ 1. It reflects on the side of the
-normal alone.
+connect them; here they are by the usual relation of a Phong lobe to a microfacet one, in which
+α = 1 is n = 0. Parameters ``diffuse`` ρ_d, ``specular`` ρ_s and ``roughness`` α are textures,
+colours or numbers, and can be unknown. Energy is conserved where ρ_d + ρ_s ≤ 1. It reflects on the
+side of the normal alone.
 """
 
 from __future__ import annotations

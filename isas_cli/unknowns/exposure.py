@@ -7,7 +7,6 @@ import mitsuba as mi
 import numpy as np
 
 from .kind import Kind, Loaded
-from .parameters import like
 
 
 class Exposure(Kind):

@@ -66,8 +66,8 @@ class Motion(Kind):
 
 def add(leaf: mi.TensorXf, view: mi.UInt32, slope: mi.Float, jitter: mi.Float) -> None:
     """Add Σ_i ``slope``_i δ/σ² to the gradient of ``leaf``, where δ, ``jitter``, is the offset of
-    the i-th path's view, and ``slope (N,)`` ∂ℒ/∂I times half the difference of its radiance at +δ and
-    -δ: the derivative of images blurred by a Gaussian of width σ (PRDPT Eq. 8), without bias.
+    the i-th path's view, and ``slope (N,)`` ∂ℒ/∂I times half the difference of its radiance at +δ
+    and -δ: the derivative of images blurred by a Gaussian of width σ (PRDPT Eq. 8), without bias.
     Traced."""
     free = view > 0
     first = (dr.maximum(view, 1) - 1) * _NUMBERS

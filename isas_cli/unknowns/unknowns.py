@@ -19,8 +19,8 @@ class Unknown:
     (``truth`` is None for photographs); ``low``, ``high``: legal range, in its unit;
     ``lr``: its own learning rate, or None for the optimiser's; ``blur``: of ``sampler=plateau``, or
     None; ``during``: the shares of the budget between which it moves; ``seen``: which entries some
-    view sees (bool, same shape), filled in by ``coverage``; ``doubled``: the shares of the budget at
-    which its resolution doubles until it is whole."""
+    view sees (bool, same shape), filled in by ``coverage``; ``doubled``: the shares of the budget
+    at which its resolution doubles until it is whole."""
 
     kind: Kind
     start: np.ndarray

@@ -108,6 +108,19 @@ def test_a_first_look_waits_for_as_many_steps_and_is_left_out_where_little_is_le
     assert l._glanced is not looked
 
 
+@pytest.mark.parametrize("rest, looked", [(3.5, False), (4.5, True)])
+def test_a_later_look_is_left_out_where_it_costs_a_quarter_of_what_is_left(rest, looked):
+    p = problem({TEXTURE: 0.5})
+    ours = Ours(refresh=10, stage1=STAGE1)
+    ours.prepare(p, losses.L2(), 256)
+    paths = ours.paths_per_look + 10 * 2 * 256 + rest * ours.paths_per_look
+    l = loop(p, ours, Budget(paths=paths))
+    look, when = ours.look, []
+    ours.look = lambda *given: when.append(given[2]) or look(*given)
+    run(l)
+    assert [i for i in when if i < 20] == ([0, 10] if looked else [0])
+
+
 def test_evaluating_more_often_changes_nothing():
     """Evaluation has streams of its own and touches neither parameters nor moments."""
     ends = []

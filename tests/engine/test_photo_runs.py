@@ -181,8 +181,8 @@ def z_of_exposures(made, estimator) -> np.ndarray:
 @pytest.mark.slow
 def test_the_gradient_by_exposures_is_unbiased(photographed, monkeypatch):
     """Against the sum over all pixels of renderings of 2 × 1024 paths: within 4 standard errors,
-    six entries (chance 0.04 %). With the residual's own path as the third the noise is correlated with
-    itself, which is seen."""
+    six entries (chance 0.04 %). With the residual's own path as the third the noise is correlated
+    with itself, which is seen."""
     made = problem(*photographed, "photos.exposure=channels", "photos.test=[view_3]")
     found = z_of_exposures(made, TwoPath(made, L2(), BATCH))
     assert found.shape == (6,) and np.abs(found).max() < 4, found
@@ -319,7 +319,7 @@ def test_exposures_scale_views_and_nothing_else(photographed):
         (["photos.exposure=scale", "sampler=mitsuba"], "know no exposure"),
         (["photos.exposure=scale", "estimator=silhouettes"], "knows no exposure"),
         (["photos.sphere=[0,0,0,1]"], "one shape alone"),
-        (["scene.unknowns={\"box.color\": {\"start\": 1}}"], "object.bsdf.brdf_0.base_color.value"),
+        (['scene.unknowns={"box.color": {"start": 1}}'], "object.bsdf.brdf_0.base_color.value"),
         (["scene.targets=[a.png]"], "scene.targets: photographs or a scene"),
         (["target.spp=4"], "these are photographs"),
     ],

@@ -78,9 +78,7 @@ def lit() -> dict:
     return {
         "sky": {"type": "constant", "radiance": 0.05},
         "lamp": {"type": "point", "position": [2.0, 3.5, -0.5], "intensity": 30.0},
-        "sensor_000": perspective(
-            orbit((0, 0.2, 0), 4.5, 0.0, 35.0), (0.0, 0.2, 0.0), 35.0, 32
-        ),
+        "sensor_000": perspective(orbit((0, 0.2, 0), 4.5, 0.0, 35.0), (0.0, 0.2, 0.0), 35.0, 32),
     }
 
 
@@ -137,9 +135,7 @@ def test_the_shadow_of_what_stands_still_on_what_moves(monkeypatch, hat):
     p = problem(
         views=1, start="smooth", figure=shaped(*LARGE), hat=HATS[hat](), **beside(), **lit()
     )
-    alone = problem(
-        views=1, start="smooth", figure=shaped(*LARGE), hat=HATS[hat](), **lit()
-    )
+    alone = problem(views=1, start="smooth", figure=shaped(*LARGE), hat=HATS[hat](), **lit())
     assert others(p)[1].count == others(alone)[1].count, "what is not in the way is left out"
     at = 1.08 * p.unknowns[KEY].truth
     exact = differences(p, ["up", "scale"], at=at)

@@ -279,9 +279,7 @@ def test_a_mesh_that_moves_before_another():
         adjoint = 2 * (image(way, 0, 5) - target) * float(p.share[0])
         steps = ((image(way, STEP, i), image(way, -STEP, i)) for i in (10**6, 2 * 10**6))
         exact = np.array([np.sum(adjoint * (more - less)) / (2 * STEP) for more, less in steps])
-        along = [
-            sum(np.sum(np.array(g[key], np.float64) * way[key]) for key in way) for g in found
-        ]
+        along = [sum(np.sum(np.array(g[key], np.float64) * way[key]) for key in way) for g in found]
         assert agrees(np.array(along), exact), name
     p.unknowns.write(values)
 

@@ -83,12 +83,15 @@ SCENE = """<scene version="3.0.0">
     <bsdf type="diffuse"><rgb name="reflectance" value="0.2, 0.3, 0.4"/></bsdf></shape>
   <shape type="ply" id="other"><string name="filename" value="mesh.ply"/></shape>
 </scene>"""
-CLOUD = SCENE[: SCENE.index("  <shape")] + """  <shape type="cube" id="box"><bsdf type="null"/>
+CLOUD = (
+    SCENE[: SCENE.index("  <shape")]
+    + """  <shape type="cube" id="box"><bsdf type="null"/>
     <medium type="heterogeneous" name="interior">
       <volume type="gridvolume" name="sigma_t"><string name="filename" value="grid.vol"/></volume>
       <volume type="gridvolume" name="albedo"><string name="filename" value="grid.vol"/></volume>
     </medium></shape>
 </scene>"""
+)
 # Photographs in each form that photo_sets makes → the files that are spoilt.
 FORMS = {
     "transforms": ("transforms.json",),

@@ -137,8 +137,8 @@ def test_binary_colmap(tmp_path):
 def test_the_chessboards_own_corners_are_where_its_cameras_say():
     """Real photographs: corners found in the pictures lie within a pixel of where they should, on
     average a quarter, without a bias, which half a pixel would be."""
-    from isas_cli.scene.photos import checks, photographs
     from isas_cli.config.schema import PhotosConfig
+    from isas_cli.scene.photos import checks, photographs
 
     taken = photographs.load(PhotosConfig(path="chessboard"))
     apart = [view.apart for view in checks.views(taken)]

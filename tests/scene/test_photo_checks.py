@@ -12,7 +12,7 @@ from isas_cli.cli.app import main
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
-from isas_cli.scene.photos import checks, corners, photographs, shape
+from isas_cli.scene.photos import corners, photographs, shape
 
 
 @pytest.fixture
@@ -60,9 +60,10 @@ def test_an_outline_is_where_the_object_ends(tmp_path):
     distance = np.linalg.norm(camera.centre)
     rotation = camera.to_world[:3, :3]
     pixels = lines.reshape(-1, 2)
-    rays = np.column_stack(
-        [(pixels - [camera.cx, camera.cy]) / camera.fx, np.ones(len(pixels))]
-    ) @ rotation.T
+    rays = (
+        np.column_stack([(pixels - [camera.cx, camera.cy]) / camera.fx, np.ones(len(pixels))])
+        @ rotation.T
+    )
     towards = -camera.centre / distance
     angle = np.arccos(rays @ towards / np.linalg.norm(rays, axis=1))
     assert len(lines) > 50

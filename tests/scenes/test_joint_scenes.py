@@ -7,12 +7,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from isas_cli.scenes.cameras import perspective
 from scenes_for_tests import without_targets
 
 import isas_cli
 from isas_cli.rendering import rays
 from isas_cli.rendering.renderer import Renderer
-from isas_cli.scenes.cameras import perspective
 from isas_cli.unknowns.parameters import unflat
 
 INDEX, ROUGH = "ball.bsdf.eta", "ball.bsdf.alpha.value"

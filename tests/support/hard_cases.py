@@ -127,7 +127,7 @@ def start(key: str, value: float, **more) -> dict:
 
 
 def _steep(side: int = 8) -> np.ndarray:
-    """A normal map whose normals lean over by 80 degrees, each texel's away from its neighbours'."""
+    """A normal map whose normals lean over by 80 degrees, each away from its neighbours'."""
     row, column = np.mgrid[:side, :side]
     away = np.radians(80) * (1 - 2 * ((row + column) % 2))
     normals = np.stack([np.sin(away), 0 * away, np.cos(away)], axis=-1)

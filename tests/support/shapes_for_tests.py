@@ -27,8 +27,7 @@ EXACT = 0.02  # what the step of the differences is wrong by
 
 
 def agrees(found: np.ndarray, exact: np.ndarray, wrong: float = EXACT) -> bool:
-    """Within three standard errors of both, and ``wrong``: what the differences' step is good for.
-    """
+    """Within three standard errors of both, and ``wrong``, what the differences' step adds."""
     error = math.hypot(*(each.std(ddof=1) / math.sqrt(len(each)) for each in (found, exact)))
     size = abs(exact.mean())
     print(f"{found.mean() / exact.mean():.3f} ± {error / size:.3f} of the differences")

@@ -185,8 +185,8 @@ def test_progress_looks_at_each_level_anew(glowing):
     honest = sampler._survey
     sampler._survey = lambda seed, shapes: surveys.append(shapes) or honest(seed, shapes)
     look, looked = sampler.look, []
-    sampler.look = lambda values, seed, i, moments: looked.append(i) or look(
-        values, seed, i, moments
+    sampler.look = lambda values, seed, i, moments: (
+        looked.append(i) or look(values, seed, i, moments)
     )
 
     def stepped(l, spent):

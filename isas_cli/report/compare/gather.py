@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 # Any of these makes a folder one that somebody would miss in a comparison.
 _MARKS = {"manifest.json", "history.csv", "summary.json"}
-# The rate is each method's own business: methods that differ in nothing else are one.
-_OWN = "optimizer.lr="
+# The rates are each method's own business: methods that differ in nothing else are one.
+_OWN = "optimizer.lr=", "optimizer.factor="
 _DEFAULT_BASELINE = "uniform"
 
 
@@ -300,7 +300,7 @@ def _named(group: list[Method], name: str) -> list[str]:
 
 
 def names(group: list[Method]) -> dict[str, str]:
-    """Label → name without the rate, where that still tells the methods of a scene apart."""
+    """Label → name without the rates, where that still tells the methods of a scene apart."""
     plain = {m.label: " ".join(w for w in m.label.split() if not w.startswith(_OWN)) for m in group}
     return plain if len(set(plain.values())) == len(plain) else {m.label: m.label for m in group}
 
