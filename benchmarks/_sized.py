@@ -32,6 +32,7 @@ def problem_of(views: int, resolution: int, texture: int, depth: int):
     from isas_cli.scenes import pottery
 
     from isas_cli.config.schema import UnknownConfig
+    from isas_cli.rendering import integrators
     from isas_cli.scene.problem import Problem
     from isas_cli.scene.views import Views
     from isas_cli.unknowns.specs import parse
@@ -50,7 +51,7 @@ def problem_of(views: int, resolution: int, texture: int, depth: int):
     made = Problem(
         "sized",
         scene,
-        mi.load_dict({"type": "prb", "max_depth": depth}),
+        integrators.adapt(mi.load_dict({"type": "prb", "max_depth": depth})),
         scene.sensors_dr(),
         sizes,
         Views.of(sizes),

@@ -67,13 +67,15 @@ at       where: 0 the start values, 1 the truth. At the start the images are wro
 best     paths per pixel that measure each pixel's share of the variance, for the best pmf that
          there can be; 0 leaves it out
 uniform and gradient are always measured: ratios refer to them. Everything else is as in
-isas run --help. Status: 0 done, 2 bad configuration or input, 130 interrupted."""
+isas run --help; what belongs to a run (budget, effects, evaluation, …) is refused.
+Status: 0 done, 2 bad configuration or input, 130 interrupted."""
 
 _EFFECTS_HELP = """\
 usage: isas effects scene=NAME [KEY=VALUE ...]
 
-Say which light transport a run would simulate, and why: what a probe of about 3 seconds measures of
-the images, of the gradient and of the time, with 95 % bounds. Nothing is optimised.
+Say which light transport a run would simulate, and why: what a probe of at most 3 seconds, and 5 %
+of budget.seconds, measures of the images, of the gradient and of the time, with 95 % bounds.
+Nothing is optimised.
 
   isas effects scene=pottery
   isas effects scene=earth effects.tolerance=0.02
@@ -81,7 +83,7 @@ the images, of the gradient and of the time, with 95 % bounds. Nothing is optimi
 
 Settings: effects=auto (default), effects=full, effects.max_depth, effects.derivative_depth,
 effects.light_samples, effects.roulette, effects.tolerance, effects.derivative_tolerance,
-effects.finish.
+effects.finish, effects.probe.
 Everything else is as in isas run --help.
 Status: 0 done, 2 bad configuration or input, 130 interrupted."""
 
@@ -162,7 +164,7 @@ def _parser() -> argparse.ArgumentParser:
     landscape = commands.add_parser("landscape", help=_SUMMARIES["landscape"])
     landscape.add_argument("folder", metavar="DIR", help="a run's folder")
     landscape.add_argument(
-        "--along", nargs="+", metavar="KEY", help="one or two numbers (default: all, of few)"
+        "--along", nargs="+", metavar="KEY", help="one or two numbers (default: all, if no more)"
     )
     landscape.add_argument("--spp", type=int, default=32, help="paths a pixel and point, twice")
     report = commands.add_parser("report", help=_SUMMARIES["report"])

@@ -36,8 +36,9 @@ def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
         raise InputError(f"--spp {spp}: at least 1")
     run = records.load(folder)
     cfg, _ = resumption.configuration(folder, run.config, {})
-    starts = tuple(f"{VALUE_PREFIX}{key}" for key in run.manifest.get("unknowns", {}))
-    names = [c[len(VALUE_PREFIX) :] for c in run.history.columns if c.startswith(starts)]
+    keys = run.manifest.get("unknowns", {})
+    names = [c[len(VALUE_PREFIX) :] for c in run.history.columns if c.startswith(VALUE_PREFIX)]
+    names = [name for name in names if _of_unknown(name, keys)]
     chosen = _chosen(along, names, folder)
     typed, _ = experiment.checked(cfg)
     machine = experiment.started([cfg], typed)
@@ -55,6 +56,12 @@ def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
     stay = "the truth" if problem.truth_known else "the run's end"
     print(draw(Path(folder), f"the other unknowns: at {stay}" if others else ""))
     return 0
+
+
+def _of_unknown(name: str, keys) -> bool:
+    """Whether ``name`` is a number of an unknown, and not one that is derived from it."""
+    key, _, entry = name.rpartition("/")
+    return name in keys or (key in keys and entry.isdigit())
 
 
 def _chosen(along: list[str] | None, names: list[str], folder: Path) -> list[str]:

@@ -127,10 +127,11 @@ def _continued(own: dict[str, str], overrides: list[str]):
     changes = resumption.parse(overrides)
     entries = []
     for label, place, settings in places:
-        if (place / "manifest.json").exists():
+        if any((place / name).exists() for name in ("history.csv", "checkpoint/state.npz")):
             entry = continued(label, place, changes)
-        else:  # killed before its record was begun
-            entry = Entry(label, resumption.changed(compose(settings), changes), place)
+        else:  # killed before its record was whole, and before its first step
+            cfg = compose([*settings, "overwrite=true"])
+            entry = Entry(label, resumption.changed(cfg, changes), place)
         if entry is not None:
             entries.append(entry)
     if not entries:

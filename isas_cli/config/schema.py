@@ -352,7 +352,7 @@ class Config:
     sampler: Dict[str, Any] = setting(dict, Role.METHOD)
     estimator: Dict[str, Any] = setting(dict, Role.METHOD)
     loss: Dict[str, Any] = setting(dict, Role.METHOD)
-    prior: Dict[str, Any] = setting(dict, Role.METHOD)
+    prior: Dict[str, Any] = setting(dict, Role.METHOD, looped=True)
     # Measurements at a fixed point have all effects.
     effects: Dict[str, Any] = setting(dict, Role.METHOD, looped=True)
     optimizer: OptimizerConfig = setting(OptimizerConfig, Role.METHOD)

@@ -8,6 +8,8 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
 from ..rendering import coverage
@@ -129,7 +131,8 @@ def decide(
         plan, why = dataclasses.replace(plan, seconds=earlier["probe_seconds"]), {}
     elif follows:
         found = Plan(_as_set(problem, settings), settings.finish, {})
-        if settings.probe and estimator.replays and (seconds or 0) >= _WORTH:
+        carried = any(unknown.kind.carried for unknown in problem.unknowns)
+        if settings.probe and carried and estimator.replays and (seconds or 0) >= _WORTH:
             found = _probed(problem, settings, loss, min(_MOST, _SHARE * seconds), described, found)
         plan, why = _chosen(problem, settings, found)
     else:
@@ -239,7 +242,9 @@ def _probed(
         starts.update(f"{unknown.key} {unknown.start.shape}".encode() + unknown.start.tobytes())
     what = problem.content_hash, problem.target_hash, starts.hexdigest(), described
     asked = dataclasses.astuple(settings), allowed, dataclasses.astuple(plan.paths)
-    key = "effects-" + digest("effects", _FORMAT, *what, *asked)
+    # Where it was timed.
+    machine = mi.variant(), dr.thread_count()
+    key = "effects-" + digest("effects", _FORMAT, *what, *asked, *machine)
 
     def compute() -> dict[str, np.ndarray]:
         found = _measured(problem, settings, Probe(plan.on(problem), loss, 0, allowed), plan)

@@ -146,7 +146,11 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
         warnings=[],
     )
     pictures, masks = ([getattr(p, n) for p in taken.held] for n in ("image", "mask"))
-    targets.given(held, pictures, masks, filled)
+    try:
+        targets.given(held, pictures, masks, filled)
+    except InputError:
+        problem.warnings.append("no view that is held out shows the object: none is foretold")
+        return
     problem.warnings += held.warnings
     problem.held_out = held
 

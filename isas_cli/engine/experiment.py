@@ -128,6 +128,11 @@ def built(typed: Config, phases: Phases, cfgs: Iterable[DictConfig] = ()) -> "Pr
         for cfg in cfgs:
             loss, sampler, estimator = (instantiate(cfg[name], name) for name in _CHOSEN)
             estimator.check(problem, sampler, loss)
+            if cfg.profile and not problem.integrator.has_forward:
+                raise InputError(
+                    "profile=true differentiates paths in forward mode, which the scene's "
+                    f"integrator {problem.integrator.name} cannot: leave it out"
+                )
             footprint.check(problem, estimator.batch)
             instantiate(cfg.prior, "prior").on(problem.unknowns)
 

@@ -49,7 +49,7 @@ class Position:
     evaluations: int = 0
     # What was spent before the first step: billed seconds, light paths.
     before: tuple[float, int] = (0.0, 0)
-    looked: float = 0.0  # share of the budget that the last look took
+    looked: tuple[float, int] = (0.0, 0)  # what the last look took, likewise
 
 
 @dataclass
@@ -91,6 +91,13 @@ class Loop:
         self._weights = self._distribution = self._gradients = None
         self._glanced = False  # whether draws follow a glance, no look
         self._counted = 0, 0
+        self._memory = self._blank()
+
+    def _blank(self) -> list[mi.Float]:
+        """What an estimator that learns from its steps has learned before the first. Loops that
+        take turns may share one: each puts its own in and takes it out again."""
+        known = getattr(self.estimator, "memory", [])
+        return [dr.opaque(mi.Float, 0, dr.width(each)) for each in known]
 
     @property
     def whole(self) -> Problem:
@@ -120,6 +127,7 @@ class Loop:
             doubt = reliability.warning(self.sampler, values, self.seed, _REHEARSAL_BASE)
             self.warnings = [doubt] if doubt else []
             self._weights = self._distribution = None
+            self._memory = self._blank()
 
     def _rehearse_level(self, level: int) -> None:
         if level > self.stepper.level:
@@ -166,6 +174,7 @@ class Loop:
         self._begin_counting()
         while self.spent < 1:
             if hooks.stop():
+                self._count_lost()
                 return False
             self._iterate()
             spent = self.spent
@@ -188,6 +197,7 @@ class Loop:
 
     def halt(self, hooks: Hooks) -> str:
         """Stop before the budget is spent, with a row that says where. Returns 'interrupted'."""
+        self._begin_counting()
         if self.last["iteration"] != self.position.iteration:
             self._evaluate(hooks)
         return "interrupted"
@@ -199,13 +209,13 @@ class Loop:
         first = finer or (p.iteration == delay and not self.stepper.level)
         looks = first or (self.sampler.due(p.iteration) and p.iteration >= delay)
         if looks and self._affordable(finer):
-            begun = self.spent
+            seconds, paths = self.clock.seconds, p.paths
             with self.clock.billed("stage1"):
                 self._look(p.iteration, first)
             p.paths += self.sampler.paths_per_look
             if first:
                 p.paths += self.sampler.paths_before
-            p.looked = self.spent - begun
+            p.looked = self.clock.seconds - seconds, p.paths - paths
         elif p.iteration == 0:
             with self.clock.billed("stage1"):
                 self._glance(0)
@@ -224,7 +234,8 @@ class Loop:
         what was spent before it."""
         if self._glanced and not finer:
             return self.spent <= _LATEST_FIRST_LOOK
-        return self.position.looked <= _MOST_OF_REST * (1 - self.spent)
+        seconds, paths = self.position.looked
+        return self.budget.spent(seconds, 0, paths) <= _MOST_OF_REST * (1 - self.spent)
 
     def _finer(self) -> bool:
         """Go on to the level that is due, if that is a finer one: with a larger budget, it may be
@@ -275,7 +286,11 @@ class Loop:
         where = self._distribution, self.seed, iteration
         values = self.stepper.values
         share = self.scheduled if scheduled is None else scheduled
+        if self._memory:
+            self.estimator.memory = self._memory
         found = self.estimator.estimate(values, *where, share)
+        if self._memory:
+            self._memory = self.estimator.memory
         return found if self.prior is None else self.prior.add(values, found)
 
     def _count_evaluations(self) -> None:
@@ -351,6 +366,7 @@ class Loop:
         arrays, state = self.stepper.export()
         if self._weights is not None:
             arrays["cells"] = np.array(self._weights)
+        arrays |= {f"met/{i}": np.array(each) for i, each in enumerate(self._memory)}
         p = self.position
         state |= {
             "seed": self.seed,
@@ -374,11 +390,16 @@ class Loop:
         if "cells" in arrays:
             self._weights = mi.Float(arrays["cells"])
             self._spread()
+        # Checkpoints of earlier versions lack it: their steps began with lengths alone.
+        if "met/0" in arrays:
+            known = range(len(self._memory))
+            self._memory = [mi.Float(arrays[f"met/{i}"]) for i in known]
         # Checkpoints of earlier versions lack it: their schedule began with the budget.
         seconds, paths = state.get("before", (0.0, 0))
         self.position = Position(int(state["iteration"]), int(state["paths"]))
         self.position.before = float(seconds), int(paths)
-        self.position.looked = state.get("looked", 0.0)
+        seconds, paths = state.get("looked", (0.0, 0))
+        self.position.looked = float(seconds), int(paths)
         self._counted, self.lost = tuple(state["counted"]), state["lost"]
         self._glanced = state.get("glanced", False)
         self.lost_in_steps = state.get("lost_in_steps", 0)

@@ -99,6 +99,7 @@ class Recorder:
             )
             self._resumed = [*earlier.manifest.get("resumed", []), entry]
             self.writer.manifest({**earlier.manifest, "resumed": self._resumed})
+            self.pictures.targets()  # a kill may have come before they were whole
         self._snapshots = self._snapshots_due(loop.position.evaluations)
         self._saved = self._own_seconds()
 

@@ -15,6 +15,8 @@ import mitsuba as mi
 import numpy as np
 
 from .. import records
+from ..estimators.estimator import Gradients
+from ..estimators.staged import Staged
 from ..estimators.two_path import TwoPath
 from ..runtime import streams
 from ..runtime.errors import InputError
@@ -95,33 +97,40 @@ def again(loop: Loop, iteration: int) -> Replay:
         entries[key] = int(np.sum(~np.isfinite(found))), found.size
     paths, places = 0, []
     # What compares renderings has no path of its own for each entry.
-    if isinstance(loop.estimator, TwoPath):
+    estimator = _of_paths(loop.estimator)
+    if estimator is not None:
         lanes = {}
-        for what, bad in _bad_paths(loop, iteration):
+        for what, bad in _bad_paths(loop, estimator, iteration):
             for lane in np.flatnonzero(bad):
                 lanes.setdefault(int(lane), what)
         paths = len(lanes)
         chosen = sorted(lanes)[:_MOST]
-        where = _drawn(loop, iteration)
+        where = _drawn(loop, estimator.batch, iteration)
         places = [Place(*(int(each[lane]) for each in where), lanes[lane]) for lane in chosen]
     return Replay(iteration, entries, paths, places)
 
 
-def _drawn(loop: Loop, iteration: int) -> list[np.ndarray]:
+def _of_paths(estimator: Gradients) -> TwoPath | None:
+    """``estimator``, if it differentiates paths of drawn pixels at the values themselves."""
+    if isinstance(estimator, Staged):
+        estimator = estimator.present
+    own = isinstance(estimator, TwoPath) and estimator.blur is None
+    return estimator if own else None
+
+
+def _drawn(loop: Loop, batch: int, iteration: int) -> list[np.ndarray]:
     """View, column and row of every pixel that the iteration draws."""
     seed = mi.UInt32(streams.seed(loop.seed, iteration, "draw"))
-    view, column, row, _ = loop.distribution.draw(loop.estimator.batch, seed)
+    view, column, row, _ = loop.distribution.draw(batch, seed)
     # Of a single view its number is one entry.
-    view, column, row = (
-        np.broadcast_to(np.array(each), loop.estimator.batch) for each in (view, column, row)
-    )
+    view, column, row = (np.broadcast_to(np.array(each), batch) for each in (view, column, row))
     kept = loop.problem.kept
     return [view if kept is None else np.array(kept)[view], column, row]
 
 
-def _bad_paths(loop: Loop, iteration: int) -> Iterator[tuple[str, np.ndarray]]:
+def _bad_paths(loop: Loop, of: TwoPath, iteration: int) -> Iterator[tuple[str, np.ndarray]]:
     """What is not finite, and along which paths, ``(N,) bool``."""
-    problem, values = loop.problem, loop.stepper.values
+    problem, values = of.problem, loop.stepper.values
     for key in [None, *problem.unknowns.keys]:
         found: list[np.ndarray] = []
 
@@ -133,7 +142,7 @@ def _bad_paths(loop: Loop, iteration: int) -> Iterator[tuple[str, np.ndarray]]:
                 parts = [a * integrator.forward(scene, *path) for a, path in zip(parts, paths)]
             found.append(sum(np.array(part) for part in parts))
 
-        estimator = TwoPath(problem, loop.estimator.loss, loop.estimator.batch, False, look)
+        estimator = TwoPath(problem, of.loss, of.batch, False, look)
         if key is None:
             problem.unknowns.attach(values)
         elif problem.integrator.has_forward:

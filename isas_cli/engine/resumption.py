@@ -93,9 +93,14 @@ def _larger(budget: Budget, seconds: float, iterations: int, paths: int) -> str:
     """The limits that have been reached, and what would lift them."""
     spent = {"seconds": seconds, "iterations": iterations, "paths": paths}
     reached = [name for name, used in spent.items() if used >= (getattr(budget, name) or math.inf)]
-    limits = ", ".join(f"{name}={getattr(budget, name):g}" for name in reached)
-    more = " ".join(f"budget.{name}={2 * getattr(budget, name):g}" for name in reached)
+    limits = ", ".join(f"{name}={_written(getattr(budget, name))}" for name in reached)
+    more = " ".join(f"budget.{name}={_written(2 * getattr(budget, name))}" for name in reached)
     return f"{limits}; give a larger one, such as {more}"
+
+
+def _written(number: float) -> str:
+    """As it can be typed: iterations take no exponent."""
+    return str(number) if isinstance(number, int) else f"{number:g}"
 
 
 def _budget(cfg: DictConfig) -> Budget:

@@ -111,7 +111,9 @@ class WholeImages:
     @property
     def paths_per_step(self) -> int:
         """Light paths of one estimate, those of silhouettes not counted."""
-        return 2 * self.spp * self.problem.views.total * self.samples
+        # Where an image of its own says the residual, one path more carries the derivative.
+        paths = 2 * self.spp + (self.smooth == "image")
+        return paths * self.problem.views.total * self.samples
 
     def estimate(
         self,

@@ -113,7 +113,6 @@ class ByShape:
     directly; the rest is the bias of ``Shadows``. Bias: that of all parts. Silhouettes that other
     surfaces show (reflections, shadows in light that was scattered before) are left out. Traced
     once and frozen, but for ``params.update()``.
-    What ``adaptive`` met is not saved: a run that is resumed begins with lengths alone.
     """
 
     def __init__(self, problem: "Problem", loss, chosen: Settings):
@@ -150,6 +149,21 @@ class ByShape:
         """Light paths of one estimate."""
         borders = sum(each.paths_per_step for _, _, each in self.borders)
         return self.inside.paths_per_step + borders
+
+    @property
+    def memory(self) -> list[mi.Float]:
+        """What ``adaptive`` met so far: the state of one run, put back before its next step.
+        Copies, as a frozen kernel changes what it is given."""
+        return [mi.Float(each) for met in self._met() for each in met]
+
+    @memory.setter
+    def memory(self, arrays: list[mi.Float]) -> None:
+        rest = iter(arrays)
+        for met in self._met():
+            met[:] = [mi.Float(next(rest)) for _ in met]
+
+    def _met(self) -> list[list[mi.Float]]:
+        return [each.met for _, _, each in self.borders if isinstance(each, Silhouettes)]
 
     @property
     def nonfinite(self) -> int:

@@ -19,12 +19,12 @@ class Staged:
     def __post_init__(self) -> None:
         # Shares of the budget at which kernels differ, for a rehearsal.
         self.stages = (0.0, self.until)
-        self._present = self.first
+        self.present = self.first
 
     @property
     def paths_per_step(self) -> int:
         """Light paths of the latest estimate."""
-        return self._present.paths_per_step
+        return self.present.paths_per_step
 
     @property
     def nonfinite(self) -> int:
@@ -40,5 +40,5 @@ class Staged:
         spent: float,
     ) -> dict:
         """The gradient at ``values``, by key, see ``Gradients``."""
-        self._present = self.first if spent < self.until else self.second
-        return self._present.estimate(values, distribution, seed, iteration, spent)
+        self.present = self.first if spent < self.until else self.second
+        return self.present.estimate(values, distribution, seed, iteration, spent)

@@ -109,7 +109,7 @@ class TwoPath:
         integrator = problem.integrator
         exposed, moved = (problem.unknowns.of(kind) for kind in (Exposure, Motion))
         self._moved = moved
-        self._blur = Blur(problem, "estimator.blurred=true") if blurred else None
+        self.blur = Blur(problem, "estimator.blurred=true") if blurred else None
         # Beside that whose derivative is counted.
         third = exposed is not None and not integrator.crosses
         self._paths = 1 + third + 2 * (moved is not None)
@@ -197,17 +197,17 @@ class TwoPath:
         Without bias for ∂(κ ⋆ ℒ)/∂θ (PRDPT Eq. 8 in the space of the loss), with 0 outside an
         unknown's range, where values are clamped. Waits where it is blurred."""
         unknowns = self.problem.unknowns
-        if self._blur is None:
+        if self.blur is None:
             unknowns.attach(values)
             self.accumulate(distribution, seed, iteration)
             return unknowns.gradients()
-        θ = self._blur.vector(values)
+        θ = self.blur.vector(values)
         rng = np.random.default_rng(streams.seed(seed, iteration, "offset"))
-        at = θ + smoothing.blurred(self._blur.widths(θ, spent), rng)
-        unknowns.attach(self._blur.clamped(at))
+        at = θ + smoothing.blurred(self.blur.widths(θ, spent), rng)
+        unknowns.attach(self.blur.clamped(at))
         self.accumulate(distribution, seed, iteration)
-        found = self._blur.vector(unknowns.gradients())
-        return self._blur.values(np.where(self._blur.inside(at), found, 0))
+        found = self.blur.vector(unknowns.gradients())
+        return self.blur.values(np.where(self.blur.inside(at), found, 0))
 
     def accumulate(self, distribution: PixelDistribution, seed: int, iteration: int) -> None:
         """Add one estimate to the gradients of the unknowns' leaves (``Unknowns.attach`` first)."""

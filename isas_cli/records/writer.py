@@ -41,7 +41,10 @@ _MADE_FILES = (
     "checkpoint/state.npz",
     "tensorboard/events.*",
 )
-_LEFT_OVER = (".*.tmp", "frames/.*.tmp", "plots/.*.tmp", "checkpoint/.*.tmp")  # of a killed run
+# Of a killed run.
+_LEFT_OVER = tuple(
+    f"{where}.*.tmp" for where in ("", "frames/", "meshes/", "plots/", "checkpoint/")
+)
 
 
 class RunWriter:
@@ -60,8 +63,9 @@ class RunWriter:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._claim()
-            if any((self.folder / name).exists() for name in _RECORD_FILES):
-                if not overwrite:
+            if found := [name for name in _RECORD_FILES if (self.folder / name).exists()]:
+                # Settings alone are those of a run that was killed before its first step.
+                if not overwrite and found != ["config.yaml"]:
                     message = "already holds a run; choose another folder with hydra.run.dir=DIR"
                     raise InputError(f"{self.folder} {message}")
                 for pattern in _RECORD_FILES + _MADE_FILES + _LEFT_OVER:

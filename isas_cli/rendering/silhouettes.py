@@ -63,7 +63,7 @@ class Silhouettes:
         integrator, differences = problem.integrator, without_film(problem.integrator)
         views = len(problem.film_sizes)
         # Of each cell, the sum of the squares of ∂ℒ/∂I met there, and their number.
-        self._met = [dr.opaque(mi.Float, 0, views * _CELLS**2) for _ in range(2)]
+        self.met = [dr.opaque(mi.Float, 0, views * _CELLS**2) for _ in range(2)]
 
         def kernel(
             scene, sensors, films, positions, outline, cameras, targets, mask, seeds, share, met
@@ -114,7 +114,7 @@ class Silhouettes:
         p = self.problem
         self._kernel(
             p.scene, p.sensors, p.views, positions, self.outline, self.cameras, p.targets, p.mask,
-            seeds, p.share, self._met,
+            seeds, p.share, self.met,
         )  # fmt: skip
 
 

@@ -31,7 +31,7 @@ def made(surfaces: dict[str, Surface]) -> bytes:
     points = np.concatenate([each.vertices for each, _ in columns])
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius = (low + high) / 2, np.linalg.norm(high - low) / 2
-    scenes = [_scene(each, colours, middle, radius) for each, colours in columns]
+    scenes = [_scene(each, colours) for each, colours in columns]
     frames = []
     for number in range(_FRAMES):
         sensor = _sensor(360.0 * number / _FRAMES, middle, radius)
@@ -76,7 +76,7 @@ def of_volumes(volumes: dict[str, np.ndarray]) -> bytes:
     return _animated(frames)
 
 
-def _scene(surface: Surface, colours: np.ndarray, middle: np.ndarray, radius: float) -> mi.Scene:
+def _scene(surface: Surface, colours: np.ndarray) -> mi.Scene:
     mesh = mi.Mesh(
         "surface",
         len(surface.vertices),

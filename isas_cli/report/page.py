@@ -26,7 +26,8 @@ def write_page(run: Run, pictures: list[Picture], plots: list[Picture]) -> Path:
 
     pictures, plots: PNG or WebP files that lie on the disk, shown in this order.
     """
-    summary = run.summary or _from_history(run)
+    # That of a process that died says why, and nothing of its steps.
+    summary = _from_history(run) | (run.summary or {})
     config = run.folder / "config.yaml"
     text = template("isas_cli.report", number=number, embedded=_embedded).render(
         summary=summary,

@@ -6,6 +6,7 @@ its LLVM library when it is first imported, once per process.
 
 from __future__ import annotations
 
+import functools
 import glob
 import os
 import platform
@@ -61,6 +62,10 @@ def start(variant: str = "auto", threads: int = 0) -> Backend:
     if threads < 0:
         raise InputError(f"threads={threads} is negative: give 0 (one for each core) or more")
     gpu, why_not = _find_gpu() if variant == "auto" or variant.startswith("cuda") else (None, "")
+    if variant == f"cuda{SUFFIX}" and not gpu:
+        raise InputError(
+            f"variant={variant} cannot run here ({why_not}): use variant=llvm{SUFFIX} or auto"
+        )
     library = None if gpu else _load_llvm()
     import drjit as dr
     import mitsuba as mi
@@ -68,17 +73,14 @@ def start(variant: str = "auto", threads: int = 0) -> Backend:
     _check_name(variant, mi.variants())
     if variant == "auto":
         variant = ("cuda" if gpu else "llvm") + SUFFIX
-    if variant.startswith("cuda") and not gpu:
-        raise InputError(
-            f"variant={variant} cannot run here ({why_not}): use variant=llvm{SUFFIX} or auto"
-        )
     needed = dr.JitBackend.CUDA if gpu else dr.JitBackend.LLVM
     if not dr.has_backend(needed):
         where = f"LLVM at {library.path}" if library else f"CUDA on {gpu}"
         raise InputError(f"variant={variant}: Dr.Jit cannot use {where} (its message is above)")
     mi.set_variant(variant)
-    if threads > 0:
-        dr.set_thread_count(threads)
+    every = _every_thread()
+    if dr.thread_count() != (threads or every):
+        dr.set_thread_count(threads or every)
     return Backend(
         variant=variant,
         llvm_path=library.path if library else None,
@@ -86,6 +88,14 @@ def start(variant: str = "auto", threads: int = 0) -> Backend:
         threads=dr.thread_count(),
         device=gpu or _cpu_name(),
     )
+
+
+@functools.cache
+def _every_thread() -> int:
+    """As many as Dr.Jit takes by itself, before anything is set."""
+    import drjit as dr
+
+    return dr.thread_count()
 
 
 @contextmanager

@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import os
+import time
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
 
 _DEFAULT_GIB = 4.0
+_OLD = 3600.0  # seconds after which nobody writes a file any more
 
 
 def folder() -> Path:
@@ -54,7 +56,7 @@ def cached(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, 
     """
     import numpy as np  # which `isas doctor` need not wait for
 
-    path = folder() / f"{key}.npz"
+    path, most = folder() / f"{key}.npz", limit()
     try:
         with np.load(path) as stored:
             found = {name: stored[name] for name in stored.files}
@@ -68,7 +70,7 @@ def cached(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, 
     with contextlib.suppress(OSError, IsasError):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, lambda temporary: _save(temporary, arrays))
-        _shrink(limit(), keep=path)
+        _shrink(most, keep=path)
     return arrays
 
 
@@ -94,6 +96,10 @@ def _entries() -> list[tuple[Path, os.stat_result]]:
 
 
 def _shrink(most: int, keep: Path) -> None:
+    for left_over in folder().glob(".*.tmp"):  # of a process that was killed while it wrote
+        with contextlib.suppress(OSError):
+            if time.time() - left_over.stat().st_mtime > _OLD:
+                left_over.unlink()
     entries = _entries()
     held = sum(stat.st_size for _, stat in entries)
     for path, stat in entries:

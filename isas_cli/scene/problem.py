@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..runtime.cache import digest
 from ..scene.views import Views
 from ..unknowns.parameters import own
 from ..unknowns.unknowns import Unknowns
@@ -66,7 +67,8 @@ class Problem:
         mask = np.ones(self.views.total, np.float32) if self.mask is None else np.array(self.mask)
         factors = weights.of_views(given, np.split(mask, np.cumsum(counts)[:-1]))
         mask = own(mi.Float, mask * np.repeat(factors, counts).astype(np.float32))
-        self.set_targets(self.targets, mask, self.target_hash)
+        weighed = digest("weights", self.target_hash, [float(each) for each in factors])
+        self.set_targets(self.targets, mask, weighed)
 
     def pixels(self, views: tuple[int, ...]) -> np.ndarray:
         """The pixels of some views, ``uint32``, view after view."""

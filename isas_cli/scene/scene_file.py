@@ -17,19 +17,18 @@ from . import (
 
 # Which replaying integrator stands for which of the file's.
 _REPLAY = {
-    "path": "prb",
-    "direct": "prb",
-    "prb": "prb",
-    "prb_basic": "prb",
-    "direct_projective": "prb",
-    "prb_projective": "prb",
-    "volpath": "prbvolpath",
-    "volpathmis": "prbvolpath",
-    "prbvolpath": "prbvolpath",
-    "emission": "emission",
+    "path": ("prb", -1),
+    "direct": ("prb", 2),
+    "prb": ("prb", 6),
+    "prb_basic": ("prb", 6),
+    "direct_projective": ("prb", 2),
+    "prb_projective": ("prb", 6),
+    "volpath": ("prbvolpath", -1),
+    "volpathmis": ("prbvolpath", -1),
+    "prbvolpath": ("prbvolpath", 6),
+    "emission": ("emission", None),
 }
-# `direct` traces one bounce: camera, surface, light.
-_DIRECT_DEPTH = 2
+_DIRECT = 2  # camera, surface, light: whatever the file says
 
 
 def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str]:
@@ -105,15 +104,17 @@ def _integrator(state, path: str, max_depth: int | None) -> mi.Integrator:
                 f"scene.path={path}: integrator '{kind}' has no path replay counterpart here; "
                 f"valid: {', '.join(_REPLAY)}"
             )
-        described["type"] = _REPLAY[kind]
+        described["type"], usual = _REPLAY[kind]
         # Without a medium the radiance is the same, and paths between surfaces can be planned.
         if not any(other.type == mi.ObjectType.Medium for other in state.nodes):
             described["type"] = "prb"
         for name in ("max_depth", "rr_depth", "hide_emitters"):
             if name in node.props:
                 described[name] = node.props[name]
-        if kind == "direct":
-            described["max_depth"] = _DIRECT_DEPTH
+        if usual == _DIRECT:
+            described["max_depth"] = _DIRECT
+        elif usual is not None:
+            described.setdefault("max_depth", usual)
     if max_depth is not None:
         described["max_depth"] = max_depth
     elif described["type"] != "emission":  # whose paths have no depth

@@ -45,7 +45,7 @@ class Grid(Kind):
         if ".albedo." in key:
             self.range, self.unit = _ALBEDO, "albedo"
         elif ".sigma_t." in key:
-            self.range, self.unit = _DENSITY, "1/scene unit"
+            self.range, self.unit = _DENSITY, "1 / scene unit"
         # Down to two points along the longest side.
         self.doublings = max(0, (max(self.present.shape[:3]) - 1).bit_length() - 1)
 

@@ -38,11 +38,6 @@ class Unknown:
         return self.kind.key
 
     @property
-    def period(self) -> float | None:
-        """After which a value means the same again (an angle's 360), or None."""
-        return self.kind.period
-
-    @property
     def scale(self) -> float:
         """The size, in the unknown's unit, of what it is added to in the scene."""
         return self.kind.scale

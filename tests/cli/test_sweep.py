@@ -157,6 +157,12 @@ def test_interrupted_and_killed_jobs_go_on_where_they_were(isas):
     assert first.summary["status"] == "interrupted"
     assert len(list(folder.parent.iterdir())) == 1  # nothing of the second job
 
+    with pytest.MonkeyPatch.context() as patched:  # a resumption that is refused costs nothing
+        patched.setattr(worker, "run", lambda *unused: Report(2, "another machine"))
+        status, _, err = isas(*settings, "budget.seconds=3", "-m", "seed=1")
+    assert status == 2 and "another machine" in err
+    assert records.load(folder).summary == first.summary
+
     process, _ = begin(*sweep)
     while "resumed" not in json.loads((folder / "manifest.json").read_text()):
         assert process.poll() is None, process.stderr.read()

@@ -147,6 +147,7 @@ def test_all_samplers_are_the_default_and_the_references_come_first():
         (["sampler=ours"], "samplers=[A,B]"),
         (["sampler.floor=0.1"], "samplers=[A,B]"),
         (["budget.seconds=3"], "no use for it"),
+        (["prior=smoothness"], "no use for it"),
         (["+evaluation.count=3"], "no use for it"),
         (["frames.spp=3"], "no use for it"),
         (["optimizer.lt=1"], "did you mean 'optimizer.lr'"),

@@ -132,6 +132,39 @@ def test_evaluating_more_often_changes_nothing():
     assert np.abs(ends[0] - ends[1]).max() < 1e-5
 
 
+class Learns(TwoPath):
+    """Counts its steps."""
+
+    def __init__(self, *given):
+        super().__init__(*given)
+        self.memory = [mi.Float(0)]
+
+    def estimate(self, *given):
+        self.memory = [self.memory[0] + 1]
+        return super().estimate(*given)
+
+
+def test_what_an_estimator_learns_is_each_runs_own():
+    p, loss, sampler = problem({TEXTURE: 0.5}), losses.L2(), Uniform()
+    sampler.prepare(p, loss, 256)
+    estimator, evaluator = Learns(p, loss, 256), Evaluator(p, loss, 64, 2, 1)
+    loops = []
+    for iterations in (3, 5):
+        stepper = Stepper(p.unknowns, OptimizerConfig(lr=0.05))
+        budget = Budget(iterations=iterations)
+        loops.append(Loop(p, sampler, stepper, evaluator, budget, estimator, 1, 2))
+        loops[-1].rehearse()
+    for each in loops:
+        each.begin(Hooks())
+    while not all([each.advance(Hooks(), 0.0) for each in loops]):
+        pass
+    saved = [each.export() for each in loops]
+    p.unknowns.write(p.unknowns.starts())
+    assert [arrays["met/0"][0] for arrays, _ in saved] == [3, 5]
+    loops[0].restore(*saved[1])
+    assert loops[0].export()[0]["met/0"][0] == 5
+
+
 def test_same_seed_same_run_other_seed_other_run():
     ends = []
     for seed in (1, 1, 2):

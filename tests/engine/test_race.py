@@ -195,6 +195,11 @@ def test_an_interrupted_race_goes_on(tmp_path, capsys):
         run = records.load(history.parent)
         assert run.summary["status"] == "done" and run.summary["iterations"] == more
         assert run.manifest["resumed"][0]["command"][1:3] == ["race", f"resume={folder}"]
+    # Killed between its manifest and its first checkpoint: it has no step yet, and begins.
+    for name in ("history.csv", "summary.json", "checkpoint/state.npz"):
+        (histories[0].parent / name).unlink()
+    assert app.main(["race", f"resume={folder}", f"budget.iterations={more}"]) == 0
+    assert records.load(histories[0].parent).summary["iterations"] == more
     capsys.readouterr()
     assert app.main(["race", f"resume={folder}"]) == 2
     assert "spent" in capsys.readouterr().err

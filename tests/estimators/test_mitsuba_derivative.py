@@ -77,6 +77,21 @@ def test_what_is_no_shape_cannot_be_moved_by_mitsubas_derivative(moved, smooth):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize("smooth", (None, "image", "loss"))
+def test_paths_are_counted_as_they_are_traced(smooth, monkeypatch):
+    p, render, traced = blurred_problem(glows=True), mi.render, []
+
+    def counted(*given, sensor, spp, **more):
+        width, height = p.film_sizes[sensor]
+        traced.append((spp + more.get("spp_grad", 0)) * width * height)
+        return render(*given, sensor=sensor, spp=spp, **more)
+
+    monkeypatch.setattr(mi, "render", counted)
+    estimator = WholeImages(p, losses.L2(), 2 * BATCH, smooth, silhouettes="direct")
+    rows(estimator, p, 1)
+    assert sum(traced) == estimator.paths_per_step
+
+
 def test_mitsuba_prints_nothing_on_standard_output(capfd):
     p = blurred_problem(glows=True)
     rows(WholeImages(p, losses.L2(), 2 * BATCH, silhouettes="direct"), p, 1)

@@ -208,6 +208,32 @@ def test_frozen_kernels_see_every_update():
     np.testing.assert_allclose(*steps, atol=2e-3 * np.abs(steps[1]).max())
 
 
+def test_what_a_run_met_is_its_own():
+    """Steps of one run with another's in between, on one estimator, are those without."""
+    p = problem(views=2, side=16)
+    chosen = Settings(batch=1024, edges=1024)
+    estimator = chosen.made(chosen.on(p), losses.L2())
+    uniform = PixelDistribution.uniform(Tiles.over(p.views))
+    values = p.unknowns.values_of({KEY: egg(p)})
+
+    def steps(memory: list, first: int) -> tuple[np.ndarray, list]:
+        estimator.memory = memory
+        for i in range(first, first + 2):
+            gradient = estimator.estimate(values, uniform, 1, i, 0.0)[KEY]
+        return np.array(gradient), estimator.memory
+
+    fresh = estimator.memory
+    _, met = steps(fresh, 0)
+    alone, _ = steps(met, 2)
+    steps(fresh, 7)
+    again, _ = steps(met, 2)
+    forgotten, _ = steps(fresh, 2)
+    p.unknowns.write(p.unknowns.starts())
+    noise = 1e-4 * np.abs(alone).max()  # threads add in another order
+    np.testing.assert_allclose(again, alone, atol=noise)
+    assert np.abs(forgotten - alone).max() > 10 * noise
+
+
 def test_a_pose_of_a_mesh():
     """Beside an unknown colour, whose gradient is that of path replay alone."""
     colour, x = "figure.bsdf.reflectance.value", np.float32(0.1)

@@ -224,7 +224,8 @@ def test_a_biased_estimator_is_flagged_and_an_honest_one_is_not(small, seed, est
     honest.run(contestants, 192, lambda rounds: None)
     done: list[int] = []
     other.run(ours, 192, lambda rounds: done.__setitem__(slice(None), rounds))
-    found = {row["sampler"]: row for row in rows([*contestants, *ours], done, Results(256, None))}
+    table = rows([*contestants, *ours], done, Results(256, 512, None))
+    found = {row["sampler"]: row for row in table}
     for name in (GRADIENT, "ours"):
         print(estimator.__name__, name, found[name]["bias_z"], found[name]["bias_p"])
         assert biased(found[name]) == (estimator is WithoutWeights)
@@ -244,7 +245,7 @@ def test_rounds_turn_and_an_interrupted_one_is_left_out(small):
     asked = iter([False] * 10 + [True] * 9)
     done = made.run(contestants, 200, lambda rounds: seen.append(sum(rounds)), lambda: next(asked))
     assert not done and seen == [4] and order == [UNIFORM, "same", "same"]
-    table = rows(contestants, [4], Results(64, None))
+    table = rows(contestants, [4], Results(64, 128, None))
     # The same pmf and the same random numbers: the same estimates, but for the order in which
     # threads add to a gradient.
     assert table[1]["ratio_to_uniform"] == pytest.approx(1, rel=1e-5)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pandas
 import pytest
@@ -61,6 +63,22 @@ def test_twice_as_fast_is_a_speed_up_of_two(tmp_path):
     assert not found.loc["ours", "at_most"]
     low, high = found.loc["ours", ["speed_up_low", "speed_up_high"]]
     assert low == pytest.approx(2) and high == pytest.approx(2)
+
+
+def test_a_baseline_that_is_worse_than_its_start_at_first_leaves_ratios_finite(
+    tmp_path, monkeypatch
+):
+    """A level above the start would be reached at no cost."""
+
+    def overshoot(speed: float) -> np.ndarray:
+        error = (speed * SECONDS[1:]) ** -0.5
+        return np.concatenate([[1.0], np.where(SECONDS[1:] < 5, 1.5, error)])
+
+    monkeypatch.setattr(sys.modules[__name__], "law", overshoot)
+    speeds = {"uniform": [2.0] * 3, "ours": [3.0] * 3}
+    recorded(tmp_path, {"bowl": speeds, "pottery": speeds})
+    found = table(tmp_path)
+    assert np.isfinite(found["speed_up"]).all() and found.loc["ours", "speed_up"] >= 1
 
 
 def test_speeds_of_scenes_have_a_geometric_mean(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import subprocess
 import sys
@@ -162,6 +163,13 @@ def test_a_run_that_was_killed_is_reported_from_its_history(tmp_path, count):
     assert ("before its first evaluation" in checker.text) == (count == 0)
     if count == 5:
         assert f"{4 * 131072:,}" in checker.text and f"{0.3 * 0.8**4:.4g}" in checker.text
+
+
+def test_a_job_whose_process_died_is_reported_from_its_history(tmp_path):
+    evaluate(begin(tmp_path), 5)
+    died = {"schema": 1, "status": "failed", "error": "killed by signal 9", "killed": True}
+    (tmp_path / "summary.json").write_text(json.dumps(died))
+    assert f"{0.3 * 0.8**4:.4g}" in check(report.write(tmp_path)).text
 
 
 def test_a_numerical_failure_is_reported_with_its_non_finite_values(tmp_path):

@@ -159,6 +159,7 @@ def test_threads_are_set(machine):
 
     try:
         assert backend.start(machine.variant, threads=1).threads == 1
+        assert backend.start(machine.variant).threads == backend._every_thread(), "0: all"
     finally:
         dr.set_thread_count(machine.threads)
 

@@ -48,6 +48,16 @@ def test_a_damaged_entry_is_made_anew(folder):
     assert cache.cached("a", lambda: {})["x"].tolist() == [1, 1]
 
 
+def test_what_a_killed_process_left_goes(folder):
+    stored("a", 1000.0)
+    old, fresh = folder / ".b.npz.1.tmp", folder / ".c.npz.2.tmp"
+    for each in (old, fresh):
+        each.write_bytes(b"half")
+    os.utime(old, (1, 1))
+    stored("d", 1000.0)
+    assert not old.exists() and fresh.exists()
+
+
 @pytest.mark.parametrize("text", ("much", "-1", "nan", "inf"))
 def test_a_limit_that_is_no_number_is_refused(monkeypatch, text):
     monkeypatch.setenv("ISAS_CACHE_GIB", text)

@@ -246,6 +246,24 @@ def test_the_depth_is_the_files_unless_given(folder):
     assert "max_depth = 5" in str(scene_file.load("own/deep.xml", 5)[1])
 
 
+ANY = 2**32 - 1  # edges
+
+
+@pytest.mark.parametrize(
+    "kind, depth",
+    [
+        ("direct", 2),
+        ("direct_projective", 2),
+        ("prb", 6),
+        ("prb_projective", 6),
+        ("path", 2**32 - 1),
+    ],
+)
+def test_what_the_file_leaves_open_is_as_mitsuba_has_it(folder, kind, depth):
+    (folder / "own" / "it.xml").write_text(xml(integrator=kind))
+    assert scene_file.load("own/it.xml", None)[1].max_depth == depth
+
+
 FOG = '<medium type="homogeneous" id="fog"><float name="sigma_t" value="0.1"/></medium>'
 
 

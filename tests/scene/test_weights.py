@@ -55,7 +55,9 @@ def test_the_gradient_is_the_weighted_mean_of_the_views_own():
         mask = np.repeat([view == 0, view == 1], p.views.total // 2).astype(np.float32)
         p.set_targets(p.targets, mi.Float(mask), "test")
         single.append(gradient(p))
+    unweighed = both.target_hash
     both.weigh([3, 1])
+    assert both.target_hash != unweighed, "runs of other weights are another problem"
     whole = gradient(both)
     wanted = 0.75 * single[0].mean(0) + 0.25 * single[1].mean(0)
     error = np.sqrt(whole.var(0) + single[0].var(0) + single[1].var(0)) / np.sqrt(60)

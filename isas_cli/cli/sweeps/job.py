@@ -140,7 +140,8 @@ def supervise(
         one.remove_empty(job.folder)
     else:
         status = "failed"
-        if found not in (DONE, OTHER) or stamp(job.folder) != before:
+        # What is unfinished and was refused stays so: as a failure it would be begun anew.
+        if found not in (DONE, OTHER, UNFINISHED) or stamp(job.folder) != before:
             record_failure(job, report, begun=stamp(job.folder) != before)
     return outcome(job.label, job.folder, status, report.status, report.error)
 

@@ -77,6 +77,11 @@ def run(plan: Plan) -> int:
                 f"estimator={plan.common.estimator.name}: variances are measured of path replay's "
                 "gradient: leave it out"
             )
+        if estimator.blurred:
+            raise InputError(
+                "estimator.blurred=true: isas variance measures the gradient of the sharp loss: "
+                "leave it out"
+            )
         # The papers' estimator: what a pixel contributes, and so the best pmf, is known of it.
         estimator = replace(estimator, crossed=False)
         problem = estimator.on(built(typed, phases, plan.cfgs.values()))
@@ -154,7 +159,8 @@ class _Record:
 
         self.table: list[dict] = []
         self._open()
-        results = Results(self.typed.estimator["batch"], self.best)
+        paths = self.bench.estimator.paths_per_step
+        results = Results(self.typed.estimator["batch"], paths, self.best)
 
         def finished(rounds: list[int]) -> None:
             self.table = rows(self.contestants, rounds, results)

@@ -39,6 +39,7 @@ class Results:
     """What ``table`` needs to know of the measurement besides the contestants."""
 
     batch: int
+    paths: int  # of an estimate
     best: Best | None
 
 
@@ -115,7 +116,7 @@ def _row(
         "seconds_step": step,
         "seconds_look": look,
         "looks_per_estimate": share,
-        "paths_per_estimate": 2 * results.batch + share * contestant.paths_per_look,
+        "paths_per_estimate": results.paths + share * contestant.paths_per_look,
         "nonfinite": contestant.tally.nonfinite,
         "repeats": repeats,
         "batch": results.batch,

@@ -160,7 +160,7 @@ def _failed(summary: dict) -> str:
 def _unusable(run: Run) -> str | None:
     """Why a run that could be read cannot be compared."""
     summary, history = run.summary or {}, run.history
-    if summary.get("status") == "failed":
+    if summary.get("status") == "failed" and not summary.get("killed"):
         return _failed(summary)
     missing = [c for c in ("iteration", *AXES, *MEASURES) if c not in history.columns]
     if missing:

@@ -15,14 +15,14 @@ AXES = ("seconds", "paths")
 @dataclass(frozen=True)
 class Series:
     """A run's error at its evaluations: ``error (rows,)`` above 0, ``cost[axis] (rows,)``
-    non-decreasing, row 0 the start, which costs nothing."""
+    non-decreasing, row 0 the start, which costs nothing but what measured the plan."""
 
     seed: int | None
     error: np.ndarray
     cost: dict[str, np.ndarray]
 
     def at(self, x: np.ndarray, axis: str) -> np.ndarray:
-        """The error at costs ``x``, NaN beyond the last evaluation.
+        """The error at costs ``x``: the start's before the first row, NaN beyond the last.
 
         Between evaluations log error is linear in log cost, which is exact for a power law; in
         the first gap, where the logarithm of the start's cost is not finite, in cost itself.
@@ -34,6 +34,7 @@ class Series:
             share = np.where(begin > 0, np.log(x / begin) / np.log(end / begin), x / end)
         share = np.where(begin == end, 1.0, share)
         error = np.exp(log_error[row] + share * (log_error[row + 1] - log_error[row]))
+        error = np.where(x < cost[0], self.error[0], error)
         return np.where(x > cost[-1], np.nan, error)
 
     def reached(self, level: float, axis: str) -> float:

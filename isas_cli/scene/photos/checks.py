@@ -90,7 +90,8 @@ def _reproject(view: View, described: Camera, photographs: Photographs) -> None:
         # Where they were found lies behind the lens, as the photograph does.
         seen, _ = described.project(points[observed[0]])
         apart = observed[1] - seen
-        observed = observed[0], expected[observed[0]]
+        scale = np.array([shown.fx / described.fx, shown.fy / described.fy])
+        observed = observed[0], expected[observed[0]] + apart * scale
     if len(observed[0]):
         view.points = observed
         view.apart = float(np.sqrt((apart**2).sum(axis=1).mean()))
