@@ -275,7 +275,10 @@ class Loop:
         none."""
         if self._distribution is None:
             self._look(iteration)
-        return self._estimate(iteration)
+        before = self._memory
+        found = self._estimate(iteration)
+        self._memory = before
+        return found
 
     def _spread(self) -> None:
         """From the cells' weights to the distribution that draws follow."""

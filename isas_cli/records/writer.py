@@ -63,9 +63,8 @@ class RunWriter:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._claim()
-            if found := [name for name in _RECORD_FILES if (self.folder / name).exists()]:
-                # Settings alone are those of a run that was killed before its first step.
-                if not overwrite and found != ["config.yaml"]:
+            if any((self.folder / name).exists() for name in _RECORD_FILES):
+                if not overwrite:
                     message = "already holds a run; choose another folder with hydra.run.dir=DIR"
                     raise InputError(f"{self.folder} {message}")
                 for pattern in _RECORD_FILES + _MADE_FILES + _LEFT_OVER:
