@@ -3,6 +3,7 @@ its best with the others."""
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
@@ -10,22 +11,35 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pandas
+import yaml
+
+from isas_cli import records
 
 
 def race(
     scene: str,
     folder: Path,
     settings: list[str],
-    contestants: Iterable[dict],
+    contestants: list[tuple[str, dict]],
     seeds: list[int],
     seconds: float,
-) -> None:
-    """`isas race` of ``contestants``, settings by name each, ``seconds`` billed a run."""
-    listed = [",".join(f"{k}:{v}" for k, v in each.items()) for each in contestants]
+    row: Callable[[records.Run], dict],
+) -> pandas.DataFrame:
+    """`isas race` of ``contestants``, names with settings, ``seconds`` billed a run. A row a run,
+    in their order: what it was, its folder, its history, and what ``row`` tells of it."""
+    listed = [",".join(f"{k}:{v}" for k, v in own.items()) for _, own in contestants]
     command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *settings]
     command += [f"budget.seconds={seconds}", f"seed=[{','.join(map(str, seeds))}]"]
     command += ["contestants=[" + ",".join(f"{{{each}}}" for each in listed) + "]"]
     subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
+    planned = yaml.safe_load((folder / "race.yaml").read_text(encoding="utf-8"))["entries"]
+    rows = []
+    entries = itertools.product(contestants, seeds)
+    for ((name, own), seed), entry in zip(entries, planned, strict=True):
+        run = records.load(folder / entry["folder"])
+        told = {"scene": scene, "method": name, "factor": own["optimizer.factor"], "seed": seed}
+        rows.append(told | {"folder": run.folder, "history": run.history} | row(run))
+    return pandas.DataFrame(rows)
 
 
 def judged(
@@ -36,24 +50,25 @@ def judged(
     factors: Iterable[float],
     seeds: list[int],
     seconds: float,
-    runs: Callable[[Path, str], pandas.DataFrame],
+    row: Callable[[records.Run], dict],
     measure: str,
-    by: str = "method",
 ) -> tuple[pandas.DataFrame, pandas.DataFrame]:
-    """The runs of ``contestants``, settings by what they have in the column ``by`` of ``runs``:
-    with the first seed at each of the ``factors`` on their rates; with the others, each at that
-    with the least ``measure``."""
-    every = [m | {"optimizer.factor": f} for m in contestants.values() for f in factors]
-    race(scene, root / "rates", settings, every, seeds[:1], seconds)
-    first = runs(root / "rates", scene)
-    best = first.loc[first.groupby(by, sort=False)[measure].idxmin()]
-    pairs = [contestants[k] | {"optimizer.factor": f} for k, f in zip(best[by], best["factor"])]
-    race(scene, root / "seeds", settings, pairs, seeds[1:], seconds)
-    return first, runs(root / "seeds", scene)
+    """The runs of ``contestants``, settings by name: with the first seed at each of the ``factors``
+    on their rates; with the others, each at that with the least ``measure``. See ``race``."""
+
+    def at(name: str, factor: float) -> tuple[str, dict]:
+        return name, contestants[name] | {"optimizer.factor": factor}
+
+    every = [at(name, factor) for name in contestants for factor in factors]
+    first = race(scene, root / "rates", settings, every, seeds[:1], seconds, row)
+    best = first.loc[first.groupby("method", sort=False)[measure].idxmin()]
+    chosen = [at(*pair) for pair in zip(best["method"], best["factor"])]
+    return first, race(scene, root / "seeds", settings, chosen, seeds[1:], seconds, row)
 
 
 def write(path: Path, rows: pandas.DataFrame) -> None:
     """Rows of some scenes; those of scenes that were not measured now stay."""
+    rows = rows.drop(columns=["history", "folder"], errors="ignore")
     if path.exists():
         before = pandas.read_csv(path)
         rows = pandas.concat([before[~before["scene"].isin(rows["scene"])], rows])
@@ -61,14 +76,18 @@ def write(path: Path, rows: pandas.DataFrame) -> None:
 
 
 def draw(
-    found: pandas.DataFrame, path: Path, measure: str, label: str, dotted: str | None = None
+    found: pandas.DataFrame,
+    path: Path,
+    measure: str,
+    label: str,
+    dotted: str | tuple[str, ...] = (),
 ) -> None:
     """Histories of ``measure`` against billed time, a line a run; dotted those whose method's name
-    ends so."""
+    ends so, or so."""
     figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
     for number, (name, own) in enumerate(found.groupby("method", sort=False)):
         for place, history in enumerate(own["history"]):
-            style = ":" if dotted and name.endswith(dotted) else "-"
+            style = ":" if name.endswith(dotted) else "-"
             shown = {"color": f"C{number}", "label": name if place == 0 else None}
             ax.plot(history["seconds"], history[measure], style, **shown)
     title = found["scene"].iloc[0]

@@ -30,7 +30,6 @@ class Sides:
 
     def __init__(self, problem, cfg, batch: int, name: str, overrides: list[str]):
         import drjit as dr
-
         from mitsuba.python.ad.integrators.common import RBIntegrator
 
         from isas_cli import losses

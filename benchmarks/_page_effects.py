@@ -15,7 +15,7 @@ def facts(results: Path) -> dict:
     table = pandas.read_csv(results / "effects.csv")
     scenes = []
     for scene, rows in table.groupby("scene", sort=False):
-        of = {row["plan"]: row for row in rows.to_dict("records")}
+        of = {row["method"]: row for row in rows.to_dict("records")}
         full = of["full"]
         scenes.append(
             {
@@ -32,7 +32,7 @@ def facts(results: Path) -> dict:
             words: [s["name"] for s in scenes if s["verdict"].get(plan) == words]
             for words in ("better", "worse", "alike")
         }
-        for plan in ("auto",)
+        for plan in ("auto", "staged")
     }
     across = pandas.read_csv(results / "effects_across.csv")
     (auto,) = (
@@ -43,9 +43,8 @@ def facts(results: Path) -> dict:
     return {
         "spending": _spending(pandas.read_csv(results / "steps_or_paths.csv")),
         "across": auto,
-        "unprobed": [s["name"] for s in scenes if s["seconds"] < 10],
         "scenes": scenes,
-        "seeds": int(table.loc[table["plan"] == "auto", "seeds"].max()),
+        "seeds": int(table["seeds"].max()),
         "median": float(pandas.Series(times).median()),
         "verdicts": verdicts,
     }
@@ -71,9 +70,6 @@ def _row(row: dict, full: dict) -> dict:
 
 
 def _time(share: float) -> str:
-    """NaN: of an earlier commit, and so of another goal."""
-    if math.isnan(share):
-        return "–"
     return f"{share:.2f}" if math.isfinite(share) else "not reached"
 
 

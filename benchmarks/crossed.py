@@ -125,17 +125,11 @@ def methods() -> dict[str, dict]:
     }
 
 
-def runs(folder: Path, scene: str) -> pandas.DataFrame:
-    rows = []
-    for path in sorted(folder.rglob("summary.json")):
-        run = records.load(path.parent)
-        last, side = run.history.iloc[-1], run.config["estimator"]["crossed"]
-        row = {"scene": scene, "sampler": run.config["sampler"]["name"], "crossed": side}
-        row["method"] = f"{row['sampler']}, {'crossed' if side else 'one way'}"
-        row |= {"factor": run.config["optimizer"]["factor"], "seed": run.config["seed"]}
-        row |= {name: last[name] for name in ("image_rmse", "parameter_rmse", "iteration")}
-        rows.append(row | {"history": run.history})
-    return pandas.DataFrame(rows)
+def measured(run: records.Run) -> dict:
+    last = run.history.iloc[-1]
+    found = {"sampler": run.config["sampler"]["name"]}
+    found["crossed"] = run.config["estimator"]["crossed"]
+    return found | {name: last[name] for name in (*MEASURES, "iteration")}
 
 
 def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
@@ -180,7 +174,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory(prefix="isas-crossed-") as root:
             where = scene, Path(root), [*SETTINGS, *settings_of(scene)], methods(), FACTORS
             by = MEASURES[lights is not None]
-            _, judged = _contest.judged(*where, chosen.seeds, seconds, runs, by)
+            _, judged = _contest.judged(*where, chosen.seeds, seconds, measured, by)
             made = table(judged, seconds)
         print(made.round(3).to_string(index=False), flush=True)
         _contest.write(RESULTS / "crossed.csv", made)

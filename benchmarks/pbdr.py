@@ -65,55 +65,25 @@ def methods(scene: str) -> dict[str, dict]:
     return {**parts, PLAIN: ours, **others}
 
 
-def name_of(config: dict, scene: str) -> str:
-    """Of the method that a run's configuration is."""
-    sampler = config["sampler"]["name"]
-    if sampler != "ours":
-        return STOCK if sampler == "mitsuba" else sampler
-    own = "smooth" in config["prior"], config["optimizer"]["smoothing"] > 0
-    for name, settings in methods(scene).items():
-        if settings["sampler"] == sampler and own == (
-            "prior" in settings,
-            "optimizer.smoothing" in settings,
-        ):
-            return name
-    raise ValueError(f"no method of {scene}: {config}")
-
-
-def runs(folder: Path, scene: str) -> pandas.DataFrame:
-    """A row per run, in the order of ``methods``."""
-    rows = []
-    for path in sorted(folder.rglob("summary.json")):
-        run = records.load(path.parent)
-        history = run.history
-        first, last = history.iloc[0], history.iloc[-1]
-        errors = {key: last[f"parameter_rmse/{key}"] for key in run.config["scene"]["unknowns"]}
-        materials = {k: v for k, v in errors.items() if k.partition(".")[0] not in LIGHTS}
-        colours = [k for k in materials if any(w in k for w in ("diffuse", "color", "reflectance"))]
-        rough = [k for k in materials if any(w in k for w in ("roughness", "alpha"))]
-        counted = history.assign(seconds=history["iteration"])
-        rows.append(
-            {
-                "scene": scene,
-                "method": name_of(run.config, scene),
-                "factor": run.config["optimizer"]["factor"],
-                "seed": run.config["seed"],
-                "history": history,
-                "folder": path.parent,
-                "start": first[ERROR],
-                ERROR: last[ERROR],
-                "re": 3 * last[ERROR] ** 2,
-                "mpea": np.mean(np.square(list(materials.values()))),
-                "cs": reached(counted, np.sqrt(1.1) * last[ERROR], ERROR),
-                "gn": history["gradient_noise"].mean(),
-                "colour": np.mean([last.get(f"value/{k}/scaled", errors[k]) for k in colours]),
-                "roughness": np.mean([errors[k] for k in rough]),
-                "iterations": int(last["iteration"]),
-            }
-        )
-    found = pandas.DataFrame(rows)
-    found["method"] = pandas.Categorical(found["method"], list(methods(scene)), ordered=True)
-    return found.sort_values(["method", "seed"]).astype({"method": str})
+def measured(run: records.Run) -> dict:
+    history = run.history
+    first, last = history.iloc[0], history.iloc[-1]
+    errors = {key: last[f"parameter_rmse/{key}"] for key in run.config["scene"]["unknowns"]}
+    materials = {k: v for k, v in errors.items() if k.partition(".")[0] not in LIGHTS}
+    colours = [k for k in materials if any(w in k for w in ("diffuse", "color", "reflectance"))]
+    rough = [k for k in materials if any(w in k for w in ("roughness", "alpha"))]
+    counted = history.assign(seconds=history["iteration"])
+    return {
+        "start": first[ERROR],
+        ERROR: last[ERROR],
+        "re": 3 * last[ERROR] ** 2,
+        "mpea": np.mean(np.square(list(materials.values()))),
+        "cs": reached(counted, np.sqrt(1.1) * last[ERROR], ERROR),
+        "gn": history["gradient_noise"].mean(),
+        "colour": np.mean([last.get(f"value/{k}/scaled", errors[k]) for k in colours]),
+        "roughness": np.mean([errors[k] for k in rough]),
+        "iterations": int(last["iteration"]),
+    }
 
 
 MEASURES = ("re", "mpea", "cs", "gn", "colour", "roughness")
@@ -151,9 +121,7 @@ def elsewhere(row: pandas.Series) -> dict[str, float]:
         for each in (unknowns.truths(), values):
             unknowns.write(each)
             views = range(len(scene.sensors()))
-            pictures.append(
-                [np.array(mi.render(scene, sensor=v, spp=SPP, seed=v)) for v in views]
-            )
+            pictures.append([np.array(mi.render(scene, sensor=v, spp=SPP, seed=v)) for v in views])
         each = [
             likeness.metrics(image, truth, np.ones(truth.shape[:2]))
             for truth, image in zip(*pictures)
@@ -206,7 +174,6 @@ def _views(scene: str) -> dict:
 
 def _light(scene: str, made: dict) -> dict:
     import mitsuba as mi
-
     from isas_cli.scenes import library
 
     if scene != "room_joint":
@@ -231,14 +198,14 @@ def main() -> None:
             contestants = methods(scene)
             first, found = _contest.judged(
                 *(scene, Path(root), SETTINGS + MORE.get(scene, []), contestants, FACTORS),
-                *(chosen.seeds, seconds, runs, ERROR),
+                *(chosen.seeds, seconds, measured, ERROR),
             )
             _contest.draw(found, RESULTS / f"pbdr_{scene}.png", ERROR, "image error")
             # After each scene: what is measured survives what follows.
             made = table(found, seconds)
         print(made.to_string(index=False), flush=True)
         _contest.write(RESULTS / "pbdr.csv", made)
-        _contest.write(RESULTS / "pbdr_rates.csv", first.drop(columns=["history", "folder"]))
+        _contest.write(RESULTS / "pbdr_rates.csv", first)
         pages.write()
 
 

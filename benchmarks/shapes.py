@@ -58,44 +58,12 @@ SETTINGS = ["evaluation.count=6", "frames.views=0", "frames.snapshots=0", "repor
 SETTINGS += ["optimizer.schedule=cosine", "optimizer.final=0.1"]
 
 
-def name_of(config: dict, scene: str) -> str:
-    """Of the method that a run's configuration is."""
-    estimator = config["estimator"]
-    if estimator["name"] != OURS:
-        return STOCK
-    for name, settings in methods(scene).items():
-        own = {k.partition(".")[2]: v for k, v in settings.items() if k.startswith("estimator.")}
-        own["adaptive"] = own.get("adaptive") != "false"
-        own.pop("batch")
-        if config["sampler"]["name"] == settings["sampler"] and all(
-            estimator[key] == value for key, value in own.items()
-        ):
-            return name
-    raise ValueError(f"no method of {scene}: {config}")
-
-
-def runs(folder: Path, scene: str) -> pandas.DataFrame:
-    rows = []
-    for path in sorted(folder.rglob("summary.json")):
-        run = records.load(path.parent)
-        last = run.history.iloc[-1]
-        row = {
-            "scene": scene,
-            "method": name_of(run.config, scene),
-            "factor": run.config["optimizer"]["factor"],
-            "seed": run.config["seed"],
-            "batch": run.config["estimator"]["batch"],
-            "history": run.history,
-            "start": run.history[ERROR].iloc[0],
-            "chamfer": last[ERROR],
-            "outlines": last["value/outlines/overlap"],
-        }
-        row |= {name: last[f"value/figure.vertices/{name}"] for name in MEASURES}
-        row |= {"image_rmse": last["image_rmse"], "iterations": int(last["iteration"])}
-        rows.append(row)
-    found = pandas.DataFrame(rows)
-    found["method"] = pandas.Categorical(found["method"], list(methods(scene)), ordered=True)
-    return found.sort_values(["method", "seed"]).astype({"method": str})
+def measured(run: records.Run) -> dict:
+    last = run.history.iloc[-1]
+    found = {"start": run.history[ERROR].iloc[0], "chamfer": last[ERROR]}
+    found |= {name: last[f"value/figure.vertices/{name}"] for name in MEASURES}
+    found |= {"outlines": last["value/outlines/overlap"], "image_rmse": last["image_rmse"]}
+    return found | {"iterations": int(last["iteration"])}
 
 
 def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
@@ -170,9 +138,9 @@ def rebuilds(seeds: list[int], seconds: float) -> pandas.DataFrame:
     with tempfile.TemporaryDirectory(prefix="isas-shapes-") as root:
         _, found = _contest.judged(
             *("kirby", Path(root), SETTINGS, contestants, FACTORS, seeds, seconds),
-            *(runs, "chamfer", "batch"),
+            *(measured, "chamfer"),
         )
-        for batch, own in found.groupby("batch"):
+        for batch, own in found.groupby("method"):
             row = {"samples": batch / usual, "factor": own["factor"].iloc[0], "seeds": len(own)}
             row |= {"seconds": seconds, "iterations": own["iterations"].median()}
             row |= {"chamfer": own["chamfer"].median()}
@@ -209,12 +177,12 @@ def main() -> None:
             contestants = methods(scene)
             first, found = _contest.judged(
                 *(scene, Path(root), SETTINGS, contestants, FACTORS, chosen.seeds, chosen.seconds),
-                *(runs, "chamfer"),
+                *(measured, "chamfer"),
             )
             _contest.draw(found, RESULTS / f"shapes_{scene}.png", ERROR, "chamfer distance")
             # After each scene: what is measured survives what follows.
             _contest.write(RESULTS / "shapes.csv", table(found, chosen.seconds))
-            _contest.write(RESULTS / "shapes_rates.csv", first.drop(columns="history"))
+            _contest.write(RESULTS / "shapes_rates.csv", first)
             pages.write()
 
 

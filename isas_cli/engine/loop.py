@@ -142,6 +142,9 @@ class Loop:
                 self._look(iteration)
             gradients.append(self._estimate(iteration))
             self.stepper.step(gradients[-1], 0.0)
+        # Other unknowns move then, and other kernels take the step.
+        for share in {s for u in self.problem.unknowns for s in u.during if 0 < s < 1}:
+            self.stepper.step(gradients[-1], share)
         for share in getattr(self.estimator, "stages", ())[1:]:
             for i in range(_REHEARSAL_STEPS):
                 self._estimate(_REHEARSAL_BASE + i, share)
