@@ -85,7 +85,7 @@ CASES = [
         warns="folded",
     ),
     _shape(
-        *("out of view", "half of the mesh begins outside of the image", 0.4),
+        *("out of view", "half of the mesh begins outside of the image", 0.55),
         *(BALL_OF_TRIANGLES, _ball(along=np.array([1.1, 0, 0]))),
     ),
     _shape(
