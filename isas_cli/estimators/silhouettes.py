@@ -152,12 +152,12 @@ class ByShape:
 
     @property
     def memory(self) -> list[mi.Float]:
-        """What ``adaptive`` met so far: the state of one run, put back before its next step.
-        Copies, as a frozen kernel changes what it is given."""
-        return [mi.Float(each) for met in self._met() for each in met]
+        """What ``adaptive`` met so far: the state of one run, put back before its next step."""
+        return [each for met in self._met() for each in met]
 
     @memory.setter
     def memory(self, arrays: list[mi.Float]) -> None:
+        # Copies, as a frozen kernel changes what it is given.
         rest = iter(arrays)
         for met in self._met():
             met[:] = [mi.Float(next(rest)) for _ in met]
