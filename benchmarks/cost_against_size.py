@@ -7,12 +7,12 @@ The jar of pottery at a base of 4 views of 512², a texture of 256² texels, pat
     views                  flat
     N                      affine: launches, then a fixed cost per path
     texels T               affine: Adam visits every entry of value, gradient and moments
-    path depth             affine in the edges, from 2 on as long as paths are unrolled (up to 5);
+    path depth             affine in the edges, from 2 on as long as paths are unrolled (up to 8);
                            1 sees emitters only, with nothing to shade or differentiate; paths
-                           deeper than 5 are replayed, which traces the second one twice
+                           deeper than 8 are replayed, which traces the second one twice
 
 Flat lines go through the first point, the others are fitted (least squares of relative errors;
-depth: from 2 to 5). Points further than 20 % from their line are named. A process per
+depth: from 2 to 8). Points further than 20 % from their line are named. A process per
 point, all of one axis alive at once, measured in turns; a point is the median over the rounds with
 its range. The look of stage 1 is timed beside: its share is that in a run of 1,000 iterations.
 Writes results/cost_against_size.csv and .png.
@@ -88,11 +88,11 @@ def axes(quick: bool) -> list[Axis]:
         ),
         Axis(
             "depth",
-            each("depth", [1, 2, 3, 4, 5, 6, 8]),
+            each("depth", [1, 2, 3, 4, 6, 8, 10]),
             lambda p: p["depth"],
             "path depth",
             "affine",
-            (2, 5),
+            (2, 8),
         ),
     ]
 

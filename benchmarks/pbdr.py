@@ -2,7 +2,7 @@
 
 On each of three scenes: the full method (`ours`, with smoothed gradients and the prior on
 materials), the same without either part and without both, other samplers without both, and
-Mitsuba's own loop (`sampler=mitsuba`), at three factors on the scene's rates each with the first
+Mitsuba's own loop (`sampler=mitsuba`), at four factors on the scene's rates each with the first
 seed, then each at its best with three others, which alone are reported. Where all unknowns are
 numbers there is nothing to smooth over, and the methods that differ by it alone are left out. The
 paper's other rival, a mesh rasteriser, is left out throughout.
@@ -39,11 +39,12 @@ ERROR, FULL, PLAIN, STOCK = "image_rmse", "full", "ours", "Mitsuba's loop"
 SCENES = {"object_joint": 8.0, "room_joint": 8.0, "materials_joint": 6.0}  # billed seconds
 LIGHTS = ("sky", "lamp")
 SMOOTHING, WEIGHT = 0.02, 0.001
-FACTORS = (0.3, 1.0, 3.0)  # of the scene's rates
+FACTORS = (0.3, 1.0, 3.0, 10.0)  # of the scene's rates
 SETTINGS = ["estimator.batch=16384", "target.spp=256", "evaluation.count=24", "effects=full"]
 SETTINGS += ["evaluation.pixels=32768", "frames.views=0", "frames.snapshots=0", "report=false"]
 # Where an image's noise is larger than what runs leave of its error.
-MORE = {"materials_joint": ["evaluation.spp=16", "evaluation.count=12"]}
+QUIET = ["evaluation.spp=16", "evaluation.count=12"]
+MORE = {"materials_joint": QUIET, "room_joint": QUIET}
 SPP = 32  # of the pictures from elsewhere; result and truth with the same random numbers
 
 

@@ -18,6 +18,11 @@ from .neighbours import smoothed
 # Of a gradient's entry in units of ``Stepper.scale``: the square of a larger one is infinite, and a
 # second moment that was infinite once holds its entry still for good.
 _LARGEST = 1e18
+# Times the root mean square of an unknown's largest entries so far: larger ones are cut to it where
+# one number divides all. Derivatives by the place of a surface that is seen nearly edge on have no
+# finite variance (the hit moves by 1 / cos, and 1 / cos² has no mean over the pixels of something
+# round): one such path, early in a run, would slow every vertex for hundreds of steps.
+_OUTLIER = 4.0
 
 
 class Adam:
@@ -67,6 +72,8 @@ class Stepper:
       but for ε.
     - What has neighbours may have its gradient smoothed over them (``settings.smoothing``),
       less and less as the rate falls.
+    - Where one number divides all entries of an unknown, larger ones than ``_OUTLIER`` allows are
+      cut.
     - After the step, values are clamped to their legal ranges.
     - An unknown whose stage it is not (``Unknown.moves``) is left out of the step.
     - Where unknowns pass through levels of resolution, what becomes finer begins with fresh
@@ -150,7 +157,7 @@ class Stepper:
             touched += mi.UInt64(dr.count(~finite | (entries != 0)))
             clean = dr.select(finite, entries, 0)
             if unknown.kind.uniform:
-                clean = own(mi.Float, self._along(key, clean).astype(np.float32))
+                clean = own(mi.Float, self._cut(key, self._along(key, clean)))
             elif unknown.kind.axes and self.settings.smoothing:
                 wide = self.settings.smoothing, self._scheduled(spent)
                 clean = smoothed(unflat(gradients[key], clean), unknown.kind.axes, *wide).array
@@ -175,6 +182,15 @@ class Stepper:
             return entries
         clean = np.where(np.isfinite(entries), entries, 0)
         return kind.smoothed(clean.reshape(kind.present.shape)).ravel()
+
+    def _cut(self, key: str, entries: np.ndarray) -> np.ndarray:
+        """``entries`` of ``_along``, scaled, none beyond ``_OUTLIER``; float32."""
+        count, _, second, _ = self.adam.state[key][3]
+        if steps := int(count[0]):
+            most = _OUTLIER * math.sqrt(float(second[0]) / (1 - self.settings.beta_2**steps))
+            if most > 0:
+                entries = np.clip(entries, -most, most)
+        return entries.astype(np.float32)
 
     def calibrate(self, gradients: list[dict]) -> None:
         """Fix ``scale`` as 1 / (root mean square of the non-zero finite entries), per unknown; of

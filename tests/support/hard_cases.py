@@ -52,7 +52,8 @@ class Case:
     largest final parameter error, in the unknowns' own unit; ``sky``: pixels of an environment map,
     ``(H, W, 3)``; ``bumps``: of a normal map, ``(H, W, 3)``; ``side``: of the film, pixels;
     ``poses``: as in scene.poses; ``ends``: whether it is a numerical failure, since nothing can be
-    found; ``warns``: what it warns of; ``settings``: beyond SETTINGS; ``meshes``: vertices and
+    found; ``warns``: what it warns of; ``sure``: whether it does on every machine (where a mesh
+    crumples by chance, rounding decides); ``settings``: beyond SETTINGS; ``meshes``: vertices and
     faces by the name of a PLY file, which ``{folder}`` in a start stands before; ``files``: others,
     by name; ``integrator``: the file's; ``estimator``: settings that another sampler brings
     instead. The figures seen: benchmarks/results/hard_cases.md."""
@@ -72,6 +73,7 @@ class Case:
     poses: dict = field(default_factory=dict)
     ends: bool = False
     warns: str = ""
+    sure: bool = True
     settings: tuple[str, ...] = field(default=())
     meshes: dict[str, tuple] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)

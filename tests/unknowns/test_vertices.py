@@ -51,6 +51,28 @@ def test_steps_are_spread_by_the_laplacian_and_no_vertex_goes_farther_than_the_r
     np.testing.assert_allclose(moved, -0.01 * spread / np.abs(spread).max(), atol=1e-6)
 
 
+def test_one_path_seen_edge_on_does_not_slow_a_shape():
+    """Steps along one direction, with a derivative a thousand times as large at the sixth: the rest
+    goes on at more than half of the pace of a run that met none, and growth of all is followed."""
+    p = problem(views=1, side=8)
+    kind, rng = p.unknowns[KEY].kind, np.random.default_rng(3)
+    ordinary = rng.normal(size=(642, 3))
+
+    def pace(gradients: list[np.ndarray]) -> float:
+        """The mean length of the last step, where every step has a gradient."""
+        stepper = Stepper(p.unknowns, OptimizerConfig(lr=0.01, schedule="constant"))
+        for gradient in gradients:
+            before = np.array(stepper.values[KEY])
+            stepper.step({KEY: kind.value(gradient.astype(np.float32))}, 0.0)
+        return np.abs(np.array(stepper.values[KEY]) - before).mean()
+
+    outlier = ordinary.copy()
+    outlier[7] *= 1e3
+    quiet = pace(40 * [ordinary])
+    assert quiet / 2 < pace(6 * [ordinary] + [outlier] + 33 * [ordinary]) <= 1.01 * quiet
+    assert pace(6 * [ordinary] + 34 * [100 * ordinary]) > quiet / 2
+
+
 def test_both_solvers_spread_alike(monkeypatch):
     pytest.importorskip("cholespy")
     gradient, found = np.random.default_rng(3).normal(size=(642, 3)), []
