@@ -10,6 +10,7 @@ import mitsuba as mi
 
 from ..rendering.pixels import PixelDistribution
 from ..rendering.projective import Attached
+from ..rendering.reflections import Reflections
 from ..rendering.shadows import Shadows
 from ..rendering.silhouettes import Silhouettes
 from ..rendering.standing import others, triangles
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 
 _EDGE = "edge", "edge_step", "edge_residual"
+_REFLECTED = "reflected_edge", "reflected"
 _SHADOW = "lamp", "shadow_edge", "shadow_residual"
 
 
@@ -34,9 +36,10 @@ class Settings(Estimator):
     around them; ``shadows``: samples of the edges of shadows a step, 0 to leave these out, None
     for as many as ``edges`` where there are lamps, and 0 under a sky alone, whose shadows are soft:
     there they bring more noise than they tell (where what stands still can shade
-    what moves, as many again for its shadows); ``lamps``: points of lamps that these are found for;
-    ``paths``: of each sample's pixel, for its residual; ``freeze``: record kernels once instead of
-    tracing every iteration."""
+    what moves, as many again for its shadows); ``reflections``: samples of silhouettes that other
+    surfaces show, in reflections and scattered light; ``lamps``: points of lamps that shadows are
+    found for; ``paths``: of each sample's pixel, for its residual; ``freeze``: record kernels once
+    instead of tracing every iteration."""
 
     name: ClassVar[str] = "silhouettes"
     plannable: ClassVar[bool] = False
@@ -45,6 +48,7 @@ class Settings(Estimator):
     edges: int = 4096
     adaptive: bool = True
     shadows: int | None = None
+    reflections: int = 0
     lamps: int = 16
     paths: int = 4
     freeze: bool = True
@@ -54,6 +58,8 @@ class Settings(Estimator):
         at_least_one(self, "edges", "paths", "lamps")
         if self.shadows is not None and self.shadows < 0:
             raise InputError(f"estimator.shadows must be 0 or more, not {self.shadows}")
+        if self.reflections < 0:
+            raise InputError(f"estimator.reflections must be 0 or more, not {self.reflections}")
 
     def fits(self, sampler: Sampler) -> None:
         if "blur" in sampler.needs:
@@ -87,9 +93,20 @@ class Settings(Estimator):
         skies = 0 if problem.scene.environment() is None else 1
         return self.edges if len(problem.scene.emitters()) > skies else 0
 
+    def reflected(self, problem: "Problem") -> int:
+        """Samples a step of silhouettes that other surfaces show."""
+        if self.reflections and problem.integrator.max_depth < 3:
+            raise InputError(
+                "estimator.reflections: paths by way of one surface have 3 edges, and the scene's "
+                f"at most {problem.integrator.max_depth}: take effects.max_depth=3"
+            )
+        return self.reflections
+
     def derivatives(self, problem: "Problem") -> str:
         count = self.shadowed(problem)
         told = f"{Attached.derivatives}, and {count or 'none'} a step of the edges of shadows"
+        if self.reflected(problem):
+            told += f", {self.reflections} of silhouettes that other surfaces show"
         mirrors = [
             shape.id()
             for shape in problem.scene.shapes()
@@ -110,9 +127,9 @@ class ByShape:
 
     What shadows are followed: of moving meshes, on themselves, on each other and on what stands
     still; of what stands still (``standing.others``), on moving ones. In direct light, seen
-    directly; the rest is the bias of ``Shadows``. Bias: that of all parts. Silhouettes that other
-    surfaces show (reflections, shadows in light that was scattered before) are left out. Traced
-    once and frozen, but for ``params.update()``.
+    directly; the rest is the bias of ``Shadows``. Of silhouettes that other surfaces show, those by
+    way of one, from ``reflections`` samples (``Reflections``). Bias: that of all parts. Traced once
+    and frozen, but for ``params.update()``.
     """
 
     def __init__(self, problem: "Problem", loss, chosen: Settings):
@@ -127,18 +144,22 @@ class ByShape:
         self.inside = TwoPath(problem, loss, chosen.batch, chosen.freeze)
         meshes, shadows = _meshes(problem), chosen.shadowed(problem)
         # By the key of its mesh's positions, which for those that stand still are ``_still``.
-        self.borders: list[tuple[str, tuple, Silhouettes | Shadows]] = []
+        self.borders: list[tuple[str, tuple, Silhouettes | Shadows | Reflections]] = []
 
         def throws(key: str, topology: Topology, samples: int) -> None:
             each = max(1, samples), chosen.paths, chosen.lamps, chosen.freeze
             self.borders.append((key, _SHADOW, Shadows(problem, loss, topology, *each)))
 
+        reflections = chosen.reflected(problem)
         for key, topology in meshes.items():
             where = problem, loss, key.rpartition(".")[0], topology
             edges = max(1, chosen.edges // len(meshes)), chosen.paths, chosen.adaptive
             self.borders.append((key, _EDGE, Silhouettes(*where, *edges, chosen.freeze)))
             if shadows:
                 throws(key, topology, shadows // len(meshes))
+            if reflections:
+                each = max(1, reflections // len(meshes)), chosen.paths, not shadows, chosen.freeze
+                self.borders.append((key, _REFLECTED, Reflections(*where, *each)))
         still = others(problem) if shadows else None
         if still:
             self._still, topology = still

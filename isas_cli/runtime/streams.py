@@ -34,6 +34,8 @@ PURPOSES = (
     "exposure",
     "pose",
     "pose_offset",
+    "reflected_edge",
+    "reflected",
 )
 _SLOTS = 32  # purposes per iteration, a power of two above len(PURPOSES)
 _BLOCK = 2**32 // _SLOTS  # iterations whose slots fit into 32 bits

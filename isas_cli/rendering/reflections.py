@@ -1,0 +1,162 @@
+"""Silhouettes of moving meshes that other surfaces show: in reflections and in scattered light."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+
+from ..scene.problem import Problem
+from ..scene.topology import Topology
+from . import rays
+from .outline import Cameras, Crossing, Eyes, Outline, at, backward_ray, draw, pair, sample, side
+from .projective import without_film
+from .silhouettes import hidden_by_nothing, residual
+
+
+class Reflections:
+    """Adds to the gradient of one mesh's vertices what its silhouettes bring that a camera sees by
+    way of one other surface.
+
+    From a point x that a camera sees, radiance steps by ΔL = L_front - L_behind across a silhouette
+    of the mesh. Of all lines that touch it, a step draws ``samples``: an edge, with probability P
+    proportional to its length l times the angle φ by which its faces turn; a point b on it and a
+    direction ω of its silhouettes, uniformly (4 φ, as a solid angle). The line is followed back to
+    x, which is connected with one view of V, drawn uniformly. With s the sine between line and edge
+    and J the area in pixels of a unit of the surface at x (Zhang et al. 2023, Eq. 17, for one
+    bounce, in pixels):
+
+        V/M Σ_i ⟨∂ℒ/∂I⟩_{j(x_i)} f(x_i) J_i s_i / |n_x·ω_i| 4 φ l / P_i
+            · (ΔL n·∂b/∂θ + L_behind (1 - r) n·∂x/∂θ),
+
+    f the BSDF with its cosine, n the normal of line and edge away from the object. The last term
+    has x moving along the camera's ray as what moves is what reflects; its paths are fixed at both
+    ends, r of the way to the far one is the silhouette (1 - r = 1 for a sky). ``emission=False``:
+    without light that comes from an emitter behind directly, which is the part of ``Shadows``.
+
+    Bias: none for what is seen by way of one surface that is neither an ideal mirror nor clear,
+    under the conditions of ``Silhouettes``; ways by two and more are left out.
+    """
+
+    def __init__(
+        self, problem: Problem, loss, id: str, topology: Topology, samples: int, paths: int,
+        emission: bool = True, freeze: bool = True,
+    ):  # fmt: skip
+        self.problem, self.samples, self._paths = problem, samples, paths + 3
+        self.cameras, self.outline = Cameras.of(problem), Outline.of(topology)
+        (shape,) = [each for each in problem.scene.shapes() if each.id() == id]
+        integrator, differences = problem.integrator, without_film(problem.integrator)
+        views = len(problem.film_sizes)
+
+        def kernel(scene, sensors, films, positions, outline, cameras, targets, mask, seeds, share):
+            with dr.suspend_grad():
+                now = dr.detach(positions)
+                every = dr.arange(mi.UInt32, outline.count)
+                drawn = draw(_turn(now, outline, every)[0], outline, samples, seeds[0])
+                random = rays.stream(seeds[1], samples)
+                start, end = at(now, drawn.a), at(now, drawn.b)
+                point = dr.lerp(start, end, drawn.t)
+                measure, across, beyond, turn = _turn(now, outline, drawn.edge)
+                way = _direction(end - start, across, beyond, turn, random)
+                number = dr.arange(mi.UInt32, samples)
+                far, drawn = Eyes(-way, dr.zeros(mi.Float, samples)), replace(drawn, eye=number)
+                plane, inner = side(now, outline, far, drawn)
+                found = sample(now, outline, drawn, point, way, plane, inner, mi.ShapePtr(shape))
+                valid = drawn.probability > 0
+                si = scene.ray_intersect(backward_ray(found), valid)
+                valid &= si.is_valid()
+
+                view = dr.minimum(mi.UInt32(random.next_1d() * views), views - 1)
+                frame = mi.Frame3f(si.n)
+                crossing = Crossing.of(cameras, films, view, si.p, frame.s, frame.t, valid)
+                valid = crossing.valid
+                eye = mi.Point3f(dr.gather(mi.Vector3f, cameras.eyes.place, view))
+                valid &= hidden_by_nothing(scene, si.spawn_ray_to(eye), valid)
+                si.wi = si.to_local(dr.normalize(eye - si.p))
+                value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(way), valid)
+                valid &= dr.any(value > 0)
+                column, row = (cameras.along(view, si.p, each) for each in (frame.s, frame.t))
+                value *= dr.abs(column.x * row.y - column.y * row.x)
+                value *= dr.norm(dr.cross(way, dr.normalize(end - start)))
+                value *= measure / dr.abs(dr.dot(way, si.n))
+
+                step, _ = differences.sample_radiance_difference(
+                    scene, found, mi.UInt32(1), random, mi.Color0f(), valid
+                )
+                ray = found.spawn_ray()
+                behind, _, _, _ = differences.sample(
+                    *(dr.ADMode.Primal, scene, random, ray, mi.UInt32(1)),
+                    *(None, None, valid, False, None),
+                )
+                met = scene.ray_intersect(ray, valid)
+                if not emission:
+                    light = met.emitter(scene, valid).eval(met, valid)
+                    step, behind = step + light, behind - light
+                near = dr.norm(point - si.p)
+                pivot = dr.select(met.is_valid(), 1 - near / (near + dr.norm(met.p - point)), 1)
+                adjoint = residual(
+                    *(integrator, loss, scene, sensors, films, targets, mask, share, crossing),
+                    *(random, paths),
+                )
+                adjoint *= value * views / (drawn.probability * samples)
+                moves = dr.select(valid, dr.sum(adjoint * step), 0)
+                shows = dr.select(valid, dr.sum(adjoint * behind) * pivot, 0)
+                ray = mi.Ray3f(eye, dr.normalize(si.p - eye))
+                hit = scene.ray_intersect_preliminary(ray, active=valid)
+                dr.eval(moves, shows, ray, hit)
+                with dr.resume_grad():
+                    moved = dr.lerp(at(positions, drawn.a), at(positions, drawn.b), drawn.t)
+                    surface = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, valid)
+                    total = moves * dr.dot(found.n, moved) + shows * dr.dot(found.n, surface.p)
+                    dr.backward_from(dr.select(valid, total, 0))
+
+        self._kernel = dr.freeze(kernel) if freeze else kernel
+
+    @property
+    def paths_per_step(self) -> int:
+        """Light paths of one estimate."""
+        return self._paths * self.samples
+
+    def accumulate(self, positions: mi.Float, seeds: list) -> None:
+        """Add one estimate to the gradient of ``positions``, the scene's attached ones, and of
+        those of what else moves."""
+        p = self.problem
+        self._kernel(
+            p.scene, p.sensors, p.views, positions, self.outline, self.cameras, p.targets, p.mask,
+            seeds, p.share,
+        )  # fmt: skip
+
+
+def _turn(
+    positions: mi.Float, outline: Outline, edge: mi.UInt32
+) -> tuple[mi.Float, mi.Vector3f, mi.Vector3f, mi.Float]:
+    """Of each edge, its length times the solid angle of the directions that it is a silhouette in,
+    0 where it is a valley; the unit vectors from it into one of its faces, and across that, towards
+    the other; and the angle from that face to the other. Traced."""
+    start, end = (at(positions, each) for each in pair(outline.ends, edge))
+    along = dr.normalize(end - start)
+    into = []
+    for vertex in pair(outline.across, edge):
+        way = at(positions, vertex) - start
+        into.append(dr.normalize(way - along * dr.dot(way, along)))
+    beyond = dr.cross(along, into[0])
+    beyond = dr.select(dr.dot(beyond, into[1]) < 0, -beyond, beyond)
+    angle = dr.atan2(dr.dot(beyond, into[1]), dr.dot(into[0], into[1]))
+    one, other = pair(outline.faces, edge)
+    p, q, r = (at(positions, dr.gather(mi.UInt32, outline.corners, one * 3 + k)) for k in range(3))
+    valley = (dr.dot(dr.cross(q - p, r - p), into[1]) > 0) & (one != other)
+    measure = dr.norm(end - start) * 4 * (dr.pi - angle)
+    return dr.select(valley | ~dr.isfinite(measure), 0, measure), into[0], beyond, angle
+
+
+def _direction(
+    edge: mi.Vector3f, across: mi.Vector3f, beyond: mi.Vector3f, turn: mi.Float, random: mi.Sampler
+) -> mi.Vector3f:
+    """Uniform among the directions that an edge is a silhouette in, ``_turn``. Traced."""
+    which, (first, second) = random.next_1d(), random.next_2d()
+    sine, cosine = dr.sincos(turn + first * (dr.pi - turn) + dr.select(which < 0.5, dr.pi, 0))
+    height = 2 * second - 1
+    flat = dr.sqrt(dr.maximum(0, 1 - dr.square(height)))
+    way = (across * cosine + beyond * sine) * flat + dr.normalize(edge) * height
+    return mi.Vector3f(way)
