@@ -6,8 +6,8 @@ and everything with paths cut to each depth below the scene's own (`depth 2`, â€
 of three factors on the rates with the first seed, by the final parameter error, then with three
 others, which alone are reported. Settings are those of `reproduce.py`, but for the estimator, which
 is the one that runs have by default. Writes results/effects.csv (a row per scene and plan),
-effects_rates.csv and effects_<scene>.png (error against billed time); over all scenes that one call
-measures effects_across.csv and effects_arrivals.png.
+effects_rates.csv and effects_<scene>.png (error against billed time); and, over all scenes whose
+runs are in one `--folder`, effects_across.csv and effects_arrivals.png, unless these have more.
 
     .venv/bin/python benchmarks/effects.py pottery bowl
 """
@@ -36,6 +36,7 @@ SECONDS = 10.0  # billed: what pays for a probe
 FACTORS = (0.5, 1.0, 2.0)  # of the scene's rates
 FULL, AUTO, STAGED = "full", "auto", "staged"
 LADDER = (2, 3, 4, 6, 8)
+JUDGED = "judged.txt"  # folders of runs, a line each
 
 
 def plans(scene: str) -> dict[str, dict]:
@@ -95,12 +96,18 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     return pandas.DataFrame(rows)
 
 
-def together(folders: list[Path], output: Path) -> None:
+def together(root: Path) -> None:
     """Runs of `full` and `auto` on all scenes: effects_across.csv and effects_arrivals.png."""
-    command = [sys.executable, "-m", "isas_cli", "compare", *map(str, folders)]
+    listed, known = sorted(root.glob(f"*/{JUDGED}")), RESULTS / "effects_across.csv"
+    before = pandas.read_csv(known)["scenes"].max() if known.exists() else 2
+    if len(listed) < before:
+        return
+    folders = [line for each in listed for line in each.read_text(encoding="utf-8").splitlines()]
+    output = root / "together"
+    command = [sys.executable, "-m", "isas_cli", "compare", *folders]
     command += ["--baseline", "progress effects=full", "--output", str(output)]
     subprocess.run(command, check=True)
-    shutil.copy(output / "across.csv", RESULTS / "effects_across.csv")
+    shutil.copy(output / "across.csv", known)
     shutil.copy(output / "plots" / "all_arrivals.png", RESULTS / "effects_arrivals.png")
 
 
@@ -108,17 +115,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
+    parser.add_argument("--folder", type=Path, help="where runs go (default: a new folder)")
     chosen = parser.parse_args()
-    root = Path(tempfile.mkdtemp(prefix="isas-effects-"))
+    root = chosen.folder or Path(tempfile.mkdtemp(prefix="isas-effects-"))
+    root.mkdir(parents=True, exist_ok=True)
     print(f"runs: {root}", flush=True)
-    judged: list[Path] = []
     for scene in chosen.scenes or SCENES:
         named, settings = plans(scene), [*SETTINGS, *reproduce.SCENES[scene].settings]
         first, found = _contest.judged(
             *(scene, root / scene, settings, named, FACTORS, chosen.seeds, SECONDS),
             *(measured, MEASURE),
         )
-        judged += found[found["method"].isin((FULL, AUTO))]["folder"].tolist()
+        judged = found[found["method"].isin((FULL, AUTO))]["folder"]
+        (root / scene / JUDGED).write_text("\n".join(map(str, judged)), encoding="utf-8")
         made = table(found, SECONDS)
         print(made.to_string(index=False), flush=True)
         others = tuple(name for name in named if name not in (FULL, AUTO))
@@ -127,8 +136,7 @@ def main() -> None:
         # After each scene: what is measured survives what follows.
         _contest.write(RESULTS / "effects.csv", made)
         _contest.write(RESULTS / "effects_rates.csv", first)
-        if len(judged) > 2 * len(chosen.seeds):
-            together(judged, root / "together")
+        together(root)
         pages.write()
 
 
