@@ -6,7 +6,9 @@ What is checked, and why, says `isas_cli.scene.mesh_checks`.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -16,6 +18,8 @@ import numpy as np
 
 from ..runtime.errors import InputError
 from ..scene.mesh_checks import check, degenerate
+
+_FOLDER: ContextVar[Path | None] = ContextVar("folder", default=None)
 
 
 @dataclass(frozen=True)
@@ -177,6 +181,17 @@ def corner_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.where(lengths > 1e-6 * size, normals / np.maximum(lengths, 1e-300), own / size)
 
 
+@contextmanager
+def as_files(folder: Path) -> Iterator[None]:
+    """What ``shape`` makes within is a file in ``folder`` and its description, as a scene file can
+    name it."""
+    before = _FOLDER.set(folder)
+    try:
+        yield
+    finally:
+        _FOLDER.reset(before)
+
+
 def shape(name: str, surface: Surface, bsdf: dict[str, Any]) -> Any:
     """A Mitsuba mesh with a material, for use as an entry of a scene dictionary."""
     import mitsuba as mi
@@ -200,7 +215,12 @@ def shape(name: str, surface: Surface, bsdf: dict[str, Any]) -> Any:
     if textured:
         values["vertex_texcoords"] = surface.texcoords.ravel()
     values.update()
-    return mesh
+    folder = _FOLDER.get()
+    if folder is None:
+        return mesh
+    path = folder / f"{name}.ply"
+    mesh.write_ply(str(path))
+    return {"type": "ply", "filename": str(path), "bsdf": bsdf}
 
 
 def _face_vectors(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:

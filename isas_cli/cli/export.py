@@ -22,6 +22,6 @@ def main(folder: Path, output: Path | None) -> int:
         # Mitsuba's types exist only once the backend has started.
         from ..scene import export
 
-        path = export.write(typed.scene, arrays, output or folder / "result")
-    print(f"result: {path}")
+        path, told = export.write(typed.scene, arrays, output or folder / "result")
+    print(f"result: {path}", *told, sep="\n")
     return 0

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import gc
 import hashlib
-import inspect
-import typing
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -15,9 +13,9 @@ import numpy as np
 
 from ..config.schema import SceneConfig, TargetConfig
 from ..rendering import coverage, integrators, targets
-from ..runtime import allowed, backend
-from ..runtime.errors import InputError, nearest
-from ..scene import flat, mesh_checks, scene_file
+from ..runtime import backend
+from ..runtime.errors import InputError
+from ..scene import built, flat, mesh_checks, scene_file
 from ..scene.photos import building, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
@@ -42,15 +40,13 @@ def problem(
     gc.collect()
     taken = None if scene.photos.path is None else photographs.load(scene.photos)
     with backend.loading():
-        if taken is not None:
-            loaded = building.scene(taken, scene.max_depth)
-            integrator, description = loaded.integrator(), str(scene.photos.up)
-        elif scene.path is not None:
+        if scene.path is not None:
             loaded, integrator, description = scene_file.load(scene.path, scene.max_depth)
         else:
-            loaded = _from_builder(scene)
+            loaded = built.load(built.description(scene, taken))
             integrator = loaded.integrator()
             description = f"{scene.builder} {dict(scene.arguments)}"
+            description = description if taken is None else str(scene.photos.up)
     sensors = loaded.sensors()
     if not sensors:
         raise InputError(f"{_where(scene)} has no sensor: add at least one camera")
@@ -66,7 +62,7 @@ def problem(
     views, of_views, wanted = Views.of(sizes), None, scene.unknowns
     if taken is not None:
         wanted = building.unknowns(scene.photos, taken.surface, scene.unknowns)
-        of_views = _of_views(taken, views)
+        of_views = building.of_views(taken, views)
     truth_known = taken is None and scene.targets is None
     found = parse(params, wanted, truth_known, scene.poses, of_views)
     single = flat.reduce(mi.traverse(loaded), {k for u in found for k in u.kind.writes})
@@ -107,24 +103,6 @@ def problem(
     if scene.weights is not None:
         result.weigh(scene.weights)
     return result
-
-
-def _of_views(taken: photographs.Photographs, views: Views) -> dict:
-    """What of ``Loaded`` is of photographs. Raises InputError for a single view, whose exposure and
-    pose nothing tells from light and surface."""
-    asked = taken.settings
-    for name, usual in (("exposure", "fixed"), ("refine", False)):
-        if views.count == 1 and getattr(asked, name) != usual:
-            told = str(getattr(asked, name)).lower()
-            raise InputError(
-                f"photos.{name}={told}: the first view's stays as it is, and there is no other: "
-                f"take photos.{name}={str(usual).lower()}"
-            )
-    return {
-        "views": views,
-        "channels": {"fixed": None, "scale": 1, "channels": 3}[asked.exposure],
-        "pixel": building.pixels(taken) if asked.refine else None,
-    }
 
 
 def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None:
@@ -181,32 +159,6 @@ def _where(scene: SceneConfig) -> str:
     if scene.photos.path is not None:
         return f"photos.path={scene.photos.path}"
     return f"scene.path={scene.path}" if scene.path is not None else f"scene={scene.name}"
-
-
-def _from_builder(scene: SceneConfig) -> mi.Scene:
-    build = allowed.named(scene.builder, "isas_cli.scenes", "scene.builder")
-    _check_arguments(scene, build)
-    dictionary = build(**scene.arguments)
-    if scene.max_depth is not None:
-        integrator = dictionary.get("integrator", {"type": "prb"})
-        dictionary["integrator"] = {**integrator, "max_depth": scene.max_depth}
-    # Merging equal materials would turn two unknowns with equal starts into one.
-    return mi.load_dict(dictionary, optimize=False)
-
-
-def _check_arguments(scene: SceneConfig, build: Callable) -> None:
-    """All that the builder asks for, nothing else, each of its type, whole numbers from 1 on."""
-    kinds = typing.get_type_hints(build)
-    wanted = inspect.signature(build).parameters
-    for name, value in scene.arguments.items():
-        if name not in wanted:
-            raise InputError(f"scene.arguments.{name}: no such argument; {nearest(name, wanted)}")
-        kind = kinds.get(name)
-        if kind is int and (not isinstance(value, int) or isinstance(value, bool) or value < 1):
-            raise InputError(f"scene.arguments.{name}={value}: a whole number, at least 1")
-    for name, parameter in wanted.items():
-        if name not in scene.arguments and parameter.default is parameter.empty:
-            raise InputError(f"scene.arguments.{name} is missing: {scene.builder} needs it")
 
 
 def _content_hash(

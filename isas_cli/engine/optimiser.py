@@ -18,10 +18,10 @@ from .neighbours import smoothed
 # Of a gradient's entry in units of ``Stepper.scale``: the square of a larger one is infinite, and a
 # second moment that was infinite once holds its entry still for good.
 _LARGEST = 1e18
-# Times the root mean square of an unknown's largest entries so far: larger ones are cut to it where
-# one number divides all. Derivatives by the place of a surface that is seen nearly edge on have no
-# finite variance (the hit moves by 1 / cos, and 1 / cos² has no mean over the pixels of something
-# round): one such path, early in a run, would slow every vertex for hundreds of steps.
+# Times the largest root mean square of an unknown's entries so far, which divides all of them:
+# larger entries are cut to it. Derivatives by the place of a surface that is seen nearly edge on
+# have no finite variance (the hit moves by 1 / cos, and 1 / cos² has no mean over the pixels of
+# something round): one such path, early in a run, would slow every vertex for hundreds of steps.
 _OUTLIER = 4.0
 
 
@@ -187,7 +187,8 @@ class Stepper:
         """``entries`` of ``_along``, scaled, none beyond ``_OUTLIER``; float32."""
         count, _, second, _ = self.adam.state[key][3]
         if steps := int(count[0]):
-            most = _OUTLIER * math.sqrt(float(second[0]) / (1 - self.settings.beta_2**steps))
+            largest = float(dr.max(second)[0]) / (1 - self.settings.beta_2**steps)
+            most = _OUTLIER * math.sqrt(largest)
             if most > 0:
                 entries = np.clip(entries, -most, most)
         return entries.astype(np.float32)

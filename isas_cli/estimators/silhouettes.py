@@ -97,8 +97,9 @@ class Settings(Estimator):
         """Samples a step of silhouettes that other surfaces show."""
         if self.reflections and problem.integrator.max_depth < 3:
             raise InputError(
-                "estimator.reflections: paths by way of one surface have 3 edges, and the scene's "
-                f"at most {problem.integrator.max_depth}: take effects.max_depth=3"
+                "estimator.reflections: paths by way of one surface have 3 edges, and here they "
+                f"have at most {problem.integrator.max_depth}: take scene.max_depth=3 or more, and "
+                "no lower effects.max_depth"
             )
         return self.reflections
 

@@ -16,27 +16,30 @@ from .silhouettes import hidden_by_nothing, residual
 
 
 class Reflections:
-    """Adds to the gradient of one mesh's vertices what its silhouettes bring that a camera sees by
-    way of one other surface.
+    """Adds to the gradient of one mesh's vertices, θ, what its silhouettes bring that a camera sees
+    by way of one other surface.
 
-    From a point x that a camera sees, radiance steps by ΔL = L_front - L_behind across a silhouette
-    of the mesh. Of all lines that touch it, a step draws ``samples``: an edge, with probability P
-    proportional to its length l times the angle φ by which its faces turn; a point b on it and a
-    direction ω of its silhouettes, uniformly (4 φ, as a solid angle). The line is followed back to
-    x, which is connected with one view of V, drawn uniformly. With s the sine between line and edge
-    and J the area in pixels of a unit of the surface at x (Zhang et al. 2023, Eq. 17, for one
-    bounce, in pixels):
+    From a point x that a camera sees, radiance differs by ΔL = L_front - L_behind across a
+    silhouette of the mesh. Of all lines that touch it, an estimate draws M, ``samples``: an edge,
+    with probability P proportional to its length l times the angle φ by which its faces turn; a
+    point b on it and a direction ω of its silhouettes, uniformly (4 φ, as a solid angle). The line
+    is followed back to x, which is connected with one view of V, drawn uniformly, in its pixel j.
+    With s the sine between line and edge and J the area in pixels of a unit of the surface at x
+    (Zhang et al. 2023, Eq. 17, for one bounce, in pixels):
 
         V/M Σ_i ⟨∂ℒ/∂I⟩_{j(x_i)} f(x_i) J_i s_i / |n_x·ω_i| 4 φ l / P_i
             · (ΔL n·∂b/∂θ + L_behind (1 - r) n·∂x/∂θ),
 
-    f the BSDF with its cosine, n the normal of line and edge away from the object. The last term
-    has x moving along the camera's ray as what moves is what reflects; its paths are fixed at both
-    ends, r of the way to the far one is the silhouette (1 - r = 1 for a sky). ``emission=False``:
-    without light that comes from an emitter behind directly, which is the part of ``Shadows``.
+    f the BSDF with its cosine, n the normal of line and edge away from the object. The last term is
+    that of an x that moves, along the camera's ray; r: the share of the way from x to what is
+    behind at which b lies, 0 under a sky. ``emission=False``: without light that comes directly
+    from an emitter behind, which is the part of ``Shadows``.
 
-    Bias: none for what is seen by way of one surface that is neither an ideal mirror nor clear,
-    under the conditions of ``Silhouettes``; ways by two and more are left out.
+    Bias: none for this mesh's silhouettes by way of one surface that is neither an ideal mirror nor
+    clear, under the conditions of ``Silhouettes``; left out are those of what stands still, seen
+    from what moves, and ways by two surfaces and more. Edges that a point or directed light sees
+    are no silhouettes here. The variance is infinite where a surface of smooth normals shows them
+    edge on.
     """
 
     def __init__(
@@ -48,6 +51,7 @@ class Reflections:
         (shape,) = [each for each in problem.scene.shapes() if each.id() == id]
         integrator, differences = problem.integrator, without_film(problem.integrator)
         views = len(problem.film_sizes)
+        moved = [each for each in problem.scene.shapes() if each.id() in problem.unknowns.moved]
 
         def kernel(scene, sensors, films, positions, outline, cameras, targets, mask, seeds, share):
             with dr.suspend_grad():
@@ -76,18 +80,23 @@ class Reflections:
                 si.wi = si.to_local(dr.normalize(eye - si.p))
                 value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(way), valid)
                 valid &= dr.any(value > 0)
-                column, row = (cameras.along(view, si.p, each) for each in (frame.s, frame.t))
-                value *= dr.abs(column.x * row.y - column.y * row.x)
+                s, t = (cameras.along(view, si.p, each) for each in (frame.s, frame.t))
+                value *= dr.abs(s.x * t.y - s.y * t.x)
                 value *= dr.norm(dr.cross(way, dr.normalize(end - start)))
                 value *= measure / dr.abs(dr.dot(way, si.n))
 
                 step, _ = differences.sample_radiance_difference(
                     scene, found, mi.UInt32(1), random, mi.Color0f(), valid
                 )
+                # What stands still shows no motion of its own.
+                own = mi.Bool(False)
+                for each in moved:
+                    own |= si.shape == mi.ShapePtr(each)
+                own &= valid
                 ray = found.spawn_ray()
                 behind, _, _, _ = differences.sample(
                     *(dr.ADMode.Primal, scene, random, ray, mi.UInt32(1)),
-                    *(None, None, valid, False, None),
+                    *(None, None, own, False, None),
                 )
                 met = scene.ray_intersect(ray, valid)
                 if not emission:
@@ -100,16 +109,19 @@ class Reflections:
                     *(random, paths),
                 )
                 adjoint *= value * views / (drawn.probability * samples)
-                moves = dr.select(valid, dr.sum(adjoint * step), 0)
-                shows = dr.select(valid, dr.sum(adjoint * behind) * pivot, 0)
-                ray = mi.Ray3f(eye, dr.normalize(si.p - eye))
-                hit = scene.ray_intersect_preliminary(ray, active=valid)
-                dr.eval(moves, shows, ray, hit)
+                moves, shows = dr.sum(adjoint * step), dr.sum(adjoint * behind) * pivot
+                valid &= dr.isfinite(moves) & dr.isfinite(shows)
+                own &= valid
+                moves, shows = dr.select(valid, moves, 0), dr.select(own, shows, 0)
+                seen = mi.Ray3f(eye, dr.normalize(si.p - eye))
+                hit = scene.ray_intersect_preliminary(seen, active=own)
+                dr.eval(moves, shows, valid, own, seen, hit)
                 with dr.resume_grad():
-                    moved = dr.lerp(at(positions, drawn.a), at(positions, drawn.b), drawn.t)
-                    surface = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, valid)
-                    total = moves * dr.dot(found.n, moved) + shows * dr.dot(found.n, surface.p)
-                    dr.backward_from(dr.select(valid, total, 0))
+                    moved_by = dr.lerp(at(positions, drawn.a), at(positions, drawn.b), drawn.t)
+                    surface = hit.compute_surface_interaction(seen, mi.RayFlags.Minimal, own)
+                    total = dr.select(valid, moves * dr.dot(found.n, moved_by), 0)
+                    total += dr.select(own, shows * dr.dot(found.n, surface.p), 0)
+                    dr.backward_from(total)
 
         self._kernel = dr.freeze(kernel) if freeze else kernel
 
@@ -131,9 +143,9 @@ class Reflections:
 def _turn(
     positions: mi.Float, outline: Outline, edge: mi.UInt32
 ) -> tuple[mi.Float, mi.Vector3f, mi.Vector3f, mi.Float]:
-    """Of each edge, its length times the solid angle of the directions that it is a silhouette in,
-    0 where it is a valley; the unit vectors from it into one of its faces, and across that, towards
-    the other; and the angle from that face to the other. Traced."""
+    """Of each edge, its length times the solid angle of the directions that it is a silhouette in
+    (of a valley's, too, whose lines are in the object); the unit vectors from it into one of its
+    faces, and across that, towards the other; and the angle from that face to the other. Traced."""
     start, end = (at(positions, each) for each in pair(outline.ends, edge))
     along = dr.normalize(end - start)
     into = []
@@ -143,11 +155,8 @@ def _turn(
     beyond = dr.cross(along, into[0])
     beyond = dr.select(dr.dot(beyond, into[1]) < 0, -beyond, beyond)
     angle = dr.atan2(dr.dot(beyond, into[1]), dr.dot(into[0], into[1]))
-    one, other = pair(outline.faces, edge)
-    p, q, r = (at(positions, dr.gather(mi.UInt32, outline.corners, one * 3 + k)) for k in range(3))
-    valley = (dr.dot(dr.cross(q - p, r - p), into[1]) > 0) & (one != other)
     measure = dr.norm(end - start) * 4 * (dr.pi - angle)
-    return dr.select(valley | ~dr.isfinite(measure), 0, measure), into[0], beyond, angle
+    return dr.select(dr.isfinite(measure), measure, 0), into[0], beyond, angle
 
 
 def _direction(

@@ -1,39 +1,51 @@
-"""A result as a Mitsuba scene: the user's file once more, with what was found in it."""
+"""A result as a Mitsuba scene: the user's file once more, or a file of what a program described,
+with what was found in it."""
 
 from __future__ import annotations
 
 import shutil
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import mitsuba as mi
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..config.schema import SceneConfig
 from ..runtime import backend, images
 from ..runtime.errors import InputError
+from ..scenes import meshes
 from ..unknowns.parameters import as_numpy
 from ..unknowns.specs import parse
 from ..unknowns.unknowns import Unknowns
-from . import scene_file
+from . import built, scene_file
+from .photos import building, photographs
+from .photos.photographs import Photographs
+from .views import Views
 
 # Of nodes that the file gives no id: by it an object is found that was made from one.
 _OWN = "isas-node-"
+# Plugins that Mitsuba has not: where they are registered.
+_OURS = {"phong": "isas_cli.scene.phong", "emission": "isas_cli.rendering.volume"}
 
 
-def write(scene: SceneConfig, arrays: dict[str, np.ndarray], folder: Path) -> Path:
+def write(
+    scene: SceneConfig, arrays: dict[str, np.ndarray], folder: Path
+) -> tuple[Path, list[str]]:
     """Writes ``scene.xml`` and the files that it names into ``folder``: textures, grids and meshes
-    that were found as EXR, ``.vol`` and PLY, and copies of all others. Returns its path.
+    that were found as EXR, ``.vol`` and PLY, and copies of all others. Returns its path, and in
+    words what such a file cannot hold.
 
-    ``arrays``: the unknowns' values by key. Raises InputError for a scene that is no file, where
-    ``folder`` cannot be written, and for an unknown that Mitsuba's format cannot hold.
+    ``arrays``: the unknowns' values by key. Raises InputError where ``folder`` cannot be written,
+    and for an unknown that Mitsuba's format cannot hold.
     """
-    if scene.path is None:
-        raise InputError(
-            f"scene={scene.name} is built by a program, of which there is no scene file: only runs "
-            "of scene=file can be exported"
-        )
-    settings, state = scene_file.parse(scene.path)
+    folder.mkdir(parents=True, exist_ok=True)
+    taken = None if scene.photos.path is None else photographs.load(scene.photos)
+    parsed = _parser(scene, taken, folder)
+    settings, state = parsed()
     named = _name(state)
     mi.parser.transform_all(settings, state)
     with backend.loading():
@@ -46,29 +58,99 @@ def write(scene: SceneConfig, arrays: dict[str, np.ndarray], folder: Path) -> Pa
         if thing.id().startswith(_OWN):
             thing.set_id("")
     scene_file.name_all(loaded)
-    unknowns = Unknowns(
-        mi.traverse(loaded),
-        parse(mi.traverse(loaded), scene.unknowns, scene.targets is None, scene.poses),
-    )
+    unknowns, views = _unknowns(scene, taken, loaded)
     unknowns.write(unknowns.values_of(arrays))
     # What was instantiated has been used up.
-    settings, written = scene_file.parse(scene.path)
+    settings, written = parsed()
     _name(written)
     mi.parser.transform_all(settings, written)
-    folder.mkdir(parents=True, exist_ok=True)
     params = mi.traverse(loaded)
     for key in dict.fromkeys(name for each in unknowns for name in each.kind.writes):
         _Place(params, key, made_from, written).put(folder)
+    told = _stand(written, views) if views is not None else []
     brought: dict[str, Path] = {}
     for node in written.nodes:
         if node.props.id() in named:
             node.props.set_id("")
         if "filename" in node.props:
             node.props["filename"] = _bring(node.props["filename"], folder, brought)
+        if (kind := node.props.plugin_name()) in _OURS:
+            told.append(f"'{kind}' is isas's own: import {_OURS[kind]} before Mitsuba loads it")
     path = folder / "scene.xml"
     mi.parser.write_file(written, str(path))
     _keep_ids(path, written)
-    return path
+    return path, told
+
+
+def _parser(scene: SceneConfig, taken: Photographs | None, folder: Path) -> Callable[[], tuple]:
+    """What parses the scene, anew each time. What a program describes is put into files."""
+    if scene.path is not None:
+        return lambda: scene_file.parse(scene.path)
+    with meshes.as_files(folder), backend.loading():
+        described = _as_files(built.description(scene, taken), folder, "")
+    settings = mi.parser.ParserConfig(mi.variant())
+    settings.merge_equivalent = settings.merge_meshes = False
+
+    def parsed() -> tuple:
+        state = mi.parser.parse_dict(settings, described)
+        for node in state.nodes:
+            # Of plugins in Python Mitsuba does not know what they are.
+            if node.type == mi.ObjectType.Unknown:
+                ours = node.props.plugin_name() == "phong"
+                node.type = mi.ObjectType.BSDF if ours else mi.ObjectType.Integrator
+        return settings, state
+
+    return parsed
+
+
+def _as_files(described: dict[str, Any], folder: Path, name: str) -> dict[str, Any]:
+    """``described``, its pictures and grids as files in ``folder`` that are called ``name``."""
+    found = {}
+    for key, value in described.items():
+        here = f"{name}.{key}" if name else key
+        if isinstance(value, dict):
+            found[key] = _as_files(value, folder, here)
+        elif isinstance(value, mi.Bitmap):
+            pixels = np.array(value, np.float32)
+            found["filename"] = str(folder / f"{name}.exr")
+            images.write_exr(found["filename"], pixels, _channels(pixels), {"what": name})
+        elif isinstance(value, mi.VolumeGrid):
+            found["filename"] = str(folder / f"{name}.vol")
+            value.write(found["filename"])
+        else:
+            found[key] = value
+    return found
+
+
+def _unknowns(
+    scene: SceneConfig, taken: Photographs | None, loaded: mi.Scene
+) -> tuple[Unknowns, Views | None]:
+    """The unknowns in ``loaded``, and the views where these have unknowns of their own."""
+    wanted, of_views = scene.unknowns, None
+    if taken is not None:
+        wanted = building.unknowns(scene.photos, taken.surface, scene.unknowns)
+        sizes = [(each.camera.width, each.camera.height) for each in taken.shown]
+        of_views = building.of_views(taken, Views.of(sizes))
+    truth_known = taken is None and scene.targets is None
+    found = parse(mi.traverse(loaded), wanted, truth_known, scene.poses, of_views)
+    return Unknowns(mi.traverse(loaded), found), of_views and of_views["views"]
+
+
+def _stand(state, views: Views) -> list[str]:
+    """Lets the cameras of photographs stand where they were found to; says what remains."""
+    if views.motion is not None:
+        motion = np.array(views.motion, np.float64).reshape(-1, 2, 3)
+        for number, (turn, shift) in enumerate(motion):
+            (props,) = (n.props for n in state.nodes if n.props.id() == f"sensor_{number:05d}")
+            stands = np.array(props["to_world"].matrix, np.float64).reshape(4, 4)
+            stands[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ stands[:3, :3]
+            stands[:3, 3] += shift
+            props["to_world"] = mi.ScalarTransform4f(stands)
+    if views.exposure is None:
+        return []
+    factors = np.array(views.exposure).reshape(-1, 3)
+    told = ", ".join("/".join(f"{e:.4g}" for e in dict.fromkeys(each)) for each in factors)
+    return [f"no part of it are exposures: times {told} the views are as bright as the photographs"]
 
 
 def _bring(name: str, folder: Path, brought: dict[str, Path]) -> str:
@@ -97,13 +179,20 @@ def _keep_ids(path: Path, state) -> None:
 
 
 def _name(state) -> set[str]:
-    """Gives every node an id; returns those that are new."""
+    """Gives every node an id of its own; returns those that are new."""
     found = set()
+    used = Counter(node.props.id() for node in state.nodes)
+    things = {value.index() for _, value in state.root.props.items()}
     for number, node in enumerate(state.nodes):
-        if not node.props.id():
+        # Within what a program described, two may have the same.
+        if not node.props.id() or (used[node.props.id()] > 1 and number not in things):
             node.props.set_id(f"{_OWN}{number}")
             found.add(node.props.id())
     return found
+
+
+def _channels(pixels: np.ndarray) -> list[str]:
+    return [*"RGB"] if pixels.shape[2] == 3 else ["Y"]
 
 
 class _Place:
@@ -150,8 +239,7 @@ class _Place:
             self.props[self.name] = float(numbers[0]) if plain else mi.ScalarColor3f(*numbers)
 
     def _picture(self, pixels: np.ndarray, path: str) -> None:
-        names = [*"RGB"] if pixels.shape[2] == 3 else ["Y"]
-        images.write_exr(path, pixels, names, {"what": self.key})
+        images.write_exr(path, pixels, _channels(pixels), {"what": self.key})
         self._file(path)
 
     def _file(self, path: str) -> None:

@@ -306,6 +306,7 @@ class Reader:
     def camera(self, rng: random.Random, folder: Path) -> None:
         """Photographs and what says where they were taken, up to a scene of them."""
         from isas_cli.config.schema import PhotosConfig
+        from isas_cli.scene import built
         from isas_cli.scene.photos import building, checks, photographs
 
         form = rng.choice(list(FORMS))
@@ -314,7 +315,7 @@ class Reader:
         settings = PhotosConfig(path=str(folder / form), sphere=[0.0, 0.0, 0.0, 0.5])
         taken = photographs.load(settings)
         checks.warnings(checks.views(taken), taken)
-        building.scene(taken, None)
+        built.load(building.description(taken, None))
 
     def picture(self, rng: random.Random, folder: Path) -> None:
         from isas_cli.runtime import images

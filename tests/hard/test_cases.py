@@ -32,10 +32,10 @@ def test_it_stays_stable(case, tmp_path):
         assert np.isfinite(array).all()
         assert (low is None or array.min() >= low) and (high is None or array.max() <= high)
     assert last.parameter_rmse <= case.within, case.provokes
-    # What is said to be no result need not be one, and a loss that was noise alone goes either way.
-    assert (case.warns and case.sure) or first.loss <= 0 or last.loss <= first.loss * 1.01
-    assert last.nonfinite == 0
     warnings = run.summary["warnings"]
+    # What is said to be no result need not be one, and a loss that was noise alone goes either way.
+    assert warnings or first.loss <= 0 or last.loss <= first.loss * 1.01
+    assert last.nonfinite == 0
     assert all(case.warns in w for w in warnings), warnings
     assert bool(warnings) == bool(case.warns) or not case.sure, warnings
 

@@ -1,15 +1,23 @@
-"""`isas export`: what was found, in the user's own file, as Mitsuba reads it."""
+"""`isas export`: what was found as a file that Mitsuba reads, the user's own if there is one."""
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
+import photo_sets
 import pytest
 import trimesh
 
 from isas_cli.cli.app import main
-from isas_cli.config.schema import PoseConfig, SceneConfig, UnknownConfig
+from isas_cli.config import schema
+from isas_cli.config.compose import compose, translate
+from isas_cli.config.schema import PoseConfig, SceneConfig, TargetConfig, UnknownConfig
+from isas_cli.engine import assemble
+from isas_cli.rendering import rays
 from isas_cli.runtime import backend, images
-from isas_cli.runtime.errors import InputError
-from isas_cli.scene import export, scene_file
+from isas_cli.scene import built, export, scene_file
+from isas_cli.scene.views import Views
+from isas_cli.unknowns.specs import parse
+from isas_cli.unknowns.unknowns import Unknowns
 
 SCENE = """<scene version="3.0.0">
   <integrator type="path"><integer name="max_depth" value="3"/></integrator>
@@ -85,7 +93,7 @@ def test_the_result_stands_in_the_users_own_file(folder, rng):
         LAMP: np.array([5.0, 6.0, 7.0]),
     }
     arrays = {key: array.astype(np.float32) for key, array in arrays.items()}
-    path = export.write(scene(folder / "scene.xml", arrays), arrays, folder / "result")
+    path, _ = export.write(scene(folder / "scene.xml", arrays), arrays, folder / "result")
     # Nothing of the user's is needed to read it, or has changed.
     for name in ("paint.png", "other.png", "sky.exr", "figure.ply"):
         (folder / name).unlink()
@@ -104,7 +112,7 @@ def test_a_moved_mesh_and_a_turned_ball_are_where_they_were_found(folder):
         "up": PoseConfig(kind="translation", objects=["figure", "ball"], directions=[[0, 1, 0]])
     }
     arrays = {"up": np.array([0.25], np.float32)}
-    path = export.write(scene(folder / "scene.xml", arrays, poses), arrays, folder / "result")
+    path, _ = export.write(scene(folder / "scene.xml", arrays, poses), arrays, folder / "result")
     shapes = {"figure.vertex_positions": (-1, 3)}
     before, after = (found(each, shapes) for each in (folder / "scene.xml", path))
     moved = after["figure.vertex_positions"] - before["figure.vertex_positions"]
@@ -119,7 +127,7 @@ def test_a_moved_mesh_and_a_turned_ball_are_where_they_were_found(folder):
 def test_a_grid_is_written_in_mitsubas_format(folder, rng):
     key = "box.interior_medium.sigma_t.data"
     arrays = {key: rng.uniform(0.1, 2, (2, 3, 4, 1)).astype(np.float32)}
-    path = export.write(scene(folder / "cloud.xml", arrays), arrays, folder / "result")
+    path, _ = export.write(scene(folder / "cloud.xml", arrays), arrays, folder / "result")
     (folder / "grid.vol").unlink()
     assert np.allclose(found(path, {key: (2, 3, 4, 1)})[key], arrays[key])
 
@@ -127,7 +135,7 @@ def test_a_grid_is_written_in_mitsubas_format(folder, rng):
 def test_what_was_found_is_rendered_as_it_was(folder, rng):
     """The scene that a run would render its result from, and the file, with the same numbers."""
     arrays = {PAINT: rng.random((4, 6, 3)).astype(np.float32)}
-    path = export.write(scene(folder / "scene.xml", arrays), arrays, folder / "result")
+    path, _ = export.write(scene(folder / "scene.xml", arrays), arrays, folder / "result")
     own, *_ = scene_file.load(str(folder / "scene.xml"), None)
     params = mi.traverse(own)
     untouched = np.array(mi.render(own, spp=16, seed=1))
@@ -140,10 +148,72 @@ def test_what_was_found_is_rendered_as_it_was(folder, rng):
     assert np.abs(got - wanted).mean() < 1e-4 < 1e-2 < np.abs(got - untouched).mean()
 
 
-def test_what_cannot_be_exported_is_one_line(folder, tmp_path, capsys):
-    built = SceneConfig(name="pottery", builder="isas_cli.scenes.pottery.build")
-    with pytest.raises(InputError, match="scene=pottery is built by a program"):
-        export.write(built, {}, folder / "result")
+def same(path, own, sensor: int, count: int = 16) -> None:
+    """That the file shows what ``own`` does, with the same random numbers."""
+    wanted, got = (
+        np.array(mi.render(each, sensor=sensor, spp=count, seed=1))
+        for each in (own, mi.load_file(str(path), optimize=False))
+    )
+    assert wanted.mean() > 0.01 and np.abs(got - wanted).mean() < 1e-4 * wanted.mean()
+
+
+@pytest.mark.parametrize(
+    "name, told", [("pottery", 0), ("kirby", 0), ("smoke", 0), ("room_joint", 2)]
+)
+def test_what_a_program_described_is_a_file(tmp_path, rng, name, told):
+    """Meshes, pictures, grids; of materials that are isas's own it is said."""
+    described = schema.typed(compose([f"scene={name}", "size=tiny"])).scene
+    loaded = built.load(built.description(described))
+    scene_file.name_all(loaded)
+    unknowns = Unknowns(
+        mi.traverse(loaded), parse(mi.traverse(loaded), described.unknowns, True, described.poses)
+    )
+    arrays = {}
+    for each in unknowns:
+        low, high = (np.clip(bound, -3, 3) for bound in (each.low, each.high))
+        noise = 0.01 * rng.normal(size=each.truth.shape)
+        arrays[each.key] = np.clip(each.truth + noise, low, high).astype(np.float32)
+    path, said = export.write(described, arrays, tmp_path / "result")
+    assert len(said) == told and all("isas's own: import isas_cli" in line for line in said)
+    unknowns.write(unknowns.values_of(arrays))
+    same(path, loaded, 0)
+
+
+def test_photographs_are_exported_with_their_cameras_where_they_were_found(tmp_path, rng):
+    files = photo_sets.Files(tmp_path, photo_sets.POSES)
+    photo_sets.transforms(files)
+    trimesh.creation.box((0.8, 0.5, 0.6)).export(tmp_path / "box.ply")
+    settings = ["scene=photos", f"photos.path={tmp_path}", f"photos.mesh={tmp_path / 'box.ply'}"]
+    settings += ["photos.exposure=scale", "photos.refine=true", "photos.sky=4"]
+    cfg = schema.typed(compose(translate(settings))).scene
+    colour = "object.bsdf.brdf_0.base_color.value"
+    arrays = {
+        colour: np.array([0.2, 0.5, 0.7]),
+        "sky.data": rng.uniform(0.5, 2, (4, 8, 3)),
+        "exposure": np.array([[2.0], [0.5]]),
+        "cameras": rng.normal(0, 2, (2, 6)),
+    }
+    arrays = {key: array.astype(np.float32) for key, array in arrays.items()}
+    path, told = export.write(cfg, arrays, tmp_path / "result")
+    assert told == [
+        "no part of it are exposures: times 1, 2, 0.5 the views are as bright as the photographs"
+    ]
+    made = assemble.problem(cfg, TargetConfig(spp=1), lambda done, total: None)
+    made.unknowns.write(made.unknowns.values_of(arrays))
+    same(path, made.scene, 0)
+    loaded = mi.load_file(str(path), optimize=False)
+    for view in range(3):
+        at = dr.full(mi.UInt32, view), mi.UInt32(7), mi.UInt32(5)
+        half = mi.Point2f(0.5), mi.Point2f(0.5)
+        wanted, _ = rays.through(made.sensors, made.views, *at, *half)
+        views = Views.of(made.film_sizes)
+        got, _ = rays.through(loaded.sensors_dr(), views, *at, *half)
+        assert dr.allclose(got.d, wanted.d, atol=1e-5)
+        # Rays begin a thousandth of the way before the camera.
+        assert dr.norm(dr.cross(got.o - wanted.o, wanted.d))[0] < 5e-4
+
+
+def test_what_cannot_be_exported_is_one_line(tmp_path, capsys):
     assert main(["export", str(tmp_path / "nowhere")]) == 2
     told = capsys.readouterr().err
     assert told.count("\n") == 1 and "nowhere" in told

@@ -17,9 +17,9 @@ from isas_cli.scenes.subdivide import subdivide
 
 from isas_cli.config import schema
 from isas_cli.config.compose import compose
-from isas_cli.engine import assemble
 from isas_cli.runtime import backend
 from isas_cli.runtime.errors import InputError
+from isas_cli.scene import built
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [
@@ -118,7 +118,7 @@ def test_builders_are_deterministic(name):
 
 def test_the_depth_of_paths_is_a_setting():
     scene = schema.typed(compose(["scene=pottery", "size=tiny", "scene.max_depth=2"])).scene
-    assert assemble._from_builder(scene).integrator().max_depth == 2
+    assert built.load(built.description(scene)).integrator().max_depth == 2
 
 
 def test_surfaces_are_principled_or_clear_glass(loaded):

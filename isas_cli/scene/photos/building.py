@@ -10,7 +10,9 @@ import numpy as np
 
 from ...config.schema import PhotosConfig, UnknownConfig
 from ...runtime import images
+from ...runtime.errors import InputError
 from ...scenes import library, meshes
+from ..views import Views
 from .camera import Camera
 from .photographs import Photographs
 
@@ -31,8 +33,8 @@ _TURNS = {
 }
 
 
-def scene(photographs: Photographs, max_depth: int | None) -> mi.Scene:
-    """Sensors in the order of ``Photographs.all``."""
+def description(photographs: Photographs, max_depth: int | None) -> dict[str, Any]:
+    """As ``mitsuba.load_dict`` takes it; sensors in the order of ``Photographs.all``."""
     settings, surface = photographs.settings, photographs.surface
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     middle = (low + high) / 2
@@ -40,14 +42,13 @@ def scene(photographs: Photographs, max_depth: int | None) -> mi.Scene:
         f"sensor_{number:05d}": sensor(each.camera, middle)
         for number, each in enumerate(photographs.all)
     }
-    dictionary = {
+    return {
         "type": "scene",
         "integrator": {"type": "prb", "max_depth": _DEPTH if max_depth is None else max_depth},
         SKY: _light(settings),
         OBJECT: meshes.shape(OBJECT, surface, _material(settings, surface)),
         **sensors,
     }
-    return mi.load_dict(dictionary, optimize=False)
 
 
 def sensor(camera: Camera, middle: np.ndarray) -> dict[str, Any]:
@@ -99,6 +100,24 @@ def unknowns(settings: PhotosConfig, surface: meshes.Surface, own: dict) -> dict
     if settings.refine:
         found.setdefault(CAMERAS, UnknownConfig(start=0.0))
     return found
+
+
+def of_views(taken: Photographs, views: Views) -> dict:
+    """What of ``Loaded`` is of photographs. Raises InputError for a single view, whose exposure and
+    pose nothing tells from light and surface."""
+    asked = taken.settings
+    for name, usual in (("exposure", "fixed"), ("refine", False)):
+        if views.count == 1 and getattr(asked, name) != usual:
+            told = str(getattr(asked, name)).lower()
+            raise InputError(
+                f"photos.{name}={told}: the first view's stays as it is, and there is no other: "
+                f"take photos.{name}={str(usual).lower()}"
+            )
+    return {
+        "views": views,
+        "channels": {"fixed": None, "scale": 1, "channels": 3}[asked.exposure],
+        "pixel": pixels(taken) if asked.refine else None,
+    }
 
 
 def pixels(photographs: Photographs) -> np.ndarray:
