@@ -32,6 +32,24 @@ def cases() -> list:
     return hard_cases.everywhere()
 
 
+PHOTOGRAPHS = (
+    "Before anything is spent; tests/scene/test_photo_*.py and tests/engine/test_photo_runs.py "
+    "break sets of photographs so."
+)
+OF_PHOTOGRAPHS = {
+    "a view of another size than its camera's": "refused: both sizes are named",
+    "a mask of zeros": "refused: no pixel counts, and why",
+    "a saturated view": "refused: no pixel counts, how many are saturated",
+    "pixels that are NaN": "refused: how many",
+    "mirrored poses, or stretched ones": "refused: the view, the determinant",
+    "axes of another format": "warned: the object lies behind so many cameras",
+    "a frame whose file is missing": "refused: the frame, the file",
+    "NaN in a camera": "refused: the frame",
+    "cameras inside the mesh": "warned: how many",
+    "one view only": "warned; ends with a smaller loss; an unknown exposure or pose is refused",
+}
+
+
 def one(name: str, way: str) -> dict:
     """What became of a case, in this process."""
     from isas_cli.runtime.errors import IsasError
@@ -81,6 +99,8 @@ def page(table: pandas.DataFrame) -> str:
             else:
                 cells += [f"{row['error']:.2g}", f"{row['loss']:.2g}", f"{row['nonfinite']:g}"]
         rows.append("| " + " | ".join(cells) + " |")
+    rows += ["", "## Photographs", "", PHOTOGRAPHS, "", "| case | what happens |", "|---|---|"]
+    rows += [f"| {case} | {told} |" for case, told in OF_PHOTOGRAPHS.items()]
     return "\n".join(rows) + "\n"
 
 

@@ -79,10 +79,10 @@ class BlurConfig:
 class UnknownConfig:
     """One unknown: start value (number, list, image file, ``{of: other key}`` or ``{uniform: [low,
     high], seed: n}``), legal range, own learning rate, and the blur of ``estimator=plateau``;
-    ``during``: the shares of the budget between which it moves, [from, to]; before and after it
-    keeps its value (None: it always moves); ``levels``: of a grid, how many resolutions it passes
-    through, each twice the last and for twice the time, or the shares of the budget at which it
-    doubles."""
+    ``during``: the shares of the budget between which it moves, [from, to], or several such stages,
+    [from, to, from, to]; outside it keeps its value (None: it always moves); ``levels``: of a grid,
+    how many resolutions it passes through, each twice the last and for twice the time, or the
+    shares of the budget at which it doubles."""
 
     start: Any = None
     # How fast, and within which bounds, an unknown may move is the method's affair.
@@ -94,10 +94,12 @@ class UnknownConfig:
 
     def __post_init__(self) -> None:
         if self.during is not None:
-            if len(self.during) != 2 or not 0 <= self.during[0] < self.during[1] <= 1:
+            shares = [0.0, *self.during, 1.0]
+            rising = all(a < b for a, b in zip(self.during, self.during[1:]))
+            if len(shares) % 2 or len(shares) < 4 or not rising or sorted(shares) != shares:
                 raise InputError(
-                    f"during={list(self.during)}: two shares of the budget, [from, to], with "
-                    "0 <= from < to <= 1"
+                    f"during={list(self.during)}: shares of the budget, [from, to] or [from, to, "
+                    "from, to, …], each larger than the one before, from 0 to 1"
                 )
 
 

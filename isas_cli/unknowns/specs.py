@@ -169,7 +169,7 @@ def parse(
 
 def _check_stages(unknowns: list[Unknown]) -> None:
     """Raise InputError where at some share of the budget nothing would move."""
-    for share in sorted({0.0, *(end for u in unknowns for end in u.during if end < 1)}):
+    for share in sorted({0.0, *(s for u in unknowns for s in u.during if s < 1)}):
         if not any(u.moves(share) for u in unknowns):
             raise InputError(
                 f"scene.unknowns: from the share {share:g} of the budget on no unknown moves: let "

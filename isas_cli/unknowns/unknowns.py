@@ -18,9 +18,9 @@ class Unknown:
     """One unknown. ``start`` and ``truth`` are float32 arrays of the shape of ``kind.present``
     (``truth`` is None for photographs); ``low``, ``high``: legal range, in its unit;
     ``lr``: its own learning rate, or None for the optimiser's; ``blur``: of ``sampler=plateau``, or
-    None; ``during``: the shares of the budget between which it moves; ``seen``: which entries some
-    view sees (bool, same shape), filled in by ``coverage``; ``doubled``: the shares of the budget
-    at which its resolution doubles until it is whole."""
+    None; ``during``: the shares of the budget at which it begins to move, rests, begins again, …;
+    ``seen``: which entries some view sees (bool, same shape), filled in by ``coverage``;
+    ``doubled``: the shares of the budget at which its resolution doubles until it is whole."""
 
     kind: Kind
     start: np.ndarray
@@ -29,7 +29,7 @@ class Unknown:
     high: float
     lr: float | None
     blur: BlurConfig | None = None
-    during: tuple[float, float] = (0.0, 1.0)
+    during: tuple[float, ...] = (0.0, 1.0)
     seen: np.ndarray | None = None
     doubled: tuple[float, ...] = ()
 
@@ -44,8 +44,9 @@ class Unknown:
 
     def moves(self, spent: float) -> bool:
         """Whether it is optimised at this share of the budget."""
-        begin, end = self.during
-        return begin <= spent < end or spent >= end == 1
+        # As many shares as it has begun, and one for every rest.
+        passed = sum(share <= spent for share in self.during if share < 1)
+        return passed % 2 == 1
 
     def error(self, array: np.ndarray) -> float:
         """How far ``array`` is from the known truth over what is seen, in the unknown's unit."""

@@ -348,6 +348,13 @@ CASES = [
         settings=("optimizer.lr=0.03", "estimator.batch=4096"),
     ),
     Case(
+        *("brightness to trade", "a light and a colour, of which images tell the product alone"),
+        *({"sky.radiance.value": {"start": 0.5}, REFLECTANCE: {"start": 0.2}}, 1.0),
+        shapes=FLOOR,
+        origin="0,3,2",
+        warns="can trade brightness",
+    ),
+    Case(
         *("a speck", "one pixel tells of the unknown, the residuals of all others are 0"),
         *(GREY_FROM, 0.05),
         shapes=BALL.replace('"0.8"', '"0.06"'),
