@@ -21,13 +21,16 @@ from ..scenes import meshes
 from ..unknowns.parameters import as_numpy
 from ..unknowns.specs import parse
 from ..unknowns.unknowns import Unknowns
-from . import built, scene_file
+from ..unknowns.vertices import POSITIONS
+from . import built, mesh_files, scene_file
 from .photos import building, photographs
 from .photos.photographs import Photographs
 from .views import Views
 
 # Of nodes that the file gives no id: by it an object is found that was made from one.
 _OWN = "isas-node-"
+# What of a material is its colour, as a picture.
+_COLOURS = "base_color.data", "reflectance.data", "diffuse.data"
 # Plugins that Mitsuba has not: where they are registered.
 _OURS = {"phong": "isas_cli.scene.phong", "emission": "isas_cli.rendering.volume"}
 
@@ -36,7 +39,8 @@ def write(
     scene: SceneConfig, arrays: dict[str, np.ndarray], folder: Path
 ) -> tuple[Path, list[str]]:
     """Writes ``scene.xml`` and the files that it names into ``folder``: textures, grids and meshes
-    that were found as EXR, ``.vol`` and PLY, and copies of all others. Returns its path, and in
+    that were found as EXR, ``.vol`` and PLY, and copies of all others; and meshes with pictures on
+    them as OBJ, MTL and PNG. Returns its path, and in
     words what such a file cannot hold.
 
     ``arrays``: the unknowns' values by key. Raises InputError where ``folder`` cannot be written,
@@ -67,6 +71,7 @@ def write(
     params = mi.traverse(loaded)
     for key in dict.fromkeys(name for each in unknowns for name in each.kind.writes):
         _Place(params, key, made_from, written).put(folder)
+    _paint(loaded, folder)
     told = _stand(written, views) if views is not None else []
     brought: dict[str, Path] = {}
     for node in written.nodes:
@@ -134,6 +139,24 @@ def _unknowns(
     truth_known = taken is None and scene.targets is None
     found = parse(mi.traverse(loaded), wanted, truth_known, scene.poses, of_views)
     return Unknowns(mi.traverse(loaded), found), of_views and of_views["views"]
+
+
+def _paint(loaded: mi.Scene, folder: Path) -> None:
+    """Meshes whose colour is a picture once more, for programs that read OBJ files."""
+    for shape in loaded.shapes():
+        if not shape.is_mesh() or not shape.has_vertex_texcoords():
+            continue
+        paint, mesh = mi.traverse(shape.bsdf()), mi.traverse(shape)
+        colours = [key for key in paint.keys() if key.endswith(_COLOURS)]
+        positions = [key for key in POSITIONS if key in mesh]
+        if not colours or not positions:  # a rectangle is a mesh that tells no vertices
+            continue
+        arrays = [np.array(mesh[key]) for key in (positions[0], "faces", "vertex_texcoords")]
+        colour = as_numpy(paint[colours[0]])
+        colour = np.broadcast_to(colour, (*colour.shape[:2], 3))
+        rows = (a.reshape(-1, n) for a, n in zip(arrays, (3, 3, 2)))
+        for name, content in mesh_files.painted(shape.id(), *rows, colour).items():
+            (folder / name).write_bytes(content)
 
 
 def _stand(state, views: Views) -> list[str]:

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from ..runtime.errors import InputError
 from ..scene.crossings import crossing
+from ..scene.mesh_files import upwards
 from ..scene.shape_error import MEASURES, Sampled, apart, enclosed
 from ..scene.topology import Topology
 from .kind import Kind, Loaded, Surface
@@ -263,13 +264,14 @@ class Vertices(Kind):
         return float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean())
 
     def files(self, array: np.ndarray) -> dict[str, bytes]:
-        """PLY of the welded mesh, and OBJ with the file's own vertices and texture coordinates."""
+        """PLY of the welded mesh, and OBJ with the file's own vertices and texture coordinates, v
+        upwards as in such files."""
         import trimesh
 
         welded = trimesh.Trimesh(array, self.topology.faces, process=False)
         visual = None
         if len(self._texcoords):
-            visual = trimesh.visual.TextureVisuals(uv=self._texcoords)
+            visual = trimesh.visual.TextureVisuals(uv=upwards(self._texcoords))
         whole = trimesh.Trimesh(
             array[self.topology.place], self._faces, visual=visual, process=False
         )

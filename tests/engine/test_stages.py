@@ -11,8 +11,8 @@ def test_each_moves_in_its_stages_and_both_are_found(tmp_path):
         LIGHT: {"start": 0.5, "during": [0, 0.3, 0.6, 1]},
         COLOUR: {"start": 0.2, "during": [0.3, 1]},
     }
-    case = hard_cases.Case("stages", "", unknowns, 0.02)
-    history = case.run(tmp_path, "evaluation.count=40").history
+    case = hard_cases.Case("stages", "", unknowns, 0.05)
+    history = case.run(tmp_path, "evaluation.count=40", "optimizer.lr=0.1").history
     errors = history.set_index("iteration")[[f"parameter_rmse/{k}" for k in unknowns]]
     errors.columns = ["light", "colour"]
 

@@ -179,6 +179,21 @@ def test_what_a_program_described_is_a_file(tmp_path, rng, name, told):
     same(path, loaded, 0)
 
 
+def test_a_painted_mesh_is_an_obj_file_with_its_picture(tmp_path, rng):
+    described = schema.typed(compose(["scene=pottery", "size=tiny"])).scene
+    key = next(iter(described.unknowns))
+    shape = key.partition(".")[0]
+    params = mi.traverse(built.load(built.description(described)))
+    colour = rng.random(params[key].shape).astype(np.float32)
+    export.write(described, {key: colour}, tmp_path)
+    read = trimesh.load(tmp_path / f"{shape}.obj", process=False)
+    picture = np.asarray(read.visual.material.image)
+    assert np.array_equal(picture, images.to_display(colour))
+    uv = np.array(params[f"{shape}.vertex_texcoords"]).reshape(-1, 2)
+    assert np.allclose(read.visual.uv * [1, -1] + [0, 1], uv, atol=1e-5)
+    assert len(read.faces) * 3 == len(np.array(params[f"{shape}.faces"]))
+
+
 def test_photographs_are_exported_with_their_cameras_where_they_were_found(tmp_path, rng):
     files = photo_sets.Files(tmp_path, photo_sets.POSES)
     photo_sets.transforms(files)

@@ -17,6 +17,7 @@ from isas_cli.config.schema import OptimizerConfig, UnknownConfig
 from isas_cli.engine import assemble
 from isas_cli.engine.optimiser import Stepper
 from isas_cli.runtime.errors import InputError
+from isas_cli.scene.mesh_files import upwards
 from isas_cli.scene.shape_error import Sampled, apart
 from isas_cli.scene.topology import Topology
 
@@ -201,7 +202,7 @@ def test_a_start_from_a_file_has_the_same_faces(tmp_path):
         kind.start(str(small), "start")
 
 
-def test_the_result_keeps_texture_coordinates():
+def test_the_result_keeps_texture_coordinates(tmp_path):
     import trimesh
 
     vertices, faces = ball(1)
@@ -214,4 +215,9 @@ def test_the_result_keeps_texture_coordinates():
     text = kind.files(kind.present)["obj"].decode()
     read = trimesh.load(io.StringIO(text), file_type="obj", process=False)
     assert len(read.vertices) == len(corners) * 3
-    np.testing.assert_allclose(read.visual.uv, coordinates.reshape(-1, 2), atol=1e-5)
+    # As Mitsuba and Blender read it: v runs up the picture in such a file.
+    (tmp_path / "figure.obj").write_text(text)
+    again = mi.load_dict({"type": "obj", "filename": str(tmp_path / "figure.obj")})
+    found = np.array(mi.traverse(again)["vertex_texcoords"]).reshape(-1, 2)
+    np.testing.assert_allclose(found, coordinates.reshape(-1, 2), atol=1e-5)
+    np.testing.assert_allclose(read.visual.uv, upwards(found), atol=1e-5)

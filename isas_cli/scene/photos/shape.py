@@ -12,6 +12,7 @@ from ...runtime.errors import InputError
 from ...scenes import lathe, meshes
 from ...scenes.meshes import Surface
 from ..mesh_checks import check_values, degenerate
+from ..mesh_files import upwards
 from .base import Capture
 
 _KINDS = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
@@ -60,7 +61,7 @@ def _read(path: str) -> Surface:
         raise InputError(f"photos.mesh={path}: cannot be read: {told}") from error
     texcoords = np.zeros((0, 2), np.float32)
     if found is not None and len(found) == len(vertices):
-        texcoords = np.asarray(found, np.float32) * [1, -1] + [0, 1]
+        texcoords = upwards(np.asarray(found, np.float32))
     if len(vertices) == 0 or len(faces) == 0:
         raise InputError(f"photos.mesh={path}: has no triangles")
     faces = np.delete(faces, degenerate(vertices, faces), axis=0).astype(np.uint32)
