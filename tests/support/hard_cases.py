@@ -136,6 +136,28 @@ def _steep(side: int = 8) -> np.ndarray:
     return (normals + 1) / 2
 
 
+def _waves(degrees: float, side: int = 8) -> np.ndarray:
+    """A normal map whose normals lean this way and that, up to so much."""
+    row, column = np.mgrid[:side, :side]
+    x = np.radians(degrees) * np.sin(1.3 * column + 0.7 * row)
+    y = np.radians(degrees) * np.cos(0.8 * column - 1.1 * row)
+    normals = [np.sin(x), np.sin(y) * np.cos(x), np.cos(x) * np.cos(y)]
+    return (np.stack(normals, axis=-1) + 1) / 2
+
+
+def _coloured() -> np.ndarray:
+    """A map of one colour from above, another from the right, another from ahead."""
+    row, column = np.mgrid[:16, :32] / np.array([16, 32])[:, None, None]
+    ahead = np.abs(column - 0.5) < 0.25
+    lit = [2 * (row < 0.5), 1.5 * (column > 0.5), 1.5 * ahead]
+    return np.stack(lit, axis=-1) + 0.2
+
+
+WALL = """<shape type="rectangle" id="thing"><transform name="to_world"><scale value="0.9"/>
+  </transform>{bsdf}</shape>"""
+BUMPED = f"""<bsdf type="normalmap"><texture type="bitmap" name="normalmap">
+  <boolean name="raw" value="true"/><string name="filename" value="bumps.exr"/>
+  <string name="filter_type" value="nearest"/></texture>{GREY}</bsdf>"""
 GREY_FROM = start(REFLECTANCE, 0.2)
 BASE_FROM = start("thing.bsdf.base_color.value", 0.2)
 FLOOR = """<shape type="rectangle" id="thing"><transform name="to_world">
@@ -364,10 +386,18 @@ CASES = [
     Case(
         *("steep bumps", "a normal map whose normals lean by 80°, the other way at each texel"),
         *(start("thing.bsdf.nested_bsdf.reflectance.value", 0.2), 0.02),
-        bsdf='<bsdf type="normalmap"><texture type="bitmap" name="normalmap">'
-        '<boolean name="raw" value="true"/><string name="filename" value="bumps.exr"/>'
-        f'<string name="filter_type" value="nearest"/></texture>{GREY}</bsdf>',
+        bsdf=BUMPED,
         bumps=_steep(),
+    ),
+    Case(
+        *("bumps to find", "a normal map is unknown, which one view tells of by the sky's colours"),
+        *(start("thing.bsdf.normalmap.data", [0.5, 0.5, 1.0], range=[0, 1]), 0.07),
+        emitter=MAP,
+        sky=_coloured(),
+        shapes=WALL,
+        bsdf=BUMPED,
+        bumps=_waves(25),
+        settings=("optimizer.lr=0.02", "estimator.batch=4096"),
     ),
     Case(
         *("no metal", "metallic 0, the other end of its range"),
