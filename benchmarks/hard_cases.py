@@ -33,20 +33,20 @@ def cases() -> list:
 
 
 PHOTOGRAPHS = (
-    "Before anything is spent; tests/scene/test_photo_*.py and tests/engine/test_photo_runs.py "
-    "break sets of photographs so."
+    "What is said, mostly before anything is spent. Not measured: tests/scene/test_photo_*.py and "
+    "tests/engine/test_photo_runs.py break sets of photographs so."
 )
 OF_PHOTOGRAPHS = {
     "a view of another size than its camera's": "refused: both sizes are named",
     "a mask of zeros": "refused: no pixel counts, and why",
     "a saturated view": "refused: no pixel counts, how many are saturated",
     "pixels that are NaN": "refused: how many",
-    "mirrored poses, or stretched ones": "refused: the view, the determinant",
+    "mirrored poses, or stretched ones": "refused: the view, and which of both",
     "axes of another format": "warned: the object lies behind so many cameras",
     "a frame whose file is missing": "refused: the frame, the file",
     "NaN in a camera": "refused: the frame",
     "cameras inside the mesh": "warned: how many",
-    "one view only": "warned; ends with a smaller loss; an unknown exposure or pose is refused",
+    "one view only": "ends with a smaller loss; an unknown exposure or pose is refused",
 }
 
 

@@ -192,8 +192,11 @@ def as_files(folder: Path) -> Iterator[None]:
         _FOLDER.reset(before)
 
 
-def shape(name: str, surface: Surface, bsdf: dict[str, Any]) -> Any:
-    """A Mitsuba mesh with a material, for use as an entry of a scene dictionary."""
+def shape(
+    name: str, surface: Surface, bsdf: dict[str, Any], colours: np.ndarray | None = None
+) -> Any:
+    """A Mitsuba mesh with a material, for use as an entry of a scene dictionary; ``colours``,
+    ``(V, 3)``: its attribute `vertex_colour`."""
     import mitsuba as mi
 
     textured = len(surface.texcoords) > 0
@@ -215,6 +218,8 @@ def shape(name: str, surface: Surface, bsdf: dict[str, Any]) -> Any:
     if textured:
         values["vertex_texcoords"] = surface.texcoords.ravel()
     values.update()
+    if colours is not None:
+        mesh.add_attribute("vertex_colour", 3, np.ravel(colours).astype(np.float32))
     folder = _FOLDER.get()
     if folder is None:
         return mesh

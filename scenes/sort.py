@@ -49,9 +49,8 @@ def build(width: int) -> dict[str, Any]:
     middles = np.stack([xz[:, 0], np.full(len(xz), SIDE / 2 + 1e-3), xz[:, 1]], axis=1)
     surface = boxes(middles, (SIDE / 2,) * 3)
     material = {**matt(0.5), "base_color": {"type": "mesh_attribute", "name": "vertex_colour"}}
-    cubes = meshes.shape("cubes", surface, material)
     colours = np.repeat(np.asarray(COLOURS, np.float32), 25 * 24, axis=0)
-    cubes.add_attribute("vertex_colour", 3, colours.ravel())
+    cubes = meshes.shape("cubes", surface, material, colours)
     return {
         "type": "scene",
         "integrator": {"type": "prb", "max_depth": 2},

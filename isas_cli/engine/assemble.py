@@ -45,8 +45,8 @@ def problem(
         else:
             loaded = built.load(built.description(scene, taken))
             integrator = loaded.integrator()
-            description = f"{scene.builder} {dict(scene.arguments)}"
-            description = description if taken is None else str(scene.photos.up)
+            built_by = f"{scene.builder} {dict(scene.arguments)}"
+            description = built_by if taken is None else str(scene.photos.up)
     sensors = loaded.sensors()
     if not sensors:
         raise InputError(f"{_where(scene)} has no sensor: add at least one camera")

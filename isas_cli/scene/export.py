@@ -3,6 +3,8 @@ with what was found in it."""
 
 from __future__ import annotations
 
+import importlib
+import re
 import shutil
 from collections import Counter
 from collections.abc import Callable
@@ -10,6 +12,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -29,25 +32,45 @@ from .views import Views
 
 # Of nodes that the file gives no id: by it an object is found that was made from one.
 _OWN = "isas-node-"
+_PYTHON = {"phong": mi.ObjectType.BSDF} | dict.fromkeys(
+    ("prb", "prb_basic", "prbvolpath", "emission"), mi.ObjectType.Integrator
+)
 # What of a material is its colour, as a picture.
-_COLOURS = "base_color.data", "reflectance.data", "diffuse.data"
-# Plugins that Mitsuba has not: where they are registered.
+_COLOURS = ".base_color", ".reflectance", ".diffuse_reflectance", ".diffuse"
+_REFRACTING = "dielectric", "roughdielectric", "thindielectric", "plastic", "roughplastic"
+# Plugins that Mitsuba has not: where they are registered, and what their files need.
 _OURS = {"phong": "isas_cli.scene.phong", "emission": "isas_cli.rendering.volume"}
+_NEEDS = {
+    "phong": "after mitsuba.set_variant, import isas_cli.scene.phong, then load the scene",
+    "emission": "isas alone renders it, with scene=file",
+}
 
 
 def write(
     scene: SceneConfig, arrays: dict[str, np.ndarray], folder: Path
 ) -> tuple[Path, list[str]]:
     """Writes ``scene.xml`` and the files that it names into ``folder``: textures, grids and meshes
-    that were found as EXR, ``.vol`` and PLY, and copies of all others; and meshes with pictures on
-    them as OBJ, MTL and PNG. Returns its path, and in
-    words what such a file cannot hold.
+    that were found as EXR, ``.vol`` and PLY, and copies of all others; and into ``painted`` below
+    it meshes with pictures on them, as OBJ, MTL and PNG. Returns the path of the scene, and lines
+    about what such a file cannot hold.
 
     ``arrays``: the unknowns' values by key. Raises InputError where ``folder`` cannot be written,
-    and for an unknown that Mitsuba's format cannot hold.
+    and for what Mitsuba's format cannot hold.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    for module in _OURS.values():
+        importlib.import_module(module)
     taken = None if scene.photos.path is None else photographs.load(scene.photos)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return _write(scene, taken, arrays, folder)
+    except (OSError, RuntimeError) as error:
+        told = " ".join(str(error).split())
+        raise InputError(f"{folder}: the result cannot be written: {told}") from error
+
+
+def _write(
+    scene: SceneConfig, taken: Photographs | None, arrays: dict[str, np.ndarray], folder: Path
+) -> tuple[Path, list[str]]:
     parsed = _parser(scene, taken, folder)
     settings, state = parsed()
     named = _name(state)
@@ -71,7 +94,7 @@ def write(
     params = mi.traverse(loaded)
     for key in dict.fromkeys(name for each in unknowns for name in each.kind.writes):
         _Place(params, key, made_from, written).put(folder)
-    _paint(loaded, folder)
+    _paint(loaded, folder / "painted")
     told = _stand(written, views) if views is not None else []
     brought: dict[str, Path] = {}
     for node in written.nodes:
@@ -80,11 +103,11 @@ def write(
         if "filename" in node.props:
             node.props["filename"] = _bring(node.props["filename"], folder, brought)
         if (kind := node.props.plugin_name()) in _OURS:
-            told.append(f"'{kind}' is isas's own: import {_OURS[kind]} before Mitsuba loads it")
+            told.append(f"'{kind}' is isas's own: {_NEEDS[kind]}")
     path = folder / "scene.xml"
     mi.parser.write_file(written, str(path))
     _keep_ids(path, written)
-    return path, told
+    return path, list(dict.fromkeys(told))
 
 
 def _parser(scene: SceneConfig, taken: Photographs | None, folder: Path) -> Callable[[], tuple]:
@@ -101,8 +124,7 @@ def _parser(scene: SceneConfig, taken: Photographs | None, folder: Path) -> Call
         for node in state.nodes:
             # Of plugins in Python Mitsuba does not know what they are.
             if node.type == mi.ObjectType.Unknown:
-                ours = node.props.plugin_name() == "phong"
-                node.type = mi.ObjectType.BSDF if ours else mi.ObjectType.Integrator
+                node.type = _PYTHON.get(node.props.plugin_name(), node.type)
         return settings, state
 
     return parsed
@@ -115,8 +137,14 @@ def _as_files(described: dict[str, Any], folder: Path, name: str) -> dict[str, A
         here = f"{name}.{key}" if name else key
         if isinstance(value, dict):
             found[key] = _as_files(value, folder, here)
+        elif isinstance(value, mi.Object) and not isinstance(value, (mi.Bitmap, mi.VolumeGrid)):
+            raise InputError(
+                f"'{here}' is an object that the scene's builder made, which no file can name: "
+                "describe it by a dictionary, or make it by meshes.shape"
+            )
         elif isinstance(value, mi.Bitmap):
             pixels = np.array(value, np.float32)
+            pixels = pixels[..., None] if pixels.ndim == 2 else pixels
             found["filename"] = str(folder / f"{name}.exr")
             images.write_exr(found["filename"], pixels, _channels(pixels), {"what": name})
         elif isinstance(value, mi.VolumeGrid):
@@ -147,16 +175,25 @@ def _paint(loaded: mi.Scene, folder: Path) -> None:
         if not shape.is_mesh() or not shape.has_vertex_texcoords():
             continue
         paint, mesh = mi.traverse(shape.bsdf()), mi.traverse(shape)
-        colours = [key for key in paint.keys() if key.endswith(_COLOURS)]
+        pictures = [key.rpartition(".")[0] for key in paint.keys() if key.endswith(".data")]
+        colours = [key for key in pictures if f".{key}".endswith(_COLOURS)]
         positions = [key for key in POSITIONS if key in mesh]
         if not colours or not positions:  # a rectangle is a mesh that tells no vertices
             continue
-        arrays = [np.array(mesh[key]) for key in (positions[0], "faces", "vertex_texcoords")]
-        colour = as_numpy(paint[colours[0]])
+        texels = paint[f"{colours[0]}.data"]
+        if not dr.is_float_v(texels):
+            continue
+        coordinates = np.array(mesh["vertex_texcoords"]).reshape(-1, 2)
+        if f"{colours[0]}.to_uv" in paint:
+            turn = np.array(paint[f"{colours[0]}.to_uv"].matrix, np.float64).reshape(3, 3)
+            coordinates = coordinates @ turn[:2, :2].T + turn[:2, 2]
+        colour = as_numpy(texels)
         colour = np.broadcast_to(colour, (*colour.shape[:2], 3))
-        rows = (a.reshape(-1, n) for a, n in zip(arrays, (3, 3, 2)))
-        for name, content in mesh_files.painted(shape.id(), *rows, colour).items():
-            (folder / name).write_bytes(content)
+        points, faces = (np.array(mesh[key]).reshape(-1, 3) for key in (positions[0], "faces"))
+        folder.mkdir(exist_ok=True)
+        name = re.sub(r"[^\w.-]", "_", shape.id())
+        for file, content in mesh_files.painted(name, points, faces, coordinates, colour).items():
+            (folder / file).write_bytes(content)
 
 
 def _stand(state, views: Views) -> list[str]:
@@ -171,9 +208,10 @@ def _stand(state, views: Views) -> list[str]:
             props["to_world"] = mi.ScalarTransform4f(stands)
     if views.exposure is None:
         return []
-    factors = np.array(views.exposure).reshape(-1, 3)
-    told = ", ".join("/".join(f"{e:.4g}" for e in dict.fromkeys(each)) for each in factors)
-    return [f"no part of it are exposures: times {told} the views are as bright as the photographs"]
+    factors = [list(each) for each in np.array(views.exposure).reshape(-1, 3)]
+    told = [each[:1] if len(set(each)) == 1 else each for each in factors]
+    told = ", ".join("/".join(f"{e:.4g}" for e in each) for each in told)
+    return [f"exposures are not in the file: multiply the views by {told}"]
 
 
 def _bring(name: str, folder: Path, brought: dict[str, Path]) -> str:
@@ -251,7 +289,18 @@ class _Place:
         elif isinstance(self.owner, mi.Texture) and self.name == "data":
             self._picture(as_numpy(self.value), f"{file}.exr")
         elif self.name == "to_world":
+            # What it holds already.
+            self._without("center", "radius", "p0", "p1", "direction")
             self.props["to_world"] = mi.ScalarTransform4f(np.array(self.value.matrix).reshape(4, 4))
+        elif self.name == "position":
+            self._without("to_world")
+            self.props["position"] = mi.ScalarPoint3f(as_numpy(self.value).ravel().tolist())
+        elif self.name == "eta" and self.props.plugin_name() in _REFRACTING:
+            self._without("int_ior", "ext_ior")
+            self.props["int_ior"], self.props["ext_ior"] = (
+                float(as_numpy(self.value).ravel()[0]),
+                1.0,
+            )
         else:
             numbers = as_numpy(self.value).ravel()
             if numbers.size not in (1, 3):
@@ -261,20 +310,28 @@ class _Place:
             plain = numbers.size == 1
             self.props[self.name] = float(numbers[0]) if plain else mi.ScalarColor3f(*numbers)
 
+    def _without(self, *names: str) -> None:
+        for name in names:
+            if name in self.props:
+                del self.props[name]
+
     def _picture(self, pixels: np.ndarray, path: str) -> None:
         images.write_exr(path, pixels, _channels(pixels), {"what": self.key})
         self._file(path)
 
     def _file(self, path: str) -> None:
-        for other in ("data", "bitmap", "grid"):
-            if other in self.props:
-                del self.props[other]
+        self._without("data", "bitmap", "grid")
+        self._instead(path)
+
+    def _instead(self, path: str) -> None:
+        """``path`` for the file that stands there; one that ``_as_files`` made is in the way."""
+        before = self.props.get("filename")
+        if before is not None and Path(before).parent == Path(path).parent != Path():
+            Path(before).unlink(missing_ok=before != path)
         self.props["filename"] = path
 
     def _mesh(self, path: Path) -> None:
         self.owner.write_ply(str(path))
-        for other in ("to_world", "flip_tex_coords", "shape_index"):
-            if other in self.props:
-                del self.props[other]
+        self._without("to_world", "flip_tex_coords", "shape_index")
         self.props.set_plugin_name("ply")
         self.props["filename"] = str(path)

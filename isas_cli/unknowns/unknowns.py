@@ -44,7 +44,7 @@ class Unknown:
 
     def moves(self, spent: float) -> bool:
         """Whether it is optimised at this share of the budget."""
-        # As many shares as it has begun, and one for every rest.
+        # Odd: it has begun once more than it has rested. An end at 1 never comes.
         passed = sum(share <= spent for share in self.during if share < 1)
         return passed % 2 == 1
 
