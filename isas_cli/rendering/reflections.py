@@ -25,7 +25,7 @@ class Reflections:
     point b on it and a direction ω of its silhouettes, uniformly (4 φ, as a solid angle). The line
     is followed back to x, which is connected with one view of V, drawn uniformly, in its pixel j.
     With s the sine between line and edge and J the area in pixels of a unit of the surface at x
-    (Zhang et al. 2023, Eq. 17, for one bounce, in pixels):
+    (the boundary integral of Zhang et al. 2023, 'Projective Sampling', for one bounce, in pixels):
 
         V/M Σ_i ⟨∂ℒ/∂I⟩_{j(x_i)} f(x_i) J_i s_i / |n_x·ω_i| 4 φ l / P_i
             · (ΔL n·∂b/∂θ + L_behind (1 - r) n·∂x/∂θ),
@@ -113,14 +113,16 @@ class Reflections:
                 valid &= dr.isfinite(moves) & dr.isfinite(shows)
                 own &= valid
                 moves, shows = dr.select(valid, moves, 0), dr.select(own, shows, 0)
+                # An edge without a direction has none, and no derivative.
+                normal = dr.select(valid, found.n, 0)
                 seen = mi.Ray3f(eye, dr.normalize(si.p - eye))
                 hit = scene.ray_intersect_preliminary(seen, active=own)
-                dr.eval(moves, shows, valid, own, seen, hit)
+                dr.eval(moves, shows, normal, valid, own, seen, hit)
                 with dr.resume_grad():
                     moved_by = dr.lerp(at(positions, drawn.a), at(positions, drawn.b), drawn.t)
                     surface = hit.compute_surface_interaction(seen, mi.RayFlags.Minimal, own)
-                    total = dr.select(valid, moves * dr.dot(found.n, moved_by), 0)
-                    total += dr.select(own, shows * dr.dot(found.n, surface.p), 0)
+                    total = dr.select(valid, moves * dr.dot(normal, moved_by), 0)
+                    total += dr.select(own, shows * dr.dot(normal, surface.p), 0)
                     dr.backward_from(total)
 
         self._kernel = dr.freeze(kernel) if freeze else kernel

@@ -7,11 +7,23 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from isas_cli.scenes.cameras import perspective
-from shapes_for_tests import COUNT, KEY, agrees, ball, differences, estimates, problem, shaped
+from shapes_for_tests import (
+    COUNT,
+    KEY,
+    agrees,
+    ball,
+    differences,
+    egg,
+    estimates,
+    problem,
+    shaped,
+)
 
+from isas_cli import losses
 from isas_cli.estimators.silhouettes import Settings
 from isas_cli.rendering import reflections
 from isas_cli.rendering.outline import Eyes, Outline, silhouettes
+from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.rendering.rays import stream
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene.topology import Topology
@@ -127,6 +139,26 @@ def test_lines_that_touch_an_edge():
             share = seen(mi.warp.square_to_uniform_sphere(random.next_2d())).mean()
             expected = measure[0] / np.linalg.norm(tent[ends[1]] - tent[ends[0]]) / (4 * np.pi)
             assert abs(share - expected) < 0.01, (share, expected)
+
+
+def test_frozen_kernels_see_every_update_and_nothing_is_nan():
+    scene = above_a_floor("matt")
+    own = {key: scene[key] for key in ("floor", "integrator")}
+    p = problem(views=2, side=16, level=2, **own)
+    uniform, x = PixelDistribution.uniform(Tiles.over(p.views)), egg(p)
+    beyond, flat = x + np.float32(50), x * np.float32([1, 1, 0])
+    steps = []
+    for freeze in (True, False):
+        chosen = Settings(batch=512, edges=512, shadows=0, reflections=2048, freeze=freeze)
+        estimator = chosen.made(chosen.on(p), losses.L2())
+        found = []
+        for i, place in enumerate((x, x * np.float32(1.1), beyond, flat)):
+            values = p.unknowns.values_of({KEY: place})
+            found.append(np.array(estimator.estimate(values, uniform, 1, i, 0.0)[KEY]))
+        steps.append(np.stack(found))
+    assert np.isfinite(steps[0]).all() and not steps[0][2].any()
+    for frozen, traced in zip(*steps):
+        assert np.allclose(frozen, traced, atol=2e-3 * np.abs(traced).max())
 
 
 def test_what_cannot_be_is_refused():
