@@ -175,14 +175,16 @@ def _paint(loaded: mi.Scene, folder: Path) -> None:
         if not shape.is_mesh() or not shape.has_vertex_texcoords():
             continue
         paint, mesh = mi.traverse(shape.bsdf()), mi.traverse(shape)
-        pictures = [key.rpartition(".")[0] for key in paint.keys() if key.endswith(".data")]
-        colours = [key for key in pictures if f".{key}".endswith(_COLOURS)]
+        pictures = {}
+        for key, (_, _, owner, *_) in paint.properties.items():
+            texels = paint[key]
+            if isinstance(owner, mi.Texture) and dr.is_tensor_v(texels) and dr.is_float_v(texels):
+                pictures[key.rpartition(".")[0]] = texels
+        colours = [name for name in pictures if f".{name}".endswith(_COLOURS)]
         positions = [key for key in POSITIONS if key in mesh]
         if not colours or not positions:  # a rectangle is a mesh that tells no vertices
             continue
-        texels = paint[f"{colours[0]}.data"]
-        if not dr.is_float_v(texels):
-            continue
+        texels = pictures[colours[0]]
         coordinates = np.array(mesh["vertex_texcoords"]).reshape(-1, 2)
         if f"{colours[0]}.to_uv" in paint:
             turn = np.array(paint[f"{colours[0]}.to_uv"].matrix, np.float64).reshape(3, 3)
