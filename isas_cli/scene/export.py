@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -178,7 +177,7 @@ def _paint(loaded: mi.Scene, folder: Path) -> None:
         pictures = {}
         for key, (_, _, owner, *_) in paint.properties.items():
             texels = paint[key]
-            if isinstance(owner, mi.Texture) and dr.is_tensor_v(texels) and dr.is_float_v(texels):
+            if isinstance(owner, mi.Texture) and isinstance(texels, mi.TensorXf):
                 pictures[key.rpartition(".")[0]] = texels
         colours = [name for name in pictures if f".{name}".endswith(_COLOURS)]
         positions = [key for key in POSITIONS if key in mesh]
