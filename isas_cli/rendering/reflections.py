@@ -10,12 +10,12 @@ import mitsuba as mi
 from ..scene.problem import Problem
 from ..scene.topology import Topology
 from . import rays
-from .outline import Cameras, Crossing, Eyes, Outline, at, backward_ray, draw, pair, sample, side
+from .border import Border, residual, shown
+from .outline import Eyes, Outline, at, backward_ray, draw, pair, sample, side
 from .projective import without_film
-from .silhouettes import hidden_by_nothing, residual
 
 
-class Reflections:
+class Reflections(Border):
     """Adds to the gradient of one mesh's vertices, θ, what its silhouettes bring that a camera sees
     by way of one other surface.
 
@@ -46,8 +46,7 @@ class Reflections:
         self, problem: Problem, loss, id: str, topology: Topology, samples: int, paths: int,
         emission: bool = True, freeze: bool = True,
     ):  # fmt: skip
-        self.problem, self.samples, self._paths = problem, samples, paths + 3
-        self.cameras, self.outline = Cameras.of(problem), Outline.of(topology)
+        super().__init__(problem, topology, samples, paths + 3)
         (shape,) = [each for each in problem.scene.shapes() if each.id() == id]
         integrator, differences = problem.integrator, without_film(problem.integrator)
         views = len(problem.film_sizes)
@@ -71,16 +70,13 @@ class Reflections:
                 si = scene.ray_intersect(backward_ray(found), valid)
                 valid &= si.is_valid()
 
-                view = dr.minimum(mi.UInt32(random.next_1d() * views), views - 1)
                 frame = mi.Frame3f(si.n)
-                crossing = Crossing.of(cameras, films, view, si.p, frame.s, frame.t, valid)
-                valid = crossing.valid
-                eye = mi.Point3f(dr.gather(mi.Vector3f, cameras.eyes.place, view))
-                valid &= hidden_by_nothing(scene, si.spawn_ray_to(eye), valid)
-                si.wi = si.to_local(dr.normalize(eye - si.p))
+                crossing, eye, valid = shown(
+                    *(scene, cameras, films, si, frame.s, frame.t, valid, random)
+                )
                 value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(way), valid)
                 valid &= dr.any(value > 0)
-                s, t = (cameras.along(view, si.p, each) for each in (frame.s, frame.t))
+                s, t = (cameras.along(crossing.view, si.p, each) for each in (frame.s, frame.t))
                 value *= dr.abs(s.x * t.y - s.y * t.x)
                 value *= dr.norm(dr.cross(way, dr.normalize(end - start)))
                 value *= measure / dr.abs(dr.dot(way, si.n))
@@ -125,21 +121,7 @@ class Reflections:
                     total += dr.select(own, shows * dr.dot(normal, surface.p), 0)
                     dr.backward_from(total)
 
-        self._kernel = dr.freeze(kernel) if freeze else kernel
-
-    @property
-    def paths_per_step(self) -> int:
-        """Light paths of one estimate."""
-        return self._paths * self.samples
-
-    def accumulate(self, positions: mi.Float, seeds: list) -> None:
-        """Add one estimate to the gradient of ``positions``, the scene's attached ones, and of
-        those of what else moves."""
-        p = self.problem
-        self._kernel(
-            p.scene, p.sensors, p.views, positions, self.outline, self.cameras, p.targets, p.mask,
-            seeds, p.share,
-        )  # fmt: skip
+        self._made(kernel, freeze)
 
 
 def _turn(

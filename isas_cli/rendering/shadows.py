@@ -12,9 +12,9 @@ from ..runtime.errors import InputError
 from ..scene.problem import Problem
 from ..scene.topology import Topology
 from . import rays
-from .outline import Cameras, Crossing, Eyes, Outline, at, backward_ray, draw, pair, sample, side
+from .border import Border, hidden_by_nothing, residual, shown
+from .outline import Eyes, Outline, at, backward_ray, draw, pair, sample, side
 from .outline import silhouettes as seen_from
-from .silhouettes import hidden_by_nothing, residual
 
 # Of edges and points of lamps, the pairs that a step looks at, at most; one point a lamp it does.
 _MOST = 1 << 21
@@ -91,7 +91,7 @@ class Lamps:
         return ds.d, value / dr.gather(mi.Float, self.density, index)
 
 
-class Shadows:
+class Shadows(Border):
     """Adds to the gradient of what moves what the edges of one mesh's shadows bring: those that it
     throws on anything, itself included, where it moves; those on moving meshes, where it does not.
 
@@ -120,8 +120,7 @@ class Shadows:
         self, problem: Problem, loss, topology: Topology, samples: int, paths: int, lamps: int,
         freeze: bool = True,
     ):  # fmt: skip
-        self.problem, self.samples, self._paths = problem, samples, paths
-        self.cameras, self.outline = Cameras.of(problem), Outline.of(topology)
+        super().__init__(problem, topology, samples, paths + 1)
         emitters, box = problem.scene.emitters(), problem.scene.bbox()
         lamps = max(len(emitters), min(lamps, _MOST // self.outline.count))
         for emitter in emitters:
@@ -158,21 +157,16 @@ class Shadows:
                 dr.eval(ray, hit, lit)
 
                 random = rays.stream(seeds[2], samples)
-                view = dr.minimum(mi.UInt32(random.next_1d() * views), views - 1)
                 # From the edge to the surface, along the rays from the lamp's point.
                 distance = dr.norm(si.p - point) / dr.norm(away)
-                crossing = Crossing.of(
-                    *(cameras, films, view, si.p),
+                crossing, _, valid = shown(
+                    *(scene, cameras, films, si),
                     *(
                         _cast(way, away, si.n, 1 + finite * distance)
                         for way in (end - start, inner)
                     ),
-                    lit,
+                    *(lit, random),
                 )
-                eye = mi.Point3f(dr.gather(mi.Vector3f, cameras.eyes.place, view))
-                valid = crossing.valid
-                valid &= hidden_by_nothing(scene, si.spawn_ray_to(eye), valid)
-                si.wi = si.to_local(dr.normalize(eye - si.p))
                 direction, light = lights.light(drawn.eye, si.p, valid)
                 value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(direction), valid)
                 step = -value * light
@@ -189,24 +183,10 @@ class Shadows:
                     along = eyes.away(drawn.eye, moved)
                     surface = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, valid)
                     reach = dr.dot(surface.p - moved, surface.n) / dr.dot(along, surface.n)
-                    place = cameras.project(view, moved + along * reach)
+                    place = cameras.project(crossing.view, moved + along * reach)
                     dr.backward_from(dr.select(valid, weight * dr.dot(place, crossing.away), 0))
 
-        self._kernel = dr.freeze(kernel) if freeze else kernel
-
-    @property
-    def paths_per_step(self) -> int:
-        """Light paths of one estimate."""
-        return (self._paths + 1) * self.samples
-
-    def accumulate(self, positions: mi.Float, seeds: list) -> None:
-        """Add one estimate to the gradients of the mesh's ``positions``, the scene's attached ones
-        where it moves, and of those of what else moves."""
-        p = self.problem
-        self._kernel(
-            p.scene, p.sensors, p.views, positions, self.outline, self.cameras, p.targets, p.mask,
-            seeds, p.share,
-        )  # fmt: skip
+        self._made(kernel, freeze)
 
 
 def _cast(way: mi.Vector3f, away: mi.Vector3f, normal: mi.Vector3f, grown: mi.Float):

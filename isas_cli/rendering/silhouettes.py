@@ -9,6 +9,7 @@ from ..scene.problem import Problem
 from ..scene.topology import Topology
 from ..scene.views import Views
 from . import rays
+from .border import Border, hidden_by_nothing, residual
 from .outline import (
     Cameras,
     Crossing,
@@ -28,7 +29,7 @@ from .projective import without_film
 _CELLS, _KEPT, _FLOOR = 16, 0.9, 0.1
 
 
-class Silhouettes:
+class Silhouettes(Border):
     """Adds to the gradient of one mesh's vertices what its silhouettes in the images bring.
 
     The derivative of a pixel I_j, the mean of radiance L over its square, has a part on the curves
@@ -57,8 +58,7 @@ class Silhouettes:
         self, problem: Problem, loss, id: str, topology: Topology, samples: int, paths: int,
         adaptive: bool = True, freeze: bool = True,
     ):  # fmt: skip
-        self.problem, self.samples, self._paths = problem, samples, paths + 2
-        self.cameras, self.outline = Cameras.of(problem), Outline.of(topology)
+        super().__init__(problem, topology, samples, paths + 2)
         (shape,) = [each for each in problem.scene.shapes() if each.id() == id]
         integrator, differences = problem.integrator, without_film(problem.integrator)
         views = len(problem.film_sizes)
@@ -102,41 +102,7 @@ class Silhouettes:
                     place = cameras.project(drawn.eye, moved)
                     dr.backward_from(weight * dr.dot(place, crossing.away))
 
-        self._kernel = dr.freeze(kernel) if freeze else kernel
-
-    @property
-    def paths_per_step(self) -> int:
-        """Light paths of one estimate."""
-        return self._paths * self.samples
-
-    def accumulate(self, positions: mi.Float, seeds: list) -> None:
-        """Add one estimate to the gradient of ``positions``, the scene's attached ones."""
-        p = self.problem
-        self._kernel(
-            p.scene, p.sensors, p.views, positions, self.outline, self.cameras, p.targets, p.mask,
-            seeds, p.share, self.met,
-        )  # fmt: skip
-
-
-def residual(
-    integrator, loss, scene, sensors, films: Views, targets, mask, share, crossing: Crossing,
-    stream: mi.Sampler, paths: int,
-) -> mi.Color3f:  # fmt: skip
-    """∂ℒ/∂I of the pixels that are crossed, from ``paths`` paths through each. Traced."""
-    radiance, (view, column, row) = mi.Color3f(0), (crossing.view, crossing.column, crossing.row)
-    for _ in range(paths):
-        ray, weight = rays.spawn(sensors, films, view, column, row, stream)
-        radiance += integrator.primal(scene, stream, ray)[0] * weight
-    target = dr.gather(mi.Color3f, targets, crossing.pixel)
-    adjoint = loss.derivative(radiance / paths, target) * share
-    if mask is not None:
-        adjoint *= dr.gather(mi.Float, mask, crossing.pixel)
-    return dr.select(crossing.valid, adjoint, 0)
-
-
-def hidden_by_nothing(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> mi.Bool:
-    """Whether ``ray`` meets nothing. Traced."""
-    return ~scene.ray_test(ray, active)
+        self._made(kernel, freeze, self.met)
 
 
 def _cell(view: mi.UInt32, x: mi.Float, y: mi.Float) -> mi.UInt32:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import importlib
 import re
 import shutil
+import tempfile
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -31,11 +32,13 @@ from .views import Views
 
 # Of nodes that the file gives no id: by it an object is found that was made from one.
 _OWN = "isas-node-"
+# Plugins in Python, of which Mitsuba does not know what they are.
 _PYTHON = {"phong": mi.ObjectType.BSDF} | dict.fromkeys(
     ("prb", "prb_basic", "prbvolpath", "emission"), mi.ObjectType.Integrator
 )
 # What of a material is its colour, as a picture.
 _COLOURS = ".base_color", ".reflectance", ".diffuse_reflectance", ".diffuse"
+# What tells its index of refraction as one inside and one outside.
 _REFRACTING = "dielectric", "roughdielectric", "thindielectric", "plastic", "roughplastic"
 # Plugins that Mitsuba has not: where they are registered, and what their files need.
 _OURS = {"phong": "isas_cli.scene.phong", "emission": "isas_cli.rendering.volume"}
@@ -58,19 +61,26 @@ def write(
     """
     for module in _OURS.values():
         importlib.import_module(module)
+    if scene.path is not None and Path(scene.path).resolve().parent == folder.resolve():
+        raise InputError(f"{folder} is where the scene's own files are: take another --output")
     taken = None if scene.photos.path is None else photographs.load(scene.photos)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        return _write(scene, taken, arrays, folder)
+        # What a program described is put into files there, of which the result copies what it uses.
+        with tempfile.TemporaryDirectory(prefix="isas-export-") as made:
+            return _write(_parser(scene, taken, Path(made)), scene, taken, arrays, folder)
     except (OSError, RuntimeError) as error:
         told = " ".join(str(error).split())
         raise InputError(f"{folder}: the result cannot be written: {told}") from error
 
 
 def _write(
-    scene: SceneConfig, taken: Photographs | None, arrays: dict[str, np.ndarray], folder: Path
+    parsed: Callable[[], tuple],
+    scene: SceneConfig,
+    taken: Photographs | None,
+    arrays: dict[str, np.ndarray],
+    folder: Path,
 ) -> tuple[Path, list[str]]:
-    parsed = _parser(scene, taken, folder)
     settings, state = parsed()
     named = _name(state)
     mi.parser.transform_all(settings, state)
@@ -91,11 +101,13 @@ def _write(
     _name(written)
     mi.parser.transform_all(settings, written)
     params = mi.traverse(loaded)
+    found = []
     for key in dict.fromkeys(name for each in unknowns for name in each.kind.writes):
-        _Place(params, key, made_from, written).put(folder)
+        found += _Place(params, key, made_from, written).put(folder)
     _paint(loaded, folder / "painted")
     told = _stand(written, views) if views is not None else []
-    brought: dict[str, Path] = {}
+    # Found files keep their names.
+    brought = {path.name: path.resolve() for path in found}
     for node in written.nodes:
         if node.props.id() in named:
             node.props.set_id("")
@@ -121,7 +133,6 @@ def _parser(scene: SceneConfig, taken: Photographs | None, folder: Path) -> Call
     def parsed() -> tuple:
         state = mi.parser.parse_dict(settings, described)
         for node in state.nodes:
-            # Of plugins in Python Mitsuba does not know what they are.
             if node.type == mi.ObjectType.Unknown:
                 node.type = _PYTHON.get(node.props.plugin_name(), node.type)
         return settings, state
@@ -277,62 +288,55 @@ class _Place:
         else:
             self.name = name
 
-    def put(self, folder: Path) -> None:
-        """Writes the parameter's value there, large ones into files of their own in ``folder``."""
-        file = folder / self.key
+    def put(self, folder: Path) -> list[Path]:
+        """Writes the parameter's value there, large ones into files of their own in ``folder``,
+        which it returns."""
         if isinstance(self.owner, mi.Mesh):
-            self._mesh(folder / f"{self.key.rpartition('.')[0]}.ply")
-        elif isinstance(self.owner, mi.Volume):
-            mi.VolumeGrid(as_numpy(self.value)).write(f"{file}.vol")
-            self._file(f"{file}.vol")
-        elif isinstance(self.owner, mi.Emitter) and self.name == "data":
-            self._picture(as_numpy(self.value)[:, 1:-1], f"{file}.exr")
-        elif isinstance(self.owner, mi.Texture) and self.name == "data":
-            self._picture(as_numpy(self.value), f"{file}.exr")
-        elif self.name == "to_world":
+            return [self._mesh(folder / f"{self.key.rpartition('.')[0]}.ply")]
+        if isinstance(self.owner, mi.Volume):
+            path = folder / f"{self.key}.vol"
+            mi.VolumeGrid(as_numpy(self.value)).write(str(path))
+            return [self._file(path)]
+        if isinstance(self.owner, (mi.Emitter, mi.Texture)) and self.name == "data":
+            pixels, path = as_numpy(self.value), folder / f"{self.key}.exr"
+            # An environment map repeats its first column and its last.
+            pixels = pixels[:, 1:-1] if isinstance(self.owner, mi.Emitter) else pixels
+            images.write_exr(path, pixels, _channels(pixels), {"what": self.key})
+            return [self._file(path)]
+        if self.name == "to_world":
             # What it holds already.
             self._without("center", "radius", "p0", "p1", "direction")
             self.props["to_world"] = mi.ScalarTransform4f(np.array(self.value.matrix).reshape(4, 4))
-        elif self.name == "position":
+        else:
+            self._numbers(as_numpy(self.value).ravel())
+        return []
+
+    def _numbers(self, numbers: np.ndarray) -> None:
+        if self.name == "position":
             self._without("to_world")
-            self.props["position"] = mi.ScalarPoint3f(as_numpy(self.value).ravel().tolist())
+            self.props["position"] = mi.ScalarPoint3f(numbers.tolist())
         elif self.name == "eta" and self.props.plugin_name() in _REFRACTING:
             self._without("int_ior", "ext_ior")
-            self.props["int_ior"], self.props["ext_ior"] = (
-                float(as_numpy(self.value).ravel()[0]),
-                1.0,
-            )
+            self.props["int_ior"], self.props["ext_ior"] = float(numbers[0]), 1.0
+        elif numbers.size == 1:
+            self.props[self.name] = float(numbers[0])
+        elif numbers.size == 3:
+            self.props[self.name] = mi.ScalarColor3f(*numbers)
         else:
-            numbers = as_numpy(self.value).ravel()
-            if numbers.size not in (1, 3):
-                raise InputError(
-                    f"'{self.key}' holds {numbers.size} numbers: 1 or 3 can be written"
-                )
-            plain = numbers.size == 1
-            self.props[self.name] = float(numbers[0]) if plain else mi.ScalarColor3f(*numbers)
+            raise InputError(f"'{self.key}' holds {numbers.size} numbers: 1 or 3 can be written")
 
     def _without(self, *names: str) -> None:
         for name in names:
             if name in self.props:
                 del self.props[name]
 
-    def _picture(self, pixels: np.ndarray, path: str) -> None:
-        images.write_exr(path, pixels, _channels(pixels), {"what": self.key})
-        self._file(path)
-
-    def _file(self, path: str) -> None:
+    def _file(self, path: Path) -> Path:
         self._without("data", "bitmap", "grid")
-        self._instead(path)
+        self.props["filename"] = str(path)
+        return path
 
-    def _instead(self, path: str) -> None:
-        """``path`` for the file that stands there; one that ``_as_files`` made is in the way."""
-        before = self.props.get("filename")
-        if before is not None and Path(before).parent == Path(path).parent != Path():
-            Path(before).unlink(missing_ok=before != path)
-        self.props["filename"] = path
-
-    def _mesh(self, path: Path) -> None:
+    def _mesh(self, path: Path) -> Path:
         self.owner.write_ply(str(path))
         self._without("to_world", "flip_tex_coords", "shape_index")
         self.props.set_plugin_name("ply")
-        self.props["filename"] = str(path)
+        return self._file(path)

@@ -17,6 +17,7 @@ from isas_cli.engine import assemble
 from isas_cli.rendering import rays
 from isas_cli.rendering.volume import Emission
 from isas_cli.runtime import backend, images
+from isas_cli.runtime.errors import InputError
 from isas_cli.scene import built, export, scene_file
 from isas_cli.scene.views import Views
 from isas_cli.unknowns.specs import parse
@@ -194,6 +195,10 @@ def test_what_a_program_described_is_a_file(tmp_path, rng, name):
     assert [line.partition(" is isas's own")[0] for line in said] == (
         [f"'{OURS[name]}'"] if name in OURS else []
     )
+    # Beside it lies what it names alone: no picture of the truth.
+    text = path.read_text(encoding="utf-8")
+    beside = {each.name for each in path.parent.iterdir()} - {"scene.xml", "painted"}
+    assert all(f'"{file}"' in text for file in beside)
     unknowns.write(unknowns.values_of(arrays))
     if OURS.get(name) == "emission":
         assert isinstance(mi.load_file(str(path)).integrator(), Emission)
@@ -248,7 +253,13 @@ def test_photographs_are_exported_with_their_cameras_where_they_were_found(tmp_p
         assert dr.norm(dr.cross(got.o - wanted.o, wanted.d))[0] < 5e-4
 
 
-def test_what_cannot_be_exported_is_one_line(tmp_path, capsys):
+def test_what_cannot_be_exported_is_one_line(folder, tmp_path, capsys):
+    arrays = {ROUGH: np.array([0.25], np.float32)}
+    with pytest.raises(InputError, match="the scene's own files are: take another --output"):
+        export.write(scene(folder / "scene.xml", arrays), arrays, folder)
+    (folder / "file").write_text("")
+    with pytest.raises(InputError, match="the result cannot be written"):
+        export.write(scene(folder / "scene.xml", arrays), arrays, folder / "file" / "result")
     assert main(["export", str(tmp_path / "nowhere")]) == 2
     told = capsys.readouterr().err
     assert told.count("\n") == 1 and "nowhere" in told

@@ -1,0 +1,76 @@
+"""What all integrals over curves have in common at which the images step."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from ..scene.problem import Problem
+from ..scene.topology import Topology
+from ..scene.views import Views
+from . import rays
+from .outline import Cameras, Crossing, Outline
+
+
+class Border:
+    """The edges of one mesh, and ``_kernel``, which adds one estimate by ``samples`` points on them
+    to the gradient, each with ``paths`` light paths: with ``own`` as its last arguments, frozen or
+    traced anew."""
+
+    def __init__(self, problem: Problem, topology: Topology, samples: int, paths: int):
+        self.problem, self.samples, self._paths = problem, samples, paths
+        self.cameras, self.outline = Cameras.of(problem), Outline.of(topology)
+
+    def _made(self, kernel, freeze: bool, *own) -> None:
+        self._kernel, self._own = dr.freeze(kernel) if freeze else kernel, own
+
+    @property
+    def paths_per_step(self) -> int:
+        """Light paths of one estimate."""
+        return self._paths * self.samples
+
+    def accumulate(self, positions: mi.Float, seeds: list) -> None:
+        """Add one estimate to the gradients of the mesh's ``positions``, the scene's attached ones
+        where it moves, and of those of what else moves."""
+        p = self.problem
+        self._kernel(
+            p.scene, p.sensors, p.views, positions, self.outline, self.cameras, p.targets, p.mask,
+            seeds, p.share, *self._own,
+        )  # fmt: skip
+
+
+def residual(
+    integrator, loss, scene, sensors, films: Views, targets, mask, share, crossing: Crossing,
+    stream: mi.Sampler, paths: int,
+) -> mi.Color3f:  # fmt: skip
+    """∂ℒ/∂I of the pixels that are crossed, from ``paths`` paths through each. Traced."""
+    radiance, (view, column, row) = mi.Color3f(0), (crossing.view, crossing.column, crossing.row)
+    for _ in range(paths):
+        ray, weight = rays.spawn(sensors, films, view, column, row, stream)
+        radiance += integrator.primal(scene, stream, ray)[0] * weight
+    target = dr.gather(mi.Color3f, targets, crossing.pixel)
+    adjoint = loss.derivative(radiance / paths, target) * share
+    if mask is not None:
+        adjoint *= dr.gather(mi.Float, mask, crossing.pixel)
+    return dr.select(crossing.valid, adjoint, 0)
+
+
+def hidden_by_nothing(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> mi.Bool:
+    """Whether ``ray`` meets nothing. Traced."""
+    return ~scene.ray_test(ray, active)
+
+
+def shown(
+    scene: mi.Scene, cameras: Cameras, films: Views, si: mi.SurfaceInteraction3f,
+    along: mi.Vector3f, inward: mi.Vector3f, valid: mi.Bool, random: mi.Sampler,
+) -> tuple[Crossing, mi.Point3f, mi.Bool]:  # fmt: skip
+    """Where one view, drawn uniformly, sees ``si``, through which a curve passes ``along``, the
+    object ``inward`` of it; the middle of its pinhole; and whether it does. Turns ``si.wi`` to it.
+    Traced."""
+    views = dr.width(cameras.eyes.finite)
+    view = dr.minimum(mi.UInt32(random.next_1d() * views), views - 1)
+    crossing = Crossing.of(cameras, films, view, si.p, along, inward, valid)
+    eye = mi.Point3f(dr.gather(mi.Vector3f, cameras.eyes.place, view))
+    valid = crossing.valid & hidden_by_nothing(scene, si.spawn_ray_to(eye), crossing.valid)
+    si.wi = si.to_local(dr.normalize(eye - si.p))
+    return crossing, eye, valid
