@@ -59,7 +59,8 @@ def test_what_has_detail_or_is_unknown_stays():
     loaded = scene(sky)
     before = image(loaded, 4)
     assert flat.reduce(mi.traverse(loaded), {WALL}) == []
-    assert np.array_equal(image(loaded, 4), before)
+    # Sums on a film have no order of their own.
+    assert np.allclose(image(loaded, 4), before, rtol=1e-5)
 
 
 @pytest.mark.parametrize("unknown", [WALL, SKY])
