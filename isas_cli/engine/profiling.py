@@ -47,6 +47,7 @@ from rich.table import Table
 
 from ..estimators.two_path import TwoPath
 from ..records import write_atomically
+from ..rendering.kernels import recorded
 from ..runtime import streams
 from ..runtime.backend import sync
 from ..unknowns.parameters import flat, unflat
@@ -125,7 +126,7 @@ class _Pass:
             dr.eval(view, column, row, pixel, probability)
             return pixel
 
-        self._draw = dr.freeze(draw) if freeze else draw
+        self._draw = recorded(draw, freeze)
         # A frozen function evaluates all that its arguments hold, which nothing else does for a
         # scene: new values would be counted where they are first used.
         self._evaluate = dr.freeze(lambda scene, one: one + 1)

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..rendering import rays
+from ..rendering.kernels import recorded
 from ..runtime.errors import InputError
 from ..unknowns.blur import Blur
 from ..unknowns.smoothing import Pair
@@ -58,8 +59,9 @@ class Locality:
     def __init__(self, problem: "Problem", blur: Blur, batch: int, freeze: bool = True):
         self.problem, self.blur = problem, blur
         self._items = list(_items(problem, blur, batch))
-        wrap = dr.freeze if freeze else (lambda f: f)
-        self._kernels = [wrap(_kernel(batch, item.pose.parts, item.reach)) for item in self._items]
+        self._kernels = [
+            recorded(_kernel(batch, item.pose.parts, item.reach), freeze) for item in self._items
+        ]
 
     def differences(self, θ: np.ndarray, pair: Pair, place: tuple, terms: mi.Float) -> np.ndarray:
         """Σ of ``terms (N,)`` over the drawn pixels, for every entry, ``(D,)``: of unknowns with a

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -9,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..rendering import rays
+from ..rendering.kernels import recorded
 from ..rendering.pixels import PixelDistribution
 from ..unknowns.blur import Blur
 from ..unknowns.smoothing import Pair
@@ -44,7 +46,7 @@ class Renderings:
         half: int = 1,
     ):
         self.problem, self.blur = problem, blur
-        wrap = dr.freeze if freeze else (lambda f: f)
+        wrap = partial(recorded, freeze=freeze)
         self._draw = wrap(_draw_kernel(batch))
         self.spp, self.half = spp, half
         self._trace = {

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..rendering import derivative_sampling, rays
+from ..rendering.kernels import recorded
 from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
 from ..runtime.errors import InputError
@@ -171,7 +172,7 @@ class TwoPath:
                     motion.add(leaves[moved.key], view, slope, jitter[0])
                 lost[0] += sum(dr.count(each) for each in missed)
 
-        self._kernel = dr.freeze(kernel) if freeze else kernel
+        self._kernel = recorded(kernel, freeze)
 
     @property
     def paths_per_step(self) -> int:

@@ -9,6 +9,7 @@ from ..scene.problem import Problem
 from ..scene.topology import Topology
 from ..scene.views import Views
 from . import rays
+from .kernels import recorded
 from .outline import Cameras, Crossing, Outline
 
 
@@ -22,7 +23,7 @@ class Border:
         self.cameras, self.outline = Cameras.of(problem), Outline.of(topology)
 
     def _made(self, kernel, freeze: bool, *own) -> None:
-        self._kernel, self._own = dr.freeze(kernel) if freeze else kernel, own
+        self._kernel, self._own = recorded(kernel, freeze), own
 
     @property
     def paths_per_step(self) -> int:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..rendering.kernels import recorded
 from ..runtime import streams
 from ..unknowns import smoothing
 from ..unknowns.blur import Blur
@@ -45,7 +47,7 @@ class Differences(Gradient):
 
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
         super().prepare(problem, loss, batch, freeze)
-        wrap = dr.freeze if freeze else (lambda f: f)
+        wrap = partial(recorded, freeze=freeze)
         samples = self.stage1.spp
         paths = 1 if self.smooth == "image" else 2
         self._trace = wrap(_trace_kernel(problem.integrator, samples, paths))

@@ -8,6 +8,7 @@ from typing import ClassVar
 import drjit as dr
 import mitsuba as mi
 
+from ..rendering.kernels import recorded
 from ..runtime.errors import InputError
 from .ours import Ours
 from .sampler import Sampler
@@ -84,7 +85,7 @@ class Multiresolution(Sampler):
         def combine(weights, cells):
             return pyramid(weights, cells, [share**d for d in range(levels + 1)])
 
-        self._combine = dr.freeze(combine) if freeze else combine
+        self._combine = recorded(combine, freeze)
 
     def resolution(self, problem, batch: int) -> int:
         return self.base.resolution(problem, batch)

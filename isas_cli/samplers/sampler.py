@@ -9,6 +9,7 @@ from typing import ClassVar
 import drjit as dr
 import mitsuba as mi
 
+from ..rendering.kernels import recorded
 from ..rendering.pixels import PixelDistribution, Tiles
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
@@ -120,7 +121,7 @@ class Sampler:
         def expand(weights, cells, tiles, floor):
             return PixelDistribution.from_weights(cells.upsample(weights, tiles), tiles, floor)
 
-        self._expand = dr.freeze(expand) if freeze else expand
+        self._expand = recorded(expand, freeze)
 
     @property
     def name(self) -> str:

@@ -100,7 +100,8 @@ def test_the_beginning_of_a_path_is_differentiated_as_a_short_path(depth, kind):
     assert type(mixed) is kind
     assert np.array_equal(primal(p, mixed), primal(p, whole))
     for what in (backward, forward):
-        assert np.array_equal(what(p, mixed), what(p, short))
+        # The sums of two kernels have no order.
+        np.testing.assert_allclose(what(p, mixed), what(p, short), rtol=1e-4)
         assert not np.allclose(what(p, mixed), what(p, whole), rtol=0.01)
 
 

@@ -34,7 +34,8 @@ def test_a_sphere_becomes_the_figure(scene, sampler, tmp_path):
     assert 0.9 < last["value/figure.vertices/volume"] < 1.1
     first = run.history.iloc[0]
     for name in ("value/figure.vertices/overlap", "value/outlines/overlap"):
-        assert first[name] < last[name] < 1
+        # All of a small image's pixels can be right in the end.
+        assert first[name] < 1 and first[name] < last[name] <= 1
     files = {path.name for path in (tmp_path / "meshes").iterdir()}
     kinds = [f"{what}_figure.vertices.{kind}" for what in ("start", "result", "truth")
              for kind in ("ply", "obj")]  # fmt: skip

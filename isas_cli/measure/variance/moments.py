@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...rendering import rays
+from ...rendering.kernels import recorded
 from ...rendering.pixels import PixelDistribution, Tiles
 from ...runtime import streams
 from ...samplers.stage1.cell_moments import random_signs
@@ -93,7 +94,7 @@ def measure(
     copies = max(1, min(_LANES // tiles.count, half // _TANGENTS))
     passes = -(-half // copies)
     kernel = _kernel(problem, loss, copies)
-    kernel = dr.freeze(kernel) if freeze else kernel
+    kernel = recorded(kernel, freeze)
     halves = []
     for which in (0, 1):
         sums = [dr.zeros(mi.Float, tiles.count) for _ in range(2 * len(_PAIRS))]

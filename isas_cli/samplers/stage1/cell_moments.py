@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import drjit as dr
 import mitsuba as mi
 
 from ...rendering import rays
+from ...rendering.kernels import recorded
 from ...runtime import streams
 from ...scene.problem import Problem
 from ...unknowns.parameters import flat, unflat
@@ -29,7 +32,7 @@ class Stage1:
 
     def __init__(self, problem: Problem, loss, cells: Cells, samples: int, freeze: bool = True):
         self.problem, self.cells, self.samples = problem, cells, samples
-        wrap = dr.freeze if freeze else (lambda f: f)
+        wrap = partial(recorded, freeze=freeze)
         self._residual = wrap(_residual_kernel(problem.integrator, loss, samples))
         self._derivative = wrap(_derivative_kernel(problem.integrator, samples))
         self._sensitivity = wrap(_sensitivity_kernel(problem.integrator, samples))

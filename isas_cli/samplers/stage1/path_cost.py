@@ -6,6 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ...rendering import rays
+from ...rendering.kernels import recorded
 from ...runtime import streams
 from ...scene.problem import Problem
 from .cells import Cells
@@ -33,7 +34,7 @@ class PathCost:
                 dr.eval(mean)
                 return mean
 
-        self._kernel = dr.freeze(kernel) if freeze else kernel
+        self._kernel = recorded(kernel, freeze)
 
     def __call__(self, seed: int, iteration: int) -> mi.Float:
         """Work per path of every cell, ``(C,) float32``, at the scene's present values."""

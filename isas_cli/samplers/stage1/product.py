@@ -6,6 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ...rendering import rays
+from ...rendering.kernels import recorded
 from ...runtime import streams
 from ...scene.problem import Problem
 from .cell_moments import random_signs
@@ -52,7 +53,7 @@ class Product:
                 dr.eval(mean)
                 return mean
 
-        self._kernel = dr.freeze(kernel) if freeze else kernel
+        self._kernel = recorded(kernel, freeze)
 
     def along(self, values: dict, tangents: dict, seed: int, iteration: int) -> mi.Float:
         """Mean of (Σ_c ⟨∂ℒ/∂I⟩_c ⟨dI_c/dθ⟩·tangent)² per cell at ``values``."""
