@@ -16,6 +16,10 @@ light, which the run has not seen, of the first seed reported.
 Writes results/pbdr.csv (a row per scene and method), pbdr_rates.csv, pbdr_<scene>.png (image error
 against billed time) and the page pbdr.md.
 
+With `--more`: the samplers that are left, and blurred parameters (`estimator.blurred`, of all
+unknowns, whose width falls to a tenth), beside `ours` anew, all without the paper's parts. Writes
+results/pbdr_more.csv and pbdr_more_rates.csv.
+
     make reproduce SCENES=pbdr
 """
 
@@ -23,6 +27,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import json
 import tempfile
 from pathlib import Path
 
@@ -30,6 +35,7 @@ import _contest
 import numpy as np
 import pages
 import pandas
+from omegaconf import OmegaConf
 from reproduce import reached
 
 from isas_cli import records
@@ -39,6 +45,7 @@ ERROR, FULL, PLAIN, STOCK = "image_rmse", "full", "ours", "Mitsuba's loop"
 SCENES = {"object_joint": 8.0, "room_joint": 8.0, "materials_joint": 6.0}  # billed seconds
 LIGHTS = ("sky", "lamp")
 SMOOTHING, WEIGHT = 0.02, 0.001
+BLUR = {"start": 0.05, "end": 0.005}
 FACTORS = (0.3, 1.0, 3.0, 10.0)  # of the scene's rates
 SETTINGS = ["estimator.batch=16384", "target.spp=256", "evaluation.count=24", "effects=full"]
 SETTINGS += ["evaluation.pixels=32768", "frames.views=0", "frames.snapshots=0", "report=false"]
@@ -46,6 +53,20 @@ SETTINGS += ["evaluation.pixels=32768", "frames.views=0", "frames.snapshots=0", 
 QUIET = ["evaluation.spp=16", "evaluation.count=12"]
 MORE = {"materials_joint": QUIET, "room_joint": QUIET}
 SPP = 32  # of the pictures from elsewhere; result and truth with the same random numbers
+
+
+def more(scene: str) -> tuple[list[str], dict[str, dict]]:
+    """Settings of all, and of each by name."""
+    from isas_cli.config.compose import compose
+
+    found = OmegaConf.to_container(compose([f"scene={scene}"]).scene.unknowns, resolve=True)
+    blurred = {key: {k: v for k, v in each.items() if v is not None} | {"blur": BLUR}
+               for key, each in found.items()}  # fmt: skip
+    one_way = {"estimator.crossed": "false"}
+    names = (PLAIN, "gradient", "balanced", "joint", "preconditioned")
+    each = {name: {"sampler": name} | one_way for name in names}
+    each["blurred parameters"] = {"sampler": PLAIN, "estimator.blurred": "true"} | one_way
+    return [f"scene.unknowns={json.dumps(blurred)}"], each
 
 
 def methods(scene: str) -> dict[str, dict]:
@@ -94,6 +115,7 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     """Medians; ``time_to_stock`` and ``time_to_plain``: shares of the budget to the median final
     image error of Mitsuba's loop and of `ours` without the paper's parts."""
     finals = found.groupby("method")[ERROR].median()
+    rivals = [("time_to_stock", STOCK), ("time_to_plain", PLAIN)]
     rows = []
     for name, own in found.groupby("method", sort=False):
         row = {"scene": own["scene"].iloc[0], "method": name, "factor": own["factor"].iloc[0]}
@@ -102,7 +124,7 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
         for measure in MEASURES:
             row[measure] = own[measure].median()
             row |= {f"{measure}_low": own[measure].min(), f"{measure}_high": own[measure].max()}
-        for column, rival in (("time_to_stock", STOCK), ("time_to_plain", PLAIN)):
+        for column, rival in [pair for pair in rivals if pair[1] in finals]:
             times = [reached(h, finals[rival], ERROR) / seconds for h in own["history"]]
             row[column] = np.median(times)
         rows.append(row | elsewhere(own.iloc[0]))
@@ -189,24 +211,28 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, help="budget of each run, instead of the scene's")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
     parser.add_argument("--scenes", nargs="+", default=[*SCENES])
+    parser.add_argument("--more", action="store_true", help="the samplers that are left")
     chosen = parser.parse_args()
+    suffix = "_more" if chosen.more else ""
     from isas_cli.runtime import backend
 
     backend.start()
     for scene in chosen.scenes:
         seconds = chosen.seconds or SCENES[scene]
         with tempfile.TemporaryDirectory(prefix="isas-pbdr-") as root:
-            contestants = methods(scene)
+            own, contestants = more(scene) if chosen.more else ([], methods(scene))
+            settings = SETTINGS + MORE.get(scene, []) + own
             first, found = _contest.judged(
-                *(scene, Path(root), SETTINGS + MORE.get(scene, []), contestants, FACTORS),
+                *(scene, Path(root), settings, contestants, FACTORS),
                 *(chosen.seeds, seconds, measured, ERROR),
             )
-            _contest.draw(found, RESULTS / f"pbdr_{scene}.png", ERROR, "image error")
+            if not chosen.more:
+                _contest.draw(found, RESULTS / f"pbdr_{scene}.png", ERROR, "image error")
             # After each scene: what is measured survives what follows.
             made = table(found, seconds)
         print(made.to_string(index=False), flush=True)
-        _contest.write(RESULTS / "pbdr.csv", made)
-        _contest.write(RESULTS / "pbdr_rates.csv", first)
+        _contest.write(RESULTS / f"pbdr{suffix}.csv", made)
+        _contest.write(RESULTS / f"pbdr{suffix}_rates.csv", first)
         pages.write()
 
 

@@ -23,7 +23,7 @@ Part = tuple[tuple[float, float, float], tuple[float, float, float]]
 def figure(id: str, parts: tuple[Part, ...], level: int, colour: list[float]) -> dict[str, Any]:
     """The union of `parts`, matt, with 10 4^`level` + 2 vertices."""
     directions, faces = icosphere(level)
-    vertices = directions * _outermost(parts, directions)[:, None]
+    vertices = pulled(parts, directions)
     normals = np.zeros((len(vertices), 3), np.float32)
     normals[faces] = meshes.corner_normals(vertices, faces)
     surface = meshes.Surface(
@@ -31,6 +31,11 @@ def figure(id: str, parts: tuple[Part, ...], level: int, colour: list[float]) ->
     )
     matt = {"type": "diffuse", "reflectance": {"type": "rgb", "value": colour}}
     return meshes.shape(id, surface, matt)
+
+
+def pulled(parts: tuple[Part, ...], directions: np.ndarray) -> np.ndarray:
+    """The outermost points of the union of `parts` in unit `directions`, both ``(V, 3)``."""
+    return directions * _outermost(parts, directions)[:, None]
 
 
 def sky(height: int) -> dict[str, Any]:

@@ -182,12 +182,13 @@ class PhotosConfig:
     ``environment``: a picture of the light from all sides (None: unknown), whose up is the world's
     axis ``up``; ``width``: pixels, to which views are shrunk (None: as they are); ``texture``:
     texels a side of the base colour; ``sky``: rows of an unknown environment; ``test``: views held
-    out, [names] or n for every n-th; ``exposure``: of the views, ``fixed``: all alike, or unknown,
-    ``scale``: a factor each, ``channels``: three each; ``refine``: whether the
-    cameras' poses are unknown as well; ``saturated``: from which value of an 8- or
-    16-bit file on, of its largest, a pixel does not count (None: all count); ``encoding``: of the
-    files, ``auto``: as images are read everywhere, ``srgb`` or ``linear``; ``background``: whether
-    pixels count that the object does not fill.
+    out, [names], n for every n-th, or ``given``: those that the files hold out; ``exposure``: of
+    the views, besides what their file says, ``fixed``: all alike, or unknown, ``scale``: a factor
+    each, ``channels``: three each; ``refine``: whether the cameras' poses are unknown as well;
+    ``saturated``: from which value of an 8- or 16-bit or camera raw file on, of its largest, a
+    pixel does not count (None: all count); ``encoding``: of the files, ``auto``: as images are read
+    everywhere, ``srgb`` (no camera raw file is) or ``linear``; ``background``: whether pixels count
+    that the object does not fill.
     """
 
     path: Optional[str] = None

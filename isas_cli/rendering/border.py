@@ -44,7 +44,8 @@ def residual(
     integrator, loss, scene, sensors, films: Views, targets, mask, share, crossing: Crossing,
     stream: mi.Sampler, paths: int,
 ) -> mi.Color3f:  # fmt: skip
-    """∂ℒ/∂I of the pixels that are crossed, from ``paths`` paths through each. Traced."""
+    """∂ℒ/∂I of the pixels that are crossed, from ``paths`` paths through each, times the exposure
+    of their views: steps of radiance are brighter by it in I. Traced."""
     radiance, (view, column, row) = mi.Color3f(0), (crossing.view, crossing.column, crossing.row)
     for _ in range(paths):
         ray, weight = rays.spawn(sensors, films, view, column, row, stream)
@@ -53,6 +54,8 @@ def residual(
     adjoint = loss.derivative(radiance / paths, target) * share
     if mask is not None:
         adjoint *= dr.gather(mi.Float, mask, crossing.pixel)
+    if films.exposure is not None:
+        adjoint *= dr.gather(mi.Color3f, dr.detach(films.exposure), view)
     return dr.select(crossing.valid, adjoint, 0)
 
 

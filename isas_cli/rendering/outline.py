@@ -173,9 +173,11 @@ class Cameras:
 
     @staticmethod
     def of(problem: Problem) -> "Cameras":
-        """Raises InputError for cameras that are no pinholes."""
-        matrices, centres = [], []
-        for number, sensor in enumerate(problem.scene.sensors()):
+        """Of the problem's own views: a scene may have others, held out. Raises InputError for
+        cameras that are no pinholes."""
+        matrices, centres, sensors = [], [], problem.scene.sensors()
+        for number in problem.kept or range(len(problem.film_sizes)):
+            sensor = sensors[number]
             if not str(sensor).startswith("PerspectiveCamera"):
                 raise InputError(
                     f"sensor {number} is no perspective camera: silhouettes are found for these "
@@ -188,6 +190,10 @@ class Cameras:
             projection = np.array(sensor.projection_transform().matrix).reshape(4, 4)
             place = np.array(sensor.world_transform().matrix).reshape(4, 4).astype(np.float64)
             scale = np.diag([width, height, 1.0, 1.0])
+            # Mitsuba adds it to where rays are asked for, its projection lacks it.
+            params = mi.traverse(sensor)
+            for row, axis in enumerate("xy"):
+                scale[row, 3] = -scale[row, row] * params[f"principal_point_offset_{axis}"][0]
             matrices.append(scale @ projection @ np.linalg.inv(place))
             centres.append(place[:3, 3])
         matrices, centres = (np.array(x, np.float32) for x in (matrices, centres))

@@ -22,11 +22,14 @@ from isas_cli.engine.display import Display
 from isas_cli.engine.experiment import Phases
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.losses import L2
+from isas_cli.rendering import rays
+from isas_cli.rendering.outline import Cameras
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime import images, streams
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene.photos import building, photographs, reading
+from isas_cli.scene.shape_error import Sampled, apart
 from isas_cli.unknowns.motion import WIDTH, Motion
 from isas_cli.unknowns.parameters import as_numpy
 
@@ -37,6 +40,7 @@ EXPOSURES = np.array([[1.0, 1.0, 1.0], [0.5, 0.6, 0.4], [1.7, 1.5, 1.6], [0.8, 0
 # Of a film's middle: of a wide one, cut to SIZE below, so that no principal point is asked of
 # Mitsuba here.
 WIDE, CUT = (60, 40), (7, 9)
+EGG = (1.1, 0.7, 0.8)  # of a ball
 MIDDLE = np.array([0.1, 0.0625, 0.0])  # of the chessboard
 BASE = "object.bsdf.brdf_0.base_color"
 SMALL = [
@@ -47,9 +51,10 @@ SMALL = [
 ]
 
 
-def rendered(folder: Path) -> list[np.ndarray]:
-    """A box under a sky of two colours, as Mitsuba's own cameras see it, times EXPOSURES."""
-    trimesh.creation.box((0.8, 0.5, 0.6)).export(folder / "box.ply")
+def rendered(folder: Path, mesh=None, flat: bool = True) -> list[np.ndarray]:
+    """A box, or ``mesh``, under a sky of two colours, as Mitsuba's own cameras see it, times
+    EXPOSURES."""
+    (mesh or trimesh.creation.box((0.8, 0.5, 0.6))).export(folder / "box.ply")
     rows, columns = np.mgrid[:16, :32] / [[[16]], [[32]]]
     sky = np.stack([1.5 - rows, 0.5 + columns, 0.6 + 0.5 * rows], axis=2).astype(np.float32)
     images.write_exr(folder / "sky.exr", sky, ["R", "G", "B"], {})
@@ -76,7 +81,7 @@ def rendered(folder: Path) -> list[np.ndarray]:
             "box": {
                 "type": "ply",
                 "filename": str(folder / "box.ply"),
-                "face_normals": True,
+                "face_normals": flat,
                 "bsdf": material,
             },
             **sensors,
@@ -129,6 +134,35 @@ def test_colour_and_exposures_are_found(photographed, tmp_path):
     assert (tmp_path / "run/frames/held_result_v00.exr").is_file()
 
 
+@pytest.mark.slow
+def test_shape_colour_and_exposures_are_found(tmp_path):
+    """Of an egg, from a ball that is larger than it and another colour."""
+    ball = trimesh.creation.icosphere(2, 0.42)
+    egg = trimesh.Trimesh(ball.vertices * EGG, ball.faces)
+    poses = [look_at(origin, TARGET) for origin in ORIGINS]
+    centre = {"cx": WIDE[0] / 2 - CUT[0], "cy": WIDE[1] / 2 - CUT[1]}
+    photo_sets.transforms(Files(tmp_path, poses, rendered(tmp_path, egg, flat=False)), **centre)
+    ball.export(tmp_path / "ball.ply")
+    unknowns = {"object.vertices": {"start": "sphere", "lr": 0.005, "during": [0.15, 1]}}
+    unknowns[f"{BASE}.value"] = {"start": 0.5, "range": [0, 1]}
+    run = isas_cli.run(
+        *SMALL,
+        *("estimator=silhouettes", "estimator.batch=16384", "photos.exposure=channels"),
+        *(f"photos.path={tmp_path}", f"photos.mesh={tmp_path / 'ball.ply'}"),
+        *(f"photos.environment={tmp_path / 'sky.exr'}", "photos.background=true"),
+        *(f"scene.unknowns={json.dumps(unknowns)}", "budget.iterations=250"),
+        *("optimizer.schedule=cosine", f"hydra.run.dir={tmp_path / 'run'}"),
+    )
+    made = trimesh.load(tmp_path / "run/meshes/result_object.vertices.ply", process=False)
+    sampled = [Sampled.of(np.array(x.vertices), np.array(x.faces)) for x in (made, ball, egg)]
+    left, before = (apart(each, sampled[2])["chamfer"] for each in sampled[:2])
+    colour = run.parameters()[f"{BASE}.value"]
+    print(left, before, colour, run.summary["exposure"])
+    assert left < 0.3 * before
+    np.testing.assert_allclose(colour, COLOUR, atol=0.03)
+    np.testing.assert_allclose(list(run.summary["exposure"].values()), EXPOSURES, rtol=0.06)
+
+
 def test_views_held_out_are_never_drawn_from(photographed):
     made = problem(*photographed, "photos.test=[view_1.exr]")
     assert made.names == ("view_0.exr", "view_2.exr", "view_3.exr")
@@ -137,6 +171,19 @@ def test_views_held_out_are_never_drawn_from(photographed):
     # Its target is that view's own, and shown by that view's camera.
     shown = images.read(Path(photographed[0].partition("=")[2]) / "view_1.exr")
     np.testing.assert_array_equal(made.held_out.target_image(0), shown)
+
+
+def test_silhouettes_are_where_rays_see_them(photographed):
+    """With principal points, and views held out between the others."""
+    made = problem(*photographed, "photos.test=[view_1]")
+    place = made.views.locate(dr.arange(mi.UInt32, made.views.total))
+    ray, _ = rays.through(
+        made.sensors, made.views, *place, mi.Point2f(0.25, 0.75), mi.Point2f(0.5)
+    )
+    cameras = Cameras.of(made)
+    assert dr.width(cameras.eyes.finite) == 3
+    seen = np.array(cameras.project(place[0], ray.o + 2 * ray.d))
+    np.testing.assert_allclose(seen, np.array(place[1:]) + [[0.25], [0.75]], atol=2e-3)
 
 
 def test_only_pixels_that_the_object_fills_count(photographed):
@@ -317,7 +364,7 @@ def test_exposures_scale_views_and_nothing_else(photographed):
     [
         (["photos.exposure=scale", "photos.test=[view_1,view_2,view_3]"], "the first view's"),
         (["photos.exposure=scale", "sampler=mitsuba"], "know no exposure"),
-        (["photos.exposure=scale", "estimator=silhouettes"], "knows no exposure"),
+        (["photos.refine=true", "estimator=silhouettes"], "knows no other pose"),
         (["photos.sphere=[0,0,0,1]"], "one shape alone"),
         (['scene.unknowns={"box.color": {"start": 1}}'], "object.bsdf.brdf_0.base_color.value"),
         (["scene.targets=[a.png]"], "scene.targets: photographs or a scene"),

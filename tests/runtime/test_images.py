@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import resource
 import struct
+import sys
 
 import mitsuba as mi
 import numpy as np
@@ -39,6 +40,54 @@ def write(path, pixels, channels=("R", "G", "B"), **attributes):
 
 def picture(height=5, width=7, channels=3):
     return np.random.default_rng(1).random((height, width, channels)).astype(np.float32)
+
+
+def dng(path, colours, orientation):
+    """Writes a camera raw file, a TIFF with all that DNG asks for. The sensor sees linear sRGB,
+    `colours` (H, W, 3) uint16, through a mosaic of filters, red and green above green and blue."""
+    height, width, _ = colours.shape
+    mosaic = colours[..., 1].copy()
+    mosaic[::2, ::2], mosaic[1::2, 1::2] = colours[::2, ::2, 0], colours[1::2, 1::2, 2]
+    to_sensor = [3.2406, -1.5372, -0.4986, -0.9689, 1.8758, 0.0415, 0.0557, -0.2040, 1.0570]
+    tags = {  # number: type (bytes, text, 16 bits, 32 bits, 5 and 10 fractions), values
+        254: (4, [0]),  # the picture itself
+        256: (4, [width]),
+        257: (4, [height]),
+        258: (3, [16]),  # bits
+        259: (3, [1]),  # not compressed
+        262: (3, [32803]),  # through filters
+        271: (2, b"isas\0"),
+        272: (2, b"test\0"),
+        273: (4, [8]),  # where the pixels begin: after the header
+        274: (3, [orientation]),
+        277: (3, [1]),  # number a pixel
+        278: (4, [height]),  # rows in the one strip
+        279: (4, [mosaic.nbytes]),
+        33421: (3, [2, 2]),  # size of the mosaic
+        33422: (1, [0, 1, 1, 2]),  # its colours
+        50706: (1, [1, 4, 0, 0]),  # version
+        50708: (2, b"isas test\0"),  # camera
+        50714: (4, [0]),  # black
+        50717: (4, [65535]),  # white
+        50721: (10, to_sensor),  # from XYZ
+        50728: (5, [1, 1, 1]),  # what is neutral
+        50778: (3, [21]),  # in the light D65
+    }
+    # Values of more than four bytes follow the table.
+    place = 8 + mosaic.nbytes + 2 + 12 * len(tags) + 4
+    table, beyond = struct.pack("<H", len(tags)), b""
+    for tag, (kind, values) in tags.items():
+        if kind in (5, 10):
+            data = b"".join(struct.pack("<2i", round(1e4 * value), 10_000) for value in values)
+        else:
+            data = struct.pack(f"<{len(values)}{'BBHI'[kind - 1]}", *values)
+        data += bytes(-len(data) % 4)
+        if len(data) > 4:
+            data, beyond = struct.pack("<I", place + len(beyond)), beyond + data
+        table += struct.pack("<HHI", tag, kind, len(values)) + data
+    header = struct.pack("<2sHI", b"II", 42, 8 + mosaic.nbytes)
+    path.write_bytes(header + mosaic.astype("<u2").tobytes() + table + bytes(4) + beyond)
+    return path
 
 
 def exr_header(path):
@@ -151,6 +200,27 @@ def test_float_files_are_linear_as_they_are(tmp_path, name):
     assert np.array_equal(images.read(write(tmp_path / name, image)), image)
 
 
+def test_raw_files_are_linear_as_the_camera_balanced_them(tmp_path):
+    """Two colours, one four times the other, and not brightened: the brighter is not white."""
+    pytest.importorskip("rawpy")
+    colours = np.empty((64, 96, 3), np.uint16)
+    colours[:, :48], colours[:, 48:] = (15000, 12000, 9000), (60000, 48000, 36000)
+    path = dng(tmp_path / "a.dng", colours, orientation=6)  # turn clockwise for display
+    image, wanted = images.read(path), np.rot90(colours, -1) / 65535
+    assert images.size(path) == (64, 96) and image.shape == wanted.shape
+    assert images.read_alpha(path) is None
+    for rows in (slice(8, 40), slice(56, 88)):  # away from the edges, which are interpolated
+        np.testing.assert_allclose(image[rows, 8:-8], wanted[rows, 8:-8], rtol=0.02)
+
+
+def test_raw_files_without_rawpy(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rawpy", None)
+    (tmp_path / "a.NEF").write_text("")
+    for ask in (images.read, images.size):
+        with pytest.raises(InputError, match=r"a.NEF: .* rawpy, .*: pip install '.\[raw\]'"):
+            ask(tmp_path / "a.NEF")
+
+
 def test_radiance_files_are_linear_within_their_precision(tmp_path):
     image = picture() + 1  # a shared exponent keeps 8 bits of the largest channel
     assert images.read(write(tmp_path / "a.hdr", image)) == pytest.approx(image, abs=2 / 128)
@@ -187,9 +257,10 @@ def test_masks_keep_the_stored_values(tmp_path):
 def test_a_missing_or_unreadable_picture_is_one_line(tmp_path):
     (tmp_path / "text.png").write_text("no picture")
     (tmp_path / "empty.exr").write_text("")
+    (tmp_path / "text.dng").write_text("no picture")
     images.write_exr(tmp_path / "cut.exr", picture(64, 64), ["R", "G", "B"], {})
     (tmp_path / "cut.exr").write_bytes((tmp_path / "cut.exr").read_bytes()[:9000])
-    for name in ("nothing.exr", "text.png", "empty.exr", "cut.exr", "."):
+    for name in ("nothing.exr", "text.png", "empty.exr", "cut.exr", "text.dng", "nothing.dng", "."):
         with pytest.raises(InputError) as error:
             images.read(tmp_path / name)
         assert str(tmp_path / name) in str(error.value) and "\n" not in str(error.value), name

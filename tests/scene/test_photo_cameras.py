@@ -178,6 +178,11 @@ def pose(content) -> list:
         (lambda c: c.update(w=40.5), "w=40.5: a whole number"),
         (lambda c: (c.pop("fl_x"), c.pop("fl_y")), "neither fl_x nor camera_angle_x"),
         (lambda c: c.update(frames=[]), "no list of frames"),
+        (lambda c: c["frames"][1].update(exposure=0), "frame 1: exposure=0: must be above 0"),
+        (lambda c: c["frames"][1].update(exposure=[1, -1, 1]), "frame 1: exposure=.*above 0"),
+        (lambda c: c["frames"][1].update(exposure=[1, 2]), "frame 1: exposure=.*no list of 3"),
+        (lambda c: c["frames"][1].update(exposure=float("nan")), "frame 1: exposure=nan: must be"),
+        (lambda c: c["frames"][1].update(exposure="bright"), "exposure='bright': no number"),
         (lambda c: c["frames"].append(c["frames"][0]), "view_0.exr is listed 2 times"),
     ],
 )
@@ -207,10 +212,11 @@ def test_no_cameras(tmp_path):
 
 def test_views_are_held_out_by_name_and_by_number(tmp_path):
     photo_sets.transforms(Files(tmp_path, POSES))
-    cameras = reading.read(str(tmp_path)).cameras
+    capture = reading.read(str(tmp_path))
+    cameras = capture.cameras
 
     def held(test) -> list[str]:
-        shown, held = reading.split(cameras, test)
+        shown, held = reading.split(capture, test)
         assert {c.name for c in shown}.isdisjoint(c.name for c in held)
         assert len(shown) + len(held) == len(cameras)
         return [c.name for c in held]
@@ -225,4 +231,38 @@ def test_views_are_held_out_by_name_and_by_number(tmp_path):
         (["view_0", "view_1", "view_2"], "every view"),
     ):
         with pytest.raises(InputError, match=told):
-            reading.split(cameras, test)
+            reading.split(capture, test)
+
+
+def given(folder) -> tuple[list[str], list[str]]:
+    """Names of the views to learn from and of those that the files hold out."""
+    parts = reading.split(reading.read(str(folder), "given"), "given")
+    return tuple([camera.name for camera in part] for part in parts)
+
+
+def test_views_that_files_hold_out(tmp_path):
+    lists = {"val_filenames": ["./view_2.exr"], "test_filenames": ["view_0.exr"]}
+    photo_sets.transforms(Files(tmp_path, POSES), train_filenames=["view_1.exr"], **lists)
+    assert given(tmp_path) == (["view_1.exr"], ["view_0.exr", "view_2.exr"])
+    assert len(reading.split(reading.read(str(tmp_path)), None)[0]) == 3
+    for listed, told in ((["view_7"], "view_7 is the file_path of no frame"), (7, "no list")):
+        change(tmp_path, lambda content: content.update(test_filenames=listed))
+        with pytest.raises(InputError, match=f"transforms.json: test_filenames.*{told}"):
+            given(tmp_path)
+
+
+def test_views_that_blender_sets_hold_out(tmp_path):
+    content = photo_sets.blender(Files(tmp_path, POSES))
+    for part, frames in (("train", content["frames"][:2]), ("test", content["frames"][2:])):
+        photo_sets.write(tmp_path / f"transforms_{part}.json", {**content, "frames": frames})
+    assert given(tmp_path) == (["view_0", "view_1"], ["view_2"])
+    assert len(reading.read(str(tmp_path)).cameras) == 2
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_files_that_hold_no_view_out(tmp_path, name):
+    getattr(photo_sets, name)(Files(tmp_path, POSES))
+    told = "photos.test=given: .*: looked for test_filenames .* transforms_test.json"
+    with pytest.raises(InputError, match=told) as error:
+        given(tmp_path)
+    assert "\n" not in str(error.value)

@@ -105,6 +105,15 @@ def test_known_points_of_colmap_that_lie_off(called, tmp_path):
     assert "no object is given" in out
 
 
+def test_views_that_the_files_hold_out(called, tmp_path):
+    content = photo_sets.blender(Files(tmp_path, POSES))
+    for part, frames in (("train", content["frames"][:2]), ("test", content["frames"][2:])):
+        photo_sets.write(tmp_path / f"transforms_{part}.json", {**content, "frames": frames})
+    status, out, _ = called("photos", ".", "photos.test=given")
+    out = " ".join(out.split())
+    assert status == 0 and "2 views to learn from, 1 held out" in out and "view_2 (held out)" in out
+
+
 @pytest.mark.parametrize(
     "arguments, told",
     [

@@ -1,7 +1,5 @@
-"""The index and the roughness of frosted glass, found by path replay; shape, paint and sky in one
+"""The index and the roughness of frosted glass, found by path replay; shape, gloss and sky in one
 run."""
-
-import json
 
 import drjit as dr
 import mitsuba as mi
@@ -84,20 +82,22 @@ def test_derivatives_through_frosted_glass_are_those_of_differences(key, step):
     assert abs(difference) < 4 * error
 
 
-def test_shape_paint_gloss_and_sky_move_in_one_run(tmp_path):
-    keys = {
-        "bowl.bsdf.diffuse.data": {"start": 0.5},
-        "bowl.bsdf.specular.value": {"start": 0.1},
-        "bowl.bsdf.roughness.value": {"start": 0.5},
-        "sky.data": {"start": 0.8},
-        "bowl.vertices": {"start": "smooth", "lr": 0.01},
-    }
+@pytest.mark.slow
+def test_shape_gloss_and_sky_are_found_in_one_run_by_stages(tmp_path):
+    """In stages, as configured; the paint, which the sky and the shape's sliding leave open, shows
+    in the images. Without stages the mesh grows into the background and is painted like it: seen
+    0.113 instead of 0.012, from 0.031."""
     run = isas_cli.run(
-        *("scene=object_joint", "size=tiny", "estimator=silhouettes", "sampler=uniform"),
-        *(f"scene.unknowns={json.dumps(keys)}", "budget.iterations=3", "estimator.batch=2048"),
-        *("target.spp=4", "frames.views=0", "report=false", f"hydra.run.dir={tmp_path}"),
+        *("scene=object_joint_shape", "size=tiny", "estimator=silhouettes", "sampler=ours"),
+        *("budget.iterations=300", "optimizer.schedule=cosine", "target.spp=64"),
+        *("frames.views=0", "frames.snapshots=0", "report=false", f"hydra.run.dir={tmp_path}"),
     )
     first, last = (run.history.iloc[row] for row in (0, -1))
-    assert last["iteration"] == 3 and last["nonfinite"] == 0
-    for key in keys:
-        assert last[f"parameter_rmse/{key}"] != first[f"parameter_rmse/{key}"], key
+    left = {key: last[f"parameter_rmse/{key}"] / first[f"parameter_rmse/{key}"]
+            for key in run.config["scene"]["unknowns"]}  # fmt: skip
+    print(left)
+    assert last["image_rmse"] < 0.05 * first["image_rmse"] and last["nonfinite"] == 0
+    assert left["figure.vertices"] < 0.55  # seen: 0.38
+    assert left["figure.bsdf.specular.value"] < 0.75  # 0.49
+    assert left["figure.bsdf.roughness.value"] < 0.6  # 0.30
+    assert left["sky.data"] < 0.5  # 0.27

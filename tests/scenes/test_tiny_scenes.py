@@ -17,8 +17,9 @@ from isas_cli.unknowns.parameters import as_numpy
 
 MOVING = ["caustic", "cup", "global_illumination", "occlusion", "shadows", "sort"]
 SHAPES = ["dodoco_b", "kirby", "shadowplay"]
+JOINT = ["object_joint_shape"]  # test_joint_scenes.py
 PHOTOS = ["photos", "chessboard"]  # tests/engine/test_photo_runs.py
-OTHERS = ["file", *MOVING, *SHAPES, *PHOTOS]
+OTHERS = ["file", *MOVING, *SHAPES, *JOINT, *PHOTOS]
 SCENES = [name for name in options("scene") if name not in OTHERS]
 SAMPLERS = pixel_samplers()
 ITERATIONS = 3

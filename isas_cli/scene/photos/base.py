@@ -14,10 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
+from ...runtime import images
 from ...runtime.errors import InputError
 from .camera import Camera
 
-_PICTURES = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".tiff", ".webp", ".bmp")
+_PICTURES = (
+    *(".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".tiff", ".webp", ".bmp"),
+    *images.RAW,
+)
 
 
 @dataclass
@@ -25,13 +29,15 @@ class Capture:
     """``cameras``: at least one, each of another picture; ``points (P, 3)``: places of the scene
     that are known, or None; ``observed``: by view, the numbers of those points that were found in
     it and where, ``(K,)`` and ``(K, 2)`` pixels as ``Camera`` counts them; ``plane``: a known
-    rectangle of the plane z = 0, [x0, y0, x1, y1], or None; ``kind``: the format, in words."""
+    rectangle of the plane z = 0, [x0, y0, x1, y1], or None; ``kind``: the format, in words;
+    ``held``: names of the views that the files hold out."""
 
     cameras: list[Camera]
     kind: str
     points: np.ndarray | None = None
     observed: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     plane: tuple[float, ...] | None = None
+    held: list[str] = field(default_factory=list)
 
 
 def read_text(file: Path) -> str:
@@ -71,6 +77,16 @@ def numbers(values, count: int, where: str) -> tuple[float, ...]:
     if not isinstance(values, list) or len(values) != count:
         raise InputError(f"{where}={values!r}: no list of {count} numbers")
     return tuple(number(value, where) for value in values)
+
+
+def exposure(entry: dict, where: str) -> tuple[float, ...]:
+    """``exposure`` of a view's entry, a number or one a channel, as ``(3,)``; 1 where it has none.
+    Raises InputError, naming ``where``, for what is not above 0."""
+    value, where = entry.get("exposure", 1.0), f"{where}: exposure"
+    found = numbers(value, 3, where) if isinstance(value, list) else (number(value, where),) * 3
+    if not min(found) > 0:
+        raise InputError(f"{where}={value}: must be above 0")
+    return found
 
 
 def whole(value, where: str) -> int:

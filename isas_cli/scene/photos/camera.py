@@ -24,7 +24,8 @@ class Camera:
     ``cx``, ``cy``: pixels, counted from the picture's upper left *corner*, so that its first
     pixel's middle is (0.5, 0.5); ``radial``: k1 … k4, ``tangential``: p1, p2, of Brown's lens as
     OpenCV and COLMAP have it; ``to_world``: ``(4, 4)``, from camera to world, the camera's x to the
-    right, y *down*, z *forward* (OpenCV's axes).
+    right, y *down*, z *forward* (OpenCV's axes); ``exposure``: by how much its photograph is
+    brighter than one at exposure 1, of each channel.
 
     Raises InputError, naming the view, for what is no camera.
     """
@@ -41,6 +42,7 @@ class Camera:
     mask: Path | None = None
     radial: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
     tangential: tuple[float, float] = (0.0, 0.0)
+    exposure: tuple[float, ...] = (1.0, 1.0, 1.0)
     described: str = field(default="", repr=False)  # the file that says so
 
     def __post_init__(self) -> None:
@@ -118,8 +120,8 @@ class Camera:
         return float(np.sqrt(min(roots))) if roots else np.inf
 
     def pinhole(self, width: int | None = None) -> "Camera":
-        """The camera without a lens and with square pixels that shows about the same, as wide as
-        this one or ``width`` pixels."""
+        """The camera without a lens, with square pixels and at exposure 1 that shows about the
+        same, as wide as this one or ``width`` pixels."""
         wide = width or self.width
         focal = self.fx * wide / self.width
         down = focal / self.fy
@@ -133,4 +135,5 @@ class Camera:
             cy=self.cy * down,
             radial=(0.0,) * 4,
             tangential=(0.0, 0.0),
+            exposure=(1.0,) * 3,
         )

@@ -1,10 +1,12 @@
-"""Photographs as a renderer can compare itself with: linear, without a lens, with square pixels."""
+"""Photographs as a renderer can compare itself with: linear, at exposure 1, without a lens, with
+square pixels."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -28,9 +30,9 @@ _WHOLE = 0.999
 
 @dataclass
 class Photograph:
-    """``camera``: the pinhole camera that it is resampled to; ``image (H, W, 3) float32``: linear;
-    ``mask (H, W) float32``: weights of the pixels, 0 where it shows nothing that counts;
-    ``lost``: why pixels do not count → how many of the photograph's own."""
+    """``camera``: the pinhole camera that it is resampled to; ``image (H, W, 3) float32``: linear,
+    at exposure 1; ``mask (H, W) float32``: weights of the pixels, 0 where it shows nothing that
+    counts; ``lost``: why pixels do not count → how many of the photograph's own."""
 
     camera: Camera
     image: np.ndarray
@@ -44,9 +46,11 @@ def load(camera: Camera, settings: PhotosConfig) -> Photograph:
     Raises InputError, naming the file, for one that cannot be read, is of another size than its
     camera or its mask, or has no pixel that counts.
     """
-    image = images.read(camera.image, linear=_linear(settings.encoding))
+    image = images.read(camera.image, linear=_linear(camera.image, settings.encoding))
     _check_size(camera.image, image, camera)
     mask, lost = _mask(camera, image, settings)
+    # Afterwards: what is saturated is said of the file's numbers.
+    image = image / np.float32(camera.exposure)
     target = camera.pinhole(settings.width)
     same = camera.ideal and (target.width, target.height) == (camera.width, camera.height)
     if not same:
@@ -64,7 +68,14 @@ def load(camera: Camera, settings: PhotosConfig) -> Photograph:
     return Photograph(target, image, mask, lost)
 
 
-def _linear(encoding: str) -> bool | None:
+def _linear(file: Path, encoding: str) -> bool | None:
+    """Whether a file's numbers are linear; None: as is usual of its kind. Raises InputError."""
+    if images.is_raw(file):
+        if encoding == "srgb":
+            raise InputError(
+                f"photos.encoding=srgb: {file} is a camera raw file, which is linear: take auto"
+            )
+        return True
     return {"auto": None, "linear": True, "srgb": False}[encoding]
 
 
@@ -95,7 +106,7 @@ def _mask(
         lost["transparent"] = int(np.count_nonzero(alpha < _WHOLE))
     if settings.saturated is not None and camera.image.suffix.lower() not in _FLOATS:
         level = np.float64(settings.saturated)
-        if _linear(settings.encoding) is not True:
+        if _linear(camera.image, settings.encoding) is not True:
             level = images.srgb_decode(level)  # said of the file's numbers, not of light
         bright = (image >= level).any(axis=2)
         mask *= ~bright

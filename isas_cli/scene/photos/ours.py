@@ -3,8 +3,9 @@
 ``width``, ``height``, ``camera_matrix`` (3 × 3), ``distortion`` ([k1, k2, p1, p2, k3], or a word
 for none), and ``views`` with ``image``, ``mask`` (optional), and ``world_to_camera`` (4 × 4) each,
 whose axes are x right, y down, z forward. OpenCV counts pixels from the *middle* of the first.
-``inner_corners`` and ``square_size_m`` say where a chessboard's corners are in the plane z = 0,
-``printed_board_rect_m`` how far it reaches.
+A view may have an ``exposure``, a number or [red, green, blue]: how many times as bright its
+picture is as at exposure 1. ``inner_corners`` and ``square_size_m`` say where a chessboard's
+corners are in the plane z = 0, ``printed_board_rect_m`` how far it reaches.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ...runtime.errors import InputError
-from .base import Capture, load_json, matrix, number, numbers, picture, whole
+from .base import Capture, exposure, load_json, matrix, number, numbers, picture, whole
 from .camera import Camera
 
 NAME = "cameras.json"
@@ -77,6 +78,7 @@ def _camera(file: Path, index: int, top: dict, view) -> Camera:
         radial=(k1, k2, k3, 0.0),
         tangential=(p1, p2),
         to_world=np.linalg.inv(world_to_camera),
+        exposure=exposure(view, where),
         described=str(file),
     )
 

@@ -14,6 +14,8 @@ from .camera import Camera
 
 # Sets that come with isas, by name.
 OWN = ("chessboard",)
+# In place of names, the views that the files hold out.
+GIVEN = "given"
 
 
 def folder_of(path: str) -> Path:
@@ -28,43 +30,52 @@ def folder_of(path: str) -> Path:
     raise InputError(f"photos.path={path}: no such folder; sets that come with isas: {OWN[0]}")
 
 
-def read(path: str) -> Capture:
-    """The cameras in the folder ``path``. Raises InputError where there are none that can be
-    read, for a camera that is none, and for two of one picture."""
+def read(path: str, test=None) -> Capture:
+    """The cameras in the folder ``path``, with those held out where ``test`` is ``given``. Raises
+    InputError where there are none that can be read, for a camera that is none, and for two of one
+    picture."""
     folder = folder_of(path)
-    for module in (ours, transforms):
-        file = module.find(folder)
-        if file is not None:
-            capture = module.read(file)
-            break
-    else:
-        file = colmap.find(folder)
-        if file is None:
-            raise InputError(
-                f"photos.path={path}: no cameras there: looked for {ours.NAME}, "
-                f"{', '.join(transforms.NAMES)}, and COLMAP's cameras.txt (also below sparse/0)"
-            )
+    if (file := ours.find(folder)) is not None:
+        capture = ours.read(file)
+    elif (file := transforms.find(folder)) is not None:
+        capture = transforms.read(file, test == GIVEN)
+    elif (file := colmap.find(folder)) is not None:
         capture = colmap.read(file, folder)
+    else:
+        raise InputError(
+            f"photos.path={path}: no cameras there: looked for {ours.NAME}, "
+            f"{', '.join(transforms.NAMES)}, and COLMAP's cameras.txt (also below sparse/0)"
+        )
+    if test == GIVEN and not capture.held:
+        one, train = transforms.NAMES
+        raise InputError(
+            f"photos.test={test}: {file} gives no views to hold out: looked for test_filenames in "
+            f"{one}, and for {transforms.TEST} beside {train}"
+        )
     name, times = Counter(camera.name for camera in capture.cameras).most_common(1)[0]
     if times > 1:
         raise InputError(f"{file}: {name} is listed {times} times: once a picture")
     return capture
 
 
-def split(cameras: list[Camera], test) -> tuple[list[Camera], list[Camera]]:
+def split(capture: Capture, test) -> tuple[list[Camera], list[Camera]]:
     """Views to learn from, and views held out. ``test``: None, n for every n-th (the n-th the
-    first), or names of pictures, with or without folder and ending. Raises InputError."""
+    first), ``given``, or names of pictures, with or without folder and ending. Raises
+    InputError."""
+    cameras = capture.cameras
     if test is None:
         return cameras, []
     if isinstance(test, int) and not isinstance(test, bool):
         if test < 2:
             raise InputError(f"photos.test={test}: every n-th view is held out, n at least 2")
         held = cameras[test - 1 :: test]
+    elif test == GIVEN:
+        held = [camera for camera in cameras if camera.name in capture.held]
     elif isinstance(test, Sequence):
         names = [test] if isinstance(test, str) else test
         held = [_named(cameras, str(name)) for name in names]
     else:
-        raise InputError(f"photos.test={test}: give a list of pictures [a.png,b.png], or n")
+        raise InputError(f"photos.test={test}: give a list of pictures [a.png,b.png], n, or given")
     names = {camera.name for camera in held}
     kept = [camera for camera in cameras if camera.name not in names]
     if not kept:

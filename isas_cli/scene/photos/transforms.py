@@ -2,7 +2,11 @@
 
 Their cameras have x to the right, y up and z backward (OpenGL's axes), and ``transform_matrix``
 goes from camera to world. Intrinsics stand at the top or with a frame, as ``fl_x`` … or as an
-angle of view.
+angle of view. Ours alone is a frame's ``exposure``, a number or [red, green, blue]: how many times
+as bright its picture is as at exposure 1.
+
+nerfstudio lists the views that it holds out as ``val_filenames`` and ``test_filenames``; Blender
+sets have them in `transforms_test.json`.
 """
 
 from __future__ import annotations
@@ -14,10 +18,11 @@ import numpy as np
 
 from ...runtime import images
 from ...runtime.errors import InputError
-from .base import Capture, load_json, matrix, number, picture, whole
+from .base import Capture, exposure, load_json, matrix, number, picture, whole
 from .camera import Camera
 
 NAMES = ("transforms.json", "transforms_train.json")
+TEST = "transforms_test.json"
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
 # From the camera's axes as the file has them to x right, y down, z forward.
 _TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -27,13 +32,41 @@ def find(folder: Path) -> Path | None:
     return next((folder / name for name in NAMES if (folder / name).is_file()), None)
 
 
-def read(file: Path) -> Capture:
-    """Raises InputError, naming the frame, for what is missing or wrong."""
+def read(file: Path, given: bool = False) -> Capture:
+    """``given``: whether views that the files hold out are looked for. Raises InputError, naming
+    the frame, for what is missing or wrong."""
+    top, cameras = _cameras(file)
+    held = []
+    if given and file.name == NAMES[0]:
+        held = _listed(file, top, cameras)
+    elif given and file.with_name(TEST).is_file():
+        _, more = _cameras(file.with_name(TEST))
+        cameras, held = cameras + more, [camera.name for camera in more]
+    return Capture(cameras, file.name, held=held)
+
+
+def _cameras(file: Path) -> tuple[dict, list[Camera]]:
+    """What the file holds, and its frames. Raises InputError."""
     top = load_json(file)
     frames = top.get("frames")
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{file}: has no list of frames")
-    return Capture([_camera(file, n, top, frame) for n, frame in enumerate(frames)], file.name)
+    return top, [_camera(file, n, top, frame) for n, frame in enumerate(frames)]
+
+
+def _listed(file: Path, top: dict, cameras: list[Camera]) -> list[str]:
+    """Names of the views that nerfstudio holds out. Raises InputError for one that is no view."""
+    names, held = {camera.name for camera in cameras}, []
+    for key in ("val_filenames", "test_filenames"):
+        listed = top.get(key, [])
+        if not isinstance(listed, list):
+            raise InputError(f"{file}: {key} is no list of pictures")
+        for name in listed:
+            found = str(name).removeprefix("./")
+            if found not in names:
+                raise InputError(f"{file}: {key}: {name} is the file_path of no frame")
+            held.append(found)
+    return held
 
 
 def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
@@ -73,6 +106,7 @@ def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
         radial=tuple(of(name, 0.0) for name in ("k1", "k2", "k3", "k4")),
         tangential=(of("p1", 0.0), of("p2", 0.0)),
         to_world=matrix(frame["transform_matrix"], f"{where}: transform_matrix") @ _TO_OPENCV,
+        exposure=exposure(frame, where),
         described=str(file),
     )
 
