@@ -80,9 +80,10 @@ class UnknownConfig:
     """One unknown: start value (number, list, image file, ``{of: other key}`` or ``{uniform: [low,
     high], seed: n}``), legal range, own learning rate, and the blur of ``estimator=plateau``;
     ``during``: the shares of the budget between which it moves, [from, to], or several such stages,
-    [from, to, from, to]; outside it keeps its value (None: it always moves); ``levels``: of a grid,
-    how many resolutions it passes through, each twice the last and for twice the time, or the
-    shares of the budget at which it doubles."""
+    [from, to, from, to]; outside it keeps its value (None: it always moves); ``schedule`` and
+    ``final``: of its own rate, else the optimiser's; ``prior``: what the prior's weights are
+    multiplied with for it; ``levels``: of a grid, how many resolutions it passes through, each
+    twice the last and for twice the time, or the shares of the budget at which it doubles."""
 
     start: Any = None
     # How fast, and within which bounds, an unknown may move is the method's affair.
@@ -91,8 +92,14 @@ class UnknownConfig:
     blur: Optional[BlurConfig] = None
     levels: Any = setting(1, Role.METHOD)
     during: Optional[List[float]] = setting(None, Role.METHOD)
+    schedule: Optional[str] = setting(None, Role.METHOD)
+    final: Optional[float] = setting(None, Role.METHOD)
+    prior: float = setting(1.0, Role.METHOD)
 
     def __post_init__(self) -> None:
+        factor(self.schedule or "constant", 1.0 if self.final is None else self.final, "")
+        if not 0 <= self.prior < math.inf:
+            raise InputError(f"prior={self.prior}: a finite factor, at least 0")
         if self.during is not None:
             shares = [0.0, *self.during, 1.0]
             rising = all(a < b for a, b in zip(self.during, self.during[1:]))

@@ -12,7 +12,7 @@ from ..config.schema import OptimizerConfig
 from ..runtime.schedule import factor
 from ..samplers.sampler import Moments
 from ..unknowns.parameters import as_numpy, flat, own, unflat
-from ..unknowns.unknowns import Unknowns
+from ..unknowns.unknowns import Unknown, Unknowns
 from .neighbours import smoothed
 
 # Of a gradient's entry in units of ``Stepper.scale``: the square of a larger one is infinite, and a
@@ -83,7 +83,10 @@ class Stepper:
     def __init__(self, unknowns: Unknowns, settings: OptimizerConfig):
         self.unknowns, self.settings = unknowns, settings
         self._scheduled = factor(settings.schedule, settings.final)
-        self.factor = lambda spent: settings.factor * self._scheduled(spent)
+        self._own = {
+            u.key: factor(u.schedule or settings.schedule, u.final or settings.final)
+            for u in unknowns
+        }
         self.scales = [dict.fromkeys(unknowns.keys, 1.0) for _ in unknowns.switches]
         self.restart()
 
@@ -139,17 +142,21 @@ class Stepper:
 
     def rate(self, spent: float) -> float:
         """The learning rate of unknowns without their own, at this share of the budget."""
-        return self.settings.lr * self.factor(spent)
+        return self.settings.lr * self.settings.factor * self._scheduled(spent)
+
+    def _rate(self, unknown: Unknown, spent: float) -> float:
+        """0 while it rests."""
+        usual = (unknown.lr or self.settings.lr) * self.settings.factor
+        return usual * self._own[unknown.key](spent) * unknown.moves(spent)
 
     def step(self, gradients: dict, spent: float) -> None:
         """One Adam step along ``gradients`` (by key, any scale). Evaluates the new values."""
-        factor = self.factor(spent)
         rates, bad, touched = {}, mi.UInt64(0), mi.UInt64(0)
         for unknown in self.unknowns:
             key = unknown.key
             if not unknown.moves(spent):
                 continue
-            rates[key] = (unknown.lr or self.settings.lr) * factor
+            rates[key] = self._rate(unknown, spent)
             # Opaque, because the factor differs from run to run and would compile anew.
             entries = flat(gradients[key]) * dr.opaque(mi.Float, self.scale[key])
             finite = dr.abs(entries) < _LARGEST  # NaN is not
@@ -253,10 +260,7 @@ class Stepper:
             touched = dr.select(seen > 0, v / seen, 0) * dr.square(unit)  # E[g²] where touched
             noise[key] = dr.select(part > 0, dr.square(took_part) * share * touched, 0)
         dr.eval(first, second, noise)
-        rates = {
-            u.key: (u.lr or self.settings.lr) * self.factor(spent) * u.moves(spent)
-            for u in self.unknowns
-        }
+        rates = {u.key: self._rate(u, spent) for u in self.unknowns}
         return Moments(first, second, noise, rates)
 
     def export(self) -> tuple[dict[str, np.ndarray], dict]:

@@ -5,7 +5,8 @@
 R_s as in ``priors.Smoothness``, over all unknowns with neighbours; m over the unknowns called
 metallic, r over those called roughness or alpha, by a word of their key. The PBDR paper has such
 a "material regularisation" and prints no formula: x (1 - x) stands for the entropy of a share x,
-which is 0 at both ends too, and has a derivative there. Each term is left out at a weight of 0.
+which is 0 at both ends too, and has a derivative there. Each term is left out at a weight of 0;
+each unknown's part has a factor of its own (``Unknown.prior``).
 """
 
 from __future__ import annotations
@@ -53,22 +54,24 @@ class Materials:
                 "or roughness: say prior=none"
             )
         smooth = Smoothness(self.smooth) if wide and self.smooth else Nothing()
-        return OnMaterials(self, smooth.on(unknowns), metal, rough)
+        factors = {u.key: u.prior for u in unknowns}
+        return OnMaterials(self, smooth.on(unknowns), metal, rough, factors)
 
 
 class OnMaterials:
     """The prior on the unknowns of one problem."""
 
-    def __init__(self, prior: Materials, smooth, metal: list[str], rough: list[str]):
+    def __init__(self, prior: Materials, smooth, metal: list[str], rough: list[str], factors: dict):
         self.smooth = smooth
         # By key: weight, and ρ and its derivative by an entry. Opaque: runs share kernels.
         expected = dr.opaque(mi.Float, prior.expected)
         self.terms = [
-            (key, prior.metallic, lambda x: x * (1 - x), lambda x: 1 - 2 * x) for key in metal
+            (key, prior.metallic * factors[key], lambda x: x * (1 - x), lambda x: 1 - 2 * x)
+            for key in metal
         ] + [
             (
                 key,
-                prior.roughness,
+                prior.roughness * factors[key],
                 lambda x: dr.square(x - expected),
                 lambda x: 2 * (x - expected),
             )

@@ -1,14 +1,15 @@
 """Priors: a term on the unknowns themselves beside the loss of the images.
 
-    ℒ'(θ) = ℒ(θ) + weight R(θ),    R = Σ_keys 1/K Σ_k ρ(differences of entry k to its neighbours)
+    ℒ'(θ) = ℒ(θ) + weight R(θ),    R = Σ_keys f/K Σ_k ρ(differences of entry k to its neighbours)
 
-over the K entries of each key that has neighbours: texels along both sides of a texture, of an
-environment map (which closes on itself sideways), channels each by itself. An entry at an open end
-has no neighbour there. Differences are those over the distance of two entries of the whole unknown:
-where it is coarser for now, they are divided by how much farther its entries are apart, so that the
-weight means the same at every level. R is a function of θ alone, so its gradient has no noise and
-no bias; it is billed with the step. Entries that no pixel touched move as well, towards their
-neighbours: where ``optimizer.mask_updates`` would have left them, they are touched now.
+f the unknown's own factor (``Unknown.prior``, 1), over the K entries of each key that has
+neighbours: texels along both sides of a texture, of an environment map (which closes on itself
+sideways), channels each by itself. An entry at an open end has no neighbour there. Differences are
+those over the distance of two entries of the whole unknown: where it is coarser for now, they are
+divided by how much farther its entries are apart, so that the weight means the same at every level.
+R is a function of θ alone, so its gradient has no noise and no bias; it is billed with the step.
+Entries that no pixel touched move as well, towards their neighbours: where
+``optimizer.mask_updates`` would have left them, they are touched now.
 """
 
 from __future__ import annotations
@@ -64,8 +65,8 @@ class Prior:
                 "prior=none"
             )
         chosen = self.keys or valid
-        shapes = {u.key: u.start.shape for u in unknowns}
-        return OnUnknowns(self, {key: (shapes[key], axes[key]) for key in chosen})
+        laid_out = {key: (unknowns[key].start.shape, axes[key]) for key in chosen}
+        return OnUnknowns(self, laid_out, {key: unknowns[key].prior for key in chosen})
 
     def energy(self, steps: list[mi.Float]) -> mi.Float:
         """ρ of every entry from its steps to the next entry along each axis. Traced."""
@@ -147,10 +148,11 @@ class Neighbours:
 
 
 class OnUnknowns:
-    """A prior on the unknowns of one problem. ``laid_out``: shape and axes by key."""
+    """A prior on the unknowns of one problem. ``laid_out``: shape and axes by key; ``factors``: on
+    the weight, by key."""
 
-    def __init__(self, prior: Prior, laid_out: dict[str, tuple]):
-        self.prior, self.laid_out = prior, laid_out
+    def __init__(self, prior: Prior, laid_out: dict[str, tuple], factors: dict[str, float]):
+        self.prior, self.laid_out, self.factors = prior, laid_out, factors
         self._slope = dr.freeze(self._traced_slope)
         self._found: dict[tuple, Neighbours] = {}
 
@@ -167,7 +169,7 @@ class OnUnknowns:
         for key in self.laid_out:
             x, around = flat(values[key]), self._around(key, values[key])
             found = self.prior.energy(_steps(x, around.following, around.closer))
-            total += float(dr.sum(mi.Float64(found))[0]) / around.count
+            total += self.factors[key] * float(dr.sum(mi.Float64(found))[0]) / around.count
         return self.prior.weight * total
 
     def add(self, values: dict, gradients: dict) -> dict:
@@ -176,7 +178,7 @@ class OnUnknowns:
         for key in self.laid_out:
             around = self._around(key, values[key])
             # Opaque: weights differ between runs that share a recording.
-            scale = dr.opaque(mi.Float, self.prior.weight / around.count)
+            scale = dr.opaque(mi.Float, self.prior.weight * self.factors[key] / around.count)
             places = around.following, around.preceding, around.closer
             slope = self._slope(flat(values[key]), *places, scale)
             result[key] = unflat(gradients[key], flat(gradients[key]) + slope)

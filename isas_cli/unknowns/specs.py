@@ -210,5 +210,7 @@ def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
     during = (0.0, 1.0) if spec.during is None else tuple(spec.during)
     doubled = _doubled(spec.levels, kind)
     return Unknown(
-        *(kind, start, truth, low, high, spec.lr, spec.blur), during=during, doubled=doubled
+        *(kind, start, truth, low, high, spec.lr, spec.blur),
+        **dict(during=during, doubled=doubled),
+        **dict(schedule=spec.schedule, final=spec.final, prior=spec.prior),
     )

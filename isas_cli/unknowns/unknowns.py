@@ -20,7 +20,9 @@ class Unknown:
     ``lr``: its own learning rate, or None for the optimiser's; ``blur``: of ``sampler=plateau``, or
     None; ``during``: the shares of the budget at which it begins to move, rests, begins again, …;
     ``seen``: which entries some view sees (bool, same shape), filled in by ``coverage``;
-    ``doubled``: the shares of the budget at which its resolution doubles until it is whole."""
+    ``doubled``: the shares of the budget at which its resolution doubles until it is whole;
+    ``schedule``, ``final``: of its rate, or None for the optimiser's; ``prior``: a factor on the
+    prior's weights."""
 
     kind: Kind
     start: np.ndarray
@@ -32,6 +34,9 @@ class Unknown:
     during: tuple[float, ...] = (0.0, 1.0)
     seen: np.ndarray | None = None
     doubled: tuple[float, ...] = ()
+    schedule: str | None = None
+    final: float | None = None
+    prior: float = 1.0
 
     @property
     def key(self) -> str:

@@ -72,6 +72,18 @@ def test_an_unknown_rests_until_its_stage_and_then_begins_as_if_nothing_had_been
     assert np.array_equal(as_numpy(stepper.values[ROUGHNESS]), number)
 
 
+def test_rates_fall_as_each_unknown_says():
+    p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5})
+    p.unknowns[TEXTURE].schedule = "constant"
+    p.unknowns[ROUGHNESS].schedule, p.unknowns[ROUGHNESS].final = "exponential", 0.25
+    stepper = Stepper(p.unknowns, settings())
+    batch = gradients(p, np.random.default_rng(5))
+    for spent in (0.0, 0.5, 1.0):
+        stepper.step(batch, spent)
+        rate = stepper.moments(spent).rate
+        assert rate[ROUGHNESS] == pytest.approx(rate[TEXTURE] * 0.25**spent)
+
+
 def test_first_steps_follow_the_published_update():
     """Kingma & Ba, with bias correction, in NumPy."""
     p, rng = problem({TEXTURE: 0.5}), np.random.default_rng(2)

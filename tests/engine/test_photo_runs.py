@@ -177,9 +177,7 @@ def test_silhouettes_are_where_rays_see_them(photographed):
     """With principal points, and views held out between the others."""
     made = problem(*photographed, "photos.test=[view_1]")
     place = made.views.locate(dr.arange(mi.UInt32, made.views.total))
-    ray, _ = rays.through(
-        made.sensors, made.views, *place, mi.Point2f(0.25, 0.75), mi.Point2f(0.5)
-    )
+    ray, _ = rays.through(made.sensors, made.views, *place, mi.Point2f(0.25, 0.75), mi.Point2f(0.5))
     cameras = Cameras.of(made)
     assert dr.width(cameras.eyes.finite) == 3
     seen = np.array(cameras.project(place[0], ray.o + 2 * ray.d))
@@ -357,6 +355,15 @@ def test_exposures_scale_views_and_nothing_else(photographed):
     ]
     np.testing.assert_allclose(shown(), before * np.array([1, 2, 0.5, 3])[:, None, None], rtol=1e-5)
     dr.eval(values)
+
+
+def test_what_is_unknown_where_nothing_else_is_said(photographed):
+    """A texture where there are coordinates, and the light where it is not given."""
+    folder, box, lit = photographed
+    made = problem(folder, "photos.sphere=[0,0,0,0.4]", "photos.texture=8", "photos.sky=4")
+    shapes = {u.key: u.start.shape for u in made.unknowns}
+    assert shapes == {f"{BASE}.data": (8, 8, 3), "sky.data": (4, 8, 3)}
+    assert problem(folder, box, lit).unknowns.keys == [f"{BASE}.value"]
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,9 @@ def test_each_term_is_its_formula_and_can_be_left_out(rng):
     }
     for name, (value, slopes) in parts.items():
         off = {"smooth": 0.0, "metallic": 0.0, "roughness": 0.0, name: 2.0}
-        made = OnMaterials(Materials(**off, expected=0.3), None, [METAL], [ROUGHNESS])
+        made = OnMaterials(
+            Materials(**off, expected=0.3), None, [METAL], [ROUGHNESS], dict.fromkeys(at, 1.0)
+        )
         assert made.value(at) == pytest.approx(2 * value, rel=1e-5)
         found = made.add(at, zero)
         for key in at:
@@ -46,6 +48,12 @@ def test_on_a_problem_the_smooth_part_is_smoothness(rng):
     found, alone = made.add(at, zero), plain.add(at, zero)
     assert np.array_equal(np.array(found[TEXTURE]), np.array(alone[TEXTURE]))
     assert np.allclose(np.array(found[ROUGHNESS]), 0.5 * 2 * 0.3)
+    unknowns[TEXTURE].prior, unknowns[ROUGHNESS].prior = 3.0, 0.5
+    own = Materials(smooth=0.7, roughness=0.5, expected=0.2).on(unknowns)
+    assert own.value(at) == pytest.approx(3 * plain.value(at) + 0.5 * 0.5 * 0.3**2, rel=1e-5)
+    found = own.add(at, zero)
+    assert np.allclose(np.array(found[TEXTURE]), 3 * np.array(alone[TEXTURE]))
+    assert np.allclose(np.array(found[ROUGHNESS]), 0.5 * 0.5 * 2 * 0.3)
 
 
 def test_what_makes_no_sense_is_refused():

@@ -43,7 +43,7 @@ def reference(prior, x: np.ndarray, axes) -> float:
 
 
 def on(prior, x: np.ndarray, axes, whole: tuple | None = None) -> tuple[OnUnknowns, dict]:
-    made = OnUnknowns(prior, {"x": (whole or x.shape, axes)})
+    made = OnUnknowns(prior, {"x": (whole or x.shape, axes)}, {"x": 1.0})
     return made, {"x": mi.TensorXf(np.ascontiguousarray(x, np.float32))}
 
 
