@@ -136,10 +136,6 @@ class ByShape:
     def __init__(self, problem: "Problem", loss, chosen: Settings):
         """``problem.integrator``: an ``Attached``. Raises InputError for what moves and is no mesh
         of smooth normals."""
-        if problem.views.motion is not None:
-            raise InputError(
-                "estimator=silhouettes knows no other pose of a view: take photos.refine=false"
-            )
         self.problem, self.freeze = problem, chosen.freeze
         self.inside = TwoPath(problem, loss, chosen.batch, chosen.freeze)
         meshes, shadows = _meshes(problem), chosen.shadowed(problem)

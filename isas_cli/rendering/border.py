@@ -33,9 +33,11 @@ class Border:
     def accumulate(self, positions: mi.Float, seeds: list) -> None:
         """Add one estimate to the gradients of the mesh's ``positions``, the scene's attached ones
         where it moves, and of those of what else moves."""
-        p = self.problem
+        p, cameras = self.problem, self.cameras
+        if p.views.motion is not None:
+            cameras = cameras.moved(p.views.motion)
         self._kernel(
-            p.scene, p.sensors, p.views, positions, self.outline, self.cameras, p.targets, p.mask,
+            p.scene, p.sensors, p.views, positions, self.outline, cameras, p.targets, p.mask,
             seeds, p.share, *self._own,
         )  # fmt: skip
 

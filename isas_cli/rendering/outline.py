@@ -13,6 +13,7 @@ from ..scene.problem import Problem
 from ..scene.topology import Topology
 from ..scene.views import Views
 from ..unknowns.parameters import own
+from . import rays
 
 
 @dataclass
@@ -200,6 +201,20 @@ class Cameras:
         rows = [[own(mi.Float, matrices[:, row, k]) for k in range(4)] for row in (0, 1, 3)]
         place = mi.Vector3f(*[own(mi.Float, centres[:, k]) for k in range(3)])
         return Cameras(rows, Eyes(place, own(mi.Float, np.ones(len(centres), np.float32))))
+
+    def moved(self, motion: mi.Float) -> "Cameras":
+        """Turned about their middles and shifted, as rays are (``Views.motion``). Evaluates."""
+        turn, shift = rays.turn_and_shift(motion, dr.arange(mi.UInt32, dr.width(motion) // 6))
+        middle = mi.Point3f(self.eyes.place)
+        rows = []
+        for *way, last in self.rows:
+            along = rays.turned(mi.Vector3f(*way), turn)
+            # The middle stays where it was in the image.
+            last = last + dr.dot(mi.Vector3f(*way), middle) - dr.dot(along, middle + shift)
+            rows.append([*along, last])
+        found = Cameras(rows, Eyes(self.eyes.place + shift, self.eyes.finite))
+        dr.eval(found)
+        return found
 
     def homogeneous(self, view: mi.UInt32, point, one: float = 1.0) -> list[mi.Float]:
         """Column and row times depth, and depth; ``one=0``: of a direction. Traced."""

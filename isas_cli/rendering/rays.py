@@ -56,15 +56,24 @@ def _moved(ray, motion: mi.Float, view: mi.UInt32) -> tuple[mi.Point3f, mi.Vecto
     """Origin and direction of rays whose cameras are turned and shifted. Rays begin a thousandth of
     the way before the camera: that the turn is about there is below a pixel's thousandth. Traced.
     """
-    turn, shift = (
+    turn, shift = turn_and_shift(motion, view)
+    return ray.o + shift, turned(ray.d, turn)
+
+
+def turn_and_shift(motion: mi.Float, view: mi.UInt32) -> tuple[mi.Vector3f, mi.Vector3f]:
+    """Of each camera, from ``Views.motion``. Traced."""
+    return tuple(
         mi.Vector3f(*[dr.gather(mi.Float, motion, view * 6 + first + n) for n in range(3)])
         for first in (0, 3)
     )
+
+
+def turned(way: mi.Vector3f, turn: mi.Vector3f) -> mi.Vector3f:
+    """``way`` after a rotation about ``turn`` by its length, radians. Traced."""
     angle = dr.norm(turn)
     axis = turn / dr.maximum(angle, 1e-20)
     sine, cosine = dr.sincos(angle)
-    along = axis * (dr.dot(axis, ray.d) * (1 - cosine))
-    return ray.o + shift, ray.d * cosine + dr.cross(axis, ray.d) * sine + along
+    return way * cosine + dr.cross(axis, way) * sine + axis * (dr.dot(axis, way) * (1 - cosine))
 
 
 def stream(seed: mi.UInt32, count: int) -> mi.Sampler:
