@@ -54,14 +54,25 @@ def judged(
     measure: str,
 ) -> tuple[pandas.DataFrame, pandas.DataFrame]:
     """The runs of ``contestants``, settings by name: with the first seed at each of the ``factors``
-    on their rates; with the others, each at that with the least ``measure``. See ``race``."""
+    on their rates, and at one beyond for those that did best with the largest or the least; with
+    the others, each at that with the least ``measure``. See ``race``."""
 
     def at(name: str, factor: float) -> tuple[str, dict]:
         return name, contestants[name] | {"optimizer.factor": factor}
 
-    every = [at(name, factor) for name in contestants for factor in factors]
+    def least(runs: pandas.DataFrame) -> pandas.DataFrame:
+        return runs.loc[runs.groupby("method", sort=False)[measure].idxmin()]
+
+    few, *_, many = rising = sorted(factors)
+    every = [at(name, factor) for name in contestants for factor in rising]
     first = race(scene, root / "rates", settings, every, seeds[:1], seconds, row)
-    best = first.loc[first.groupby("method", sort=False)[measure].idxmin()]
+    beyond = {few: few**2 / rising[1], many: many**2 / rising[-2]}
+    best = zip(*(least(first)[column] for column in ("method", "factor")))
+    further = [at(name, beyond[factor]) for name, factor in best if factor in beyond]
+    if further:
+        more = race(scene, root / "beyond", settings, further, seeds[:1], seconds, row)
+        first = pandas.concat([first, more], ignore_index=True)
+    best = least(first)
     chosen = [at(*pair) for pair in zip(best["method"], best["factor"])]
     return first, race(scene, root / "seeds", settings, chosen, seeds[1:], seconds, row)
 
