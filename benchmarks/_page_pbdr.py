@@ -16,12 +16,13 @@ def facts(results: Path) -> dict | None:
         return None
     table = pandas.read_csv(path)
     by = {scene: rows.set_index("method") for scene, rows in table.groupby("scene", sort=False)}
-    more = results / "pbdr_more.csv"
+    more, shape = results / "pbdr_more.csv", results / "pbdr_shape.csv"
     return {
         "scenes": {scene: rows.reset_index().to_dict("records") for scene, rows in by.items()},
         "seconds": dict(table.groupby("scene", sort=False)["seconds"].max()),
         "seeds": table["seeds"].min(),
         "more": pandas.read_csv(more).to_dict("records") if more.exists() else [],
+        "shape": pandas.read_csv(shape).to_dict("records") if shape.exists() else [],
         "claims": _claims(by),
         "prior": {scene: _ratio(rows, "mpea", "without the prior") for scene, rows in by.items()},
         "smoothing": {

@@ -20,6 +20,10 @@ With `--more`: the samplers that are left, and blurred parameters (`estimator.bl
 unknowns, whose width falls to a tenth), beside `ours` anew, all without the paper's parts. Writes
 results/pbdr_more.csv and pbdr_more_rates.csv.
 
+With `--shape`: `object_joint_shape`, whose vertices are unknown as well: drawn pixels (`ours`) and
+uniform ones with silhouettes, and Mitsuba's projective loop, all in the stages of the scene's
+configuration; and `ours` with everything moving from the start. Writes results/pbdr_shape.csv.
+
     make reproduce SCENES=pbdr
 """
 
@@ -57,16 +61,22 @@ SPP = 32  # of the pictures from elsewhere; result and truth with the same rando
 
 def more(scene: str) -> tuple[list[str], dict[str, dict]]:
     """Settings of all, and of each by name."""
-    from isas_cli.config.compose import compose
-
-    found = OmegaConf.to_container(compose([f"scene={scene}"]).scene.unknowns, resolve=True)
-    blurred = {key: {k: v for k, v in each.items() if v is not None} | {"blur": BLUR}
-               for key, each in found.items()}  # fmt: skip
     one_way = {"estimator.crossed": "false"}
     names = (PLAIN, "gradient", "balanced", "joint", "preconditioned")
     each = {name: {"sampler": name} | one_way for name in names}
     each["blurred parameters"] = {"sampler": PLAIN, "estimator.blurred": "true"} | one_way
-    return [f"scene.unknowns={json.dumps(blurred)}"], each
+    return [f"scene.unknowns={json.dumps(specs(scene, blur=BLUR))}"], each
+
+
+def specs(scene: str, **changed) -> dict[str, dict]:
+    """The scene's unknowns as its configuration has them, but for what is ``changed`` of all."""
+    from isas_cli.config.compose import compose
+
+    found = OmegaConf.to_container(compose([f"scene={scene}"]).scene.unknowns, resolve=True)
+    return {
+        key: {k: v for k, v in (each | changed).items() if v is not None}
+        for key, each in found.items()
+    }
 
 
 def methods(scene: str) -> dict[str, dict]:
@@ -106,6 +116,60 @@ def measured(run: records.Run) -> dict:
         "roughness": np.mean([errors[k] for k in rough]),
         "iterations": int(last["iteration"]),
     }
+
+
+SHAPE, SHAPE_SECONDS = "object_joint_shape", 20.0
+
+
+def shape_methods() -> dict[str, dict]:
+    """Settings by name."""
+    own = {"estimator": "silhouettes", "estimator.batch": 16384}
+    found = {name: own | {"sampler": name} for name in (PLAIN, "uniform")}
+    return found | {STOCK: {"sampler": "mitsuba", "sampler.silhouettes": "direct"}}
+
+
+def shape_measured(run: records.Run) -> dict:
+    history = run.history
+    first, last = history.iloc[0], history.iloc[-1]
+    bsdf = "parameter_rmse/figure.bsdf"
+    return {
+        "start": first["parameter_rmse/figure.vertices"],
+        "chamfer": last["parameter_rmse/figure.vertices"],
+        "normals": last["value/figure.vertices/normals"],
+        "specular": last[f"{bsdf}.specular.value"],
+        "roughness": last[f"{bsdf}.roughness.value"],
+        "sky": last["parameter_rmse/sky.data"],
+        ERROR: last[ERROR],
+        "iterations": int(last["iteration"]),
+    }
+
+
+def shapes(seeds: list[int], seconds: float) -> pandas.DataFrame:
+    """A row for each method on SHAPE: medians and ranges."""
+    settings = ["evaluation.count=8", "frames.views=0", "frames.snapshots=0", "report=false"]
+    at_once = json.dumps(specs(SHAPE, during=None))
+    found = []
+    sides = (
+        (shape_methods(), settings),
+        (
+            {"ours, all at once": shape_methods()[PLAIN]},
+            [*settings, f"scene.unknowns={at_once}"],
+        ),
+    )
+    for contestants, chosen in sides:
+        with tempfile.TemporaryDirectory(prefix="isas-pbdr-") as root:
+            where = SHAPE, Path(root), chosen, contestants, FACTORS[:3]
+            found.append(_contest.judged(*where, seeds, seconds, shape_measured, ERROR)[1])
+    rows = []
+    for name, own in pandas.concat(found).groupby("method", sort=False):
+        row = {"scene": SHAPE, "method": name, "factor": own["factor"].iloc[0]}
+        row |= {"seeds": len(own), "seconds": seconds, "start": own["start"].median()}
+        for measure in ("chamfer", ERROR):
+            row |= {f"{measure}_low": own[measure].min(), f"{measure}_high": own[measure].max()}
+        for measure in ("chamfer", "normals", "specular", "roughness", "sky", ERROR, "iterations"):
+            row[measure] = own[measure].median()
+        rows.append(row)
+    return pandas.DataFrame(rows)
 
 
 MEASURES = ("re", "mpea", "cs", "gn", "colour", "roughness")
@@ -212,11 +276,17 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
     parser.add_argument("--scenes", nargs="+", default=[*SCENES])
     parser.add_argument("--more", action="store_true", help="the samplers that are left")
+    parser.add_argument("--shape", action="store_true", help=f"{SHAPE} alone")
     chosen = parser.parse_args()
     suffix = "_more" if chosen.more else ""
     from isas_cli.runtime import backend
 
     backend.start()
+    if chosen.shape:
+        made = shapes(chosen.seeds, chosen.seconds or SHAPE_SECONDS)
+        print(made.to_string(index=False), flush=True)
+        _contest.write(RESULTS / "pbdr_shape.csv", made)
+        return pages.write()
     for scene in chosen.scenes:
         seconds = chosen.seconds or SCENES[scene]
         with tempfile.TemporaryDirectory(prefix="isas-pbdr-") as root:

@@ -6,9 +6,8 @@ border at which files are decoded to that and encoded from it. It knows nothing 
 
 from __future__ import annotations
 
-import contextlib
 import datetime
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ import OpenImageIO as oiio
 from PIL import PngImagePlugin
 
 from .. import __version__
-from . import memory
+from . import memory, raw
 from .errors import InputError
 from .files import write_atomically
 
@@ -24,8 +23,6 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 _INT32 = range(-(2**31), 2**31)
 _INTEGER_FORMATS = {oiio.UINT8: 255.0, oiio.UINT16: 65535.0}
 _FLOAT_FORMATS = (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
-# Camera raw files, by their ending.
-RAW = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef")
 # CIE x and y of red, green, blue and white (ITU-R BT.709), which sRGB has too.
 _REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 
@@ -38,11 +35,6 @@ def srgb_decode(encoded: np.ndarray) -> np.ndarray:
 def srgb_encode(linear: np.ndarray) -> np.ndarray:
     """Linear values in [0, 1] to sRGB ones (IEC 61966-2-1); any shape."""
     return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
-
-
-def is_raw(path: str | Path) -> bool:
-    """Whether a file is a camera's raw one, by its ending."""
-    return Path(path).suffix.lower() in RAW
 
 
 def read(path: str | Path, finite: bool = True, linear: bool | None = None) -> np.ndarray:
@@ -85,11 +77,8 @@ def read_mask(path: str | Path) -> np.ndarray:
 def size(path: str | Path) -> tuple[int, int]:
     """Width and height of a picture, pixels, as `read` turns it. Reads its header alone. Raises
     InputError for a file that is none."""
-    if is_raw(path):
-        with _opened_raw(Path(path)) as raw:
-            sizes = raw.sizes
-        turned = sizes.flip & 4
-        return (sizes.height, sizes.width) if turned else (sizes.width, sizes.height)
+    if raw.names(path):
+        return raw.size(Path(path))
     source = _opened(Path(path))
     spec = source.spec()
     source.close()
@@ -100,7 +89,7 @@ def size(path: str | Path) -> tuple[int, int]:
 def read_alpha(path: str | Path) -> np.ndarray | None:
     """The alpha channel of a picture, (H, W) float32, integers scaled to [0, 1]; None where it has
     none. Raises InputError for what `read` refuses."""
-    if is_raw(path):
+    if raw.names(path):
         return None
     path = Path(path)
     source = _opened(path)
@@ -238,8 +227,8 @@ def _read_colours(path: Path) -> tuple[np.ndarray, bool]:
     """The colour channels as stored, (H, W, 1 or 3) float32 with integers scaled to [0, 1], and
     whether they are linear. Raises InputError for a file that holds no such picture.
     """
-    if is_raw(path):
-        return _read_raw(path), True
+    if raw.names(path):
+        return raw.read(path), True
     source = _opened(path)
     try:
         spec = source.spec()
@@ -263,40 +252,6 @@ def _read_colours(path: Path) -> tuple[np.ndarray, bool]:
         source.close()
     colours = pixels[..., _colour_channels(path, spec)].astype(np.float32) / np.float32(scale)
     return _upright(colours, spec.get_int_attribute("Orientation", 1)), linear
-
-
-def _read_raw(path: Path) -> np.ndarray:
-    """A camera raw file as `read` describes it, 1 being its white level. Raises InputError."""
-    with _opened_raw(path) as raw:
-        pixels = raw.postprocess(
-            gamma=(1, 1),
-            no_auto_bright=True,
-            adjust_maximum_thr=0,  # else the brightest pixel may become the white level
-            use_camera_wb=True,
-            output_bps=16,
-        )
-    return pixels.astype(np.float32) / np.float32(65535)
-
-
-@contextlib.contextmanager
-def _opened_raw(path: Path) -> Iterator:
-    """A camera raw file, open, as `rawpy` has it. Raises InputError."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such picture file")
-    try:
-        import rawpy
-    except ImportError:
-        raise InputError(
-            f"{path}: camera raw files are read through rawpy, which is not installed: "
-            "pip install '.[raw]' in isas's source folder"
-        ) from None
-    try:
-        with rawpy.imread(str(path)) as raw:
-            yield raw
-    except (rawpy.LibRawError, OSError) as error:
-        reason = error.args[0]
-        told = reason.decode() if isinstance(reason, bytes) else error
-        raise InputError(f"{path}: cannot be read as a camera raw file: {told}") from error
 
 
 def _check_png(path: Path) -> None:

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ...runtime import images
+from ...runtime import raw
 from ...runtime.errors import InputError
 from .camera import Camera
 
 _PICTURES = (
     *(".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".tiff", ".webp", ".bmp"),
-    *images.RAW,
+    *raw.ENDINGS,
 )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from ...config.schema import PhotosConfig
-from ...runtime import images
+from ...runtime import images, raw
 from ...runtime.cache import cached, digest
 from ...runtime.errors import InputError
 from .camera import Camera
@@ -70,7 +70,7 @@ def load(camera: Camera, settings: PhotosConfig) -> Photograph:
 
 def _linear(file: Path, encoding: str) -> bool | None:
     """Whether a file's numbers are linear; None: as is usual of its kind. Raises InputError."""
-    if images.is_raw(file):
+    if raw.names(file):
         if encoding == "srgb":
             raise InputError(
                 f"photos.encoding=srgb: {file} is a camera raw file, which is linear: take auto"

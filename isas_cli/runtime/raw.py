@@ -1,0 +1,60 @@
+"""Camera raw files, through LibRaw (`rawpy`): what the sensor counted, linear."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from .errors import InputError
+
+ENDINGS = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef")
+
+
+def names(path: str | Path) -> bool:
+    """Whether a file is a camera's raw one, by its ending."""
+    return Path(path).suffix.lower() in ENDINGS
+
+
+def size(path: Path) -> tuple[int, int]:
+    """Width and height of the picture as `read` turns it, pixels. Raises InputError."""
+    with _opened(path) as raw:
+        sizes = raw.sizes
+    return (sizes.height, sizes.width) if sizes.flip & 4 else (sizes.width, sizes.height)
+
+
+def read(path: Path) -> np.ndarray:
+    """(H, W, 3) float32: linear, in sRGB's colours, with the camera's own white balance, turned the
+    way the file asks; 1 is the white level. Raises InputError."""
+    with _opened(path) as raw:
+        pixels = raw.postprocess(
+            gamma=(1, 1),
+            no_auto_bright=True,
+            adjust_maximum_thr=0,  # else the brightest pixel may become the white level
+            use_camera_wb=True,
+            output_bps=16,
+        )
+    return pixels.astype(np.float32) / np.float32(65535)
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator:
+    """As `rawpy` has it. Raises InputError."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such picture file")
+    try:
+        import rawpy
+    except ImportError:
+        raise InputError(
+            f"{path}: camera raw files are read through rawpy, which is not installed: "
+            "pip install '.[raw]' in isas's source folder"
+        ) from None
+    try:
+        with rawpy.imread(str(path)) as raw:
+            yield raw
+    except (rawpy.LibRawError, OSError) as error:
+        reason = error.args[0]
+        told = reason.decode() if isinstance(reason, bytes) else error
+        raise InputError(f"{path}: cannot be read as a camera raw file: {told}") from error
