@@ -52,10 +52,11 @@ def judged(
     seconds: float,
     row: Callable[[records.Run], dict],
     measure: str,
+    beyond: bool = False,
 ) -> tuple[pandas.DataFrame, pandas.DataFrame]:
     """The runs of ``contestants``, settings by name: with the first seed at each of the ``factors``
-    on their rates, and at one beyond for those that did best with the largest or the least; with
-    the others, each at that with the least ``measure``. See ``race``."""
+    on their rates (``beyond``: and at one more for those that did best with the largest or the
+    least); with the others, each at that with the least ``measure``. See ``race``."""
 
     def at(name: str, factor: float) -> tuple[str, dict]:
         return name, contestants[name] | {"optimizer.factor": factor}
@@ -63,13 +64,12 @@ def judged(
     def least(runs: pandas.DataFrame) -> pandas.DataFrame:
         return runs.loc[runs.groupby("method", sort=False)[measure].idxmin()]
 
-    few, *_, many = rising = sorted(factors)
+    rising = sorted(factors)
     every = [at(name, factor) for name in contestants for factor in rising]
     first = race(scene, root / "rates", settings, every, seeds[:1], seconds, row)
-    beyond = {few: few**2 / rising[1], many: many**2 / rising[-2]}
+    ends = {a: a * a / b for a, b in (rising[:2], rising[:-3:-1])} if beyond else {}
     best = zip(*(least(first)[column] for column in ("method", "factor")))
-    further = [at(name, beyond[factor]) for name, factor in best if factor in beyond]
-    if further:
+    if further := [at(name, ends[factor]) for name, factor in best if factor in ends]:
         more = race(scene, root / "beyond", settings, further, seeds[:1], seconds, row)
         first = pandas.concat([first, more], ignore_index=True)
     best = least(first)

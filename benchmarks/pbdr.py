@@ -3,7 +3,7 @@
 On each of three scenes: the full method (`ours`, with smoothed gradients and the prior on
 materials), the same without either part and without both, other samplers without both, and
 Mitsuba's own loop (`sampler=mitsuba`), at four factors on the scene's rates each with the first
-seed, then each at its best with three others, which alone are reported. Where all unknowns are
+seed, and at one beyond where the best was the last, then each at its best with three others, which alone are reported. Where all unknowns are
 numbers there is nothing to smooth over, and the methods that differ by it alone are left out. The
 paper's other rival, a mesh rasteriser, is left out throughout.
 
@@ -17,7 +17,8 @@ Writes results/pbdr.csv (a row per scene and method), pbdr_rates.csv, pbdr_<scen
 against billed time) and the page pbdr.md.
 
 With `--more`: the samplers that are left, and blurred parameters (`estimator.blurred`, of all
-unknowns, whose width falls to a tenth), beside `ours` anew, all without the paper's parts. Writes
+unknowns, whose width falls from 0.05 to a tenth of it: much for a colour, little for the lamp of
+`room_joint`), beside `ours` anew, all without the paper's parts. Writes
 results/pbdr_more.csv and pbdr_more_rates.csv.
 
 With `--shape`: `object_joint_shape`, whose vertices are unknown as well: drawn pixels (`ours`) and
@@ -159,7 +160,7 @@ def shapes(seeds: list[int], seconds: float) -> pandas.DataFrame:
     for contestants, chosen in sides:
         with tempfile.TemporaryDirectory(prefix="isas-pbdr-") as root:
             where = SHAPE, Path(root), chosen, contestants, FACTORS[:3]
-            found.append(_contest.judged(*where, seeds, seconds, shape_measured, ERROR)[1])
+            found.append(_contest.judged(*where, seeds, seconds, shape_measured, ERROR, True)[1])
     rows = []
     for name, own in pandas.concat(found).groupby("method", sort=False):
         row = {"scene": SHAPE, "method": name, "factor": own["factor"].iloc[0]}
@@ -294,7 +295,7 @@ def main() -> None:
             settings = SETTINGS + MORE.get(scene, []) + own
             first, found = _contest.judged(
                 *(scene, Path(root), settings, contestants, FACTORS),
-                *(chosen.seeds, seconds, measured, ERROR),
+                *(chosen.seeds, seconds, measured, ERROR, True),
             )
             if not chosen.more:
                 _contest.draw(found, RESULTS / f"pbdr_{scene}.png", ERROR, "image error")

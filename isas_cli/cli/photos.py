@@ -58,6 +58,9 @@ def _table(checked: list[checks.View], taken: photographs.Photographs) -> Table:
     known = any(view.apart is not None for view in checked)
     for name in ("points", "off by") if known else ():
         table.add_column(name, justify="right")
+    bright = any(view.photograph.camera.exposure != (1, 1, 1) for view in checked)
+    if bright:
+        table.add_column("exposure", justify="right")
     for view in checked:
         shown, camera = view.photograph, view.photograph.camera
         lost = ", ".join(f"{n} {why}" for why, n in shown.lost.items() if n)
@@ -70,7 +73,10 @@ def _table(checked: list[checks.View], taken: photographs.Photographs) -> Table:
         ]
         if own:
             row += [f"{view.distance:.4g}", f"{view.inside:.0%}", f"{view.spanned:.0%}"]
-        if known and view.apart is not None:
-            row += [str(len(view.points[0])), f"{view.apart:.2f} px"]
+        if known:
+            apart = view.apart is not None
+            row += [str(len(view.points[0])), f"{view.apart:.2f} px"] if apart else ["", ""]
+        if bright:
+            row.append("/".join(f"{e:.4g}" for e in dict.fromkeys(camera.exposure)))
         table.add_row(*row)
     return table

@@ -15,6 +15,7 @@ def modern(config: dict[str, Any]) -> dict[str, Any]:
     Until 0.1 samplers of the names of PRESETS held the settings of what is an estimator now, and
     the sampler that drew their pixels as ``base``. Modules have moved since as well.
     """
+    config = _with_unknowns(config)
     sampler, estimator = config.get("sampler"), config.get("estimator")
     if not isinstance(sampler, dict) or not isinstance(estimator or {}, dict):
         return config
@@ -41,6 +42,17 @@ def modern(config: dict[str, Any]) -> dict[str, Any]:
     return {**config, "estimator": found, "prior": config.get("prior") or _NO_PRIOR}
 
 
+def _with_unknowns(config: dict[str, Any]) -> dict[str, Any]:
+    """Unknowns with the settings that they got since."""
+    scene = config.get("scene")
+    unknowns = scene.get("unknowns") if isinstance(scene, dict) else None
+    if not isinstance(unknowns, dict) or not all(isinstance(u, dict) for u in unknowns.values()):
+        return config
+    found = {key: {**_OF_UNKNOWNS, **each} for key, each in unknowns.items()}
+    return {**config, "scene": {**scene, "unknowns": found}}
+
+
+_OF_UNKNOWNS = {"during": None, "schedule": None, "final": None, "prior": 1.0}
 # Before both paths of a pixel were differentiated.
 _ONE_WAY = {"two_path": {"crossed": False}}
 _ALL_EFFECTS = {

@@ -97,7 +97,8 @@ class UnknownConfig:
     prior: float = setting(1.0, Role.METHOD)
 
     def __post_init__(self) -> None:
-        factor(self.schedule or "constant", 1.0 if self.final is None else self.final, "")
+        schedule = "constant" if self.schedule is None else self.schedule
+        factor(schedule, 1.0 if self.final is None else self.final, "")
         if not 0 <= self.prior < math.inf:
             raise InputError(f"prior={self.prior}: a finite factor, at least 0")
         if self.during is not None:
@@ -188,14 +189,14 @@ class PhotosConfig:
     world, or instead ``plane``: [x0, y0, x1, y1] of z = 0, or ``sphere``: [x, y, z, radius];
     ``environment``: a picture of the light from all sides (None: unknown), whose up is the world's
     axis ``up``; ``width``: pixels, to which views are shrunk (None: as they are); ``texture``:
-    texels a side of the base colour; ``sky``: rows of an unknown environment; ``test``: views held
-    out, [names], n for every n-th, or ``given``: those that the files hold out; ``exposure``: of
-    the views, besides what their file says, ``fixed``: all alike, or unknown, ``scale``: a factor
-    each, ``channels``: three each; ``refine``: whether the cameras' poses are unknown as well;
-    ``saturated``: from which value of an 8- or 16-bit or camera raw file on, of its largest, a
-    pixel does not count (None: all count); ``encoding``: of the files, ``auto``: as images are read
-    everywhere, ``srgb`` (no camera raw file is) or ``linear``; ``background``: whether pixels count
-    that the object does not fill.
+    texels a side of the base colour; ``roughness``: whether that is unknown, too; ``sky``: rows of
+    an unknown environment; ``test``: views held out, [names], n for every n-th, or ``given``: those
+    that the files hold out; ``exposure``: of the views, besides what their file says, ``fixed``:
+    all alike, or unknown, ``scale``: a factor each, ``channels``: three each; ``refine``: whether
+    the cameras' poses are unknown as well; ``saturated``: from which value of an 8- or 16-bit or
+    camera raw file on, of its largest, a pixel does not count (None: all count); ``encoding``: of
+    the files, ``auto``: as images are read everywhere, ``srgb`` (no camera raw file is) or
+    ``linear``; ``background``: whether pixels count that the object does not fill.
     """
 
     path: Optional[str] = None
@@ -206,6 +207,7 @@ class PhotosConfig:
     up: str = "y"
     width: Optional[int] = None
     texture: int = 256
+    roughness: bool = False
     sky: int = 8
     test: Any = None
     exposure: str = "fixed"

@@ -112,6 +112,11 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
     problem.names = tuple(each.camera.name for each in taken.shown)
     pictures, masks = ([getattr(p, n) for p in taken.shown] for n in ("image", "mask"))
     targets.given(problem, pictures, masks, filled)
+    if filled and problem.unknowns.moving:
+        problem.warnings.append(
+            "photos.background=false: pixels that the start does not fill do not count, so nothing "
+            "lets a shape grow: take photos.background=true"
+        )
     if not taken.held:
         return
     others = dr.arange(mi.UInt32, len(taken.held)) + count
@@ -119,7 +124,7 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
         problem,
         sensors=dr.gather(mi.SensorPtr, problem.scene.sensors_dr(), others),
         film_sizes=sizes[count:],
-        views=Views.of(sizes[count:]),
+        views=replace(Views.of(sizes[count:]), given=building.given(taken.held)),
         names=tuple(each.camera.name for each in taken.held),
         warnings=[],
     )

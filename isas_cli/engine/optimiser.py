@@ -141,7 +141,8 @@ class Stepper:
         return [key for key, visits in self.visits.items() if not dr.any(visits > 0)]
 
     def rate(self, spent: float) -> float:
-        """The learning rate of unknowns without their own, at this share of the budget."""
+        """The learning rate of unknowns without rate and schedule of their own, at this share of
+        the budget."""
         return self.settings.lr * self.settings.factor * self._scheduled(spent)
 
     def _rate(self, unknown: Unknown, spent: float) -> float:
@@ -166,7 +167,7 @@ class Stepper:
             if unknown.kind.uniform:
                 clean = own(mi.Float, self._cut(key, self._along(key, clean)))
             elif unknown.kind.axes and self.settings.smoothing:
-                wide = self.settings.smoothing, self._scheduled(spent)
+                wide = self.settings.smoothing, self._own[key](spent)
                 clean = smoothed(unflat(gradients[key], clean), unknown.kind.axes, *wide).array
             took_part = (clean != 0) | (not self.settings.mask_updates)
             self.visits[key] += dr.select(took_part, mi.Float(1), 0)

@@ -101,8 +101,8 @@ class WholeImages:
         if problem.views.altered:
             raise InputError(
                 "estimator=mitsuba renders through Mitsuba's films, which know no exposure and no "
-                "other pose of a view: take estimator=two_path, or photos.exposure=fixed and "
-                "photos.refine=false"
+                "other pose of a view: take estimator=two_path, or photos.exposure=fixed, "
+                "photos.refine=false and files that give no exposures"
             )
         _check_shapes(problem)
         self.integrator = _integrator(problem, silhouettes)

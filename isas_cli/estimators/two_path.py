@@ -162,6 +162,8 @@ class TwoPath:
                     # Not its own: what is noise in it is so in the residual as well.
                     slopes = [r * other for r, other in zip(residuals, reversed(shown))]
                     slope = sum(slopes[1:], slopes[0]) * (scale / len(slopes))
+                    if views.given is not None:
+                        slope *= dr.gather(mi.Color3f, views.given, view)
                     dr.eval(slope)
                     exposure.add(leaves[exposed.key], view, slope)
                 if moved is not None:

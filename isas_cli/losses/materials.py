@@ -21,7 +21,7 @@ from ..config.schema import roughness_of
 from ..runtime.errors import InputError
 from ..unknowns.parameters import flat, unflat
 from ..unknowns.unknowns import Unknowns
-from .priors import Nothing, Smoothness
+from .priors import Smoothness, check_factors
 
 
 @dataclass
@@ -53,9 +53,10 @@ class Materials:
                 "prior=materials: no unknown has neighbouring entries, and none is called metallic "
                 "or roughness: say prior=none"
             )
-        smooth = Smoothness(self.smooth) if wide and self.smooth else Nothing()
+        smooth = Smoothness(self.smooth).over(unknowns) if wide and self.smooth else None
+        check_factors(unknowns, [*rough, *metal, *(u.key for u in unknowns if u.kind.axes)])
         factors = {u.key: u.prior for u in unknowns}
-        return OnMaterials(self, smooth.on(unknowns), metal, rough, factors)
+        return OnMaterials(self, smooth, metal, rough, factors)
 
 
 class OnMaterials:

@@ -30,7 +30,7 @@ class Nothing:
     """No prior: R = 0."""
 
     def on(self, unknowns: Unknowns) -> None:
-        return None
+        check_factors(unknowns, [])
 
 
 @dataclass
@@ -49,8 +49,14 @@ class Prior:
             raise InputError(f"prior.weight={self.weight}: must be a finite number, at least 0")
 
     def on(self, unknowns: Unknowns) -> "OnUnknowns":
-        """The prior of these unknowns. Raises InputError where none of them has neighbours, and
-        for a key that is no unknown or has none."""
+        """The prior of these unknowns. Raises InputError where none of them has neighbours, for a
+        key that is no unknown or has none, and for a factor on one that is not chosen."""
+        found = self.over(unknowns)
+        check_factors(unknowns, list(found.laid_out))
+        return found
+
+    def over(self, unknowns: Unknowns) -> "OnUnknowns":
+        """The same, whatever factors the others have."""
         axes = {u.key: u.kind.axes for u in unknowns}
         valid = [key for key in axes if axes[key]]
         for key in self.keys or []:
@@ -75,6 +81,17 @@ class Prior:
     def slopes(self, steps: list[mi.Float]) -> list[mi.Float]:
         """∂ρ/∂step of every entry along each axis. Traced."""
         raise NotImplementedError
+
+
+def check_factors(unknowns: Unknowns, keys: list[str]) -> None:
+    """Raises InputError for an unknown with a factor on a prior that has no part of it: all but
+    those of ``keys``."""
+    for unknown in unknowns:
+        if unknown.prior != 1 and unknown.key not in keys:
+            raise InputError(
+                f"scene.unknowns['{unknown.key}'].prior={unknown.prior:g}: the prior has no part "
+                "of this unknown: leave it out, or choose another prior"
+            )
 
 
 @dataclass

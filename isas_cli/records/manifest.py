@@ -115,6 +115,9 @@ def describe(
                 "range": [u.low, u.high],
                 "lr": u.lr,
                 "during": list(u.during),
+                "schedule": u.schedule,
+                "final": u.final,
+                "prior": u.prior,
                 "entries": int(u.start.size),
                 "entries_seen": int(u.seen.sum()),
             }

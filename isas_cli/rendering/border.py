@@ -46,7 +46,7 @@ def residual(
     integrator, loss, scene, sensors, films: Views, targets, mask, share, crossing: Crossing,
     stream: mi.Sampler, paths: int,
 ) -> mi.Color3f:  # fmt: skip
-    """∂ℒ/∂I of the pixels that are crossed, from ``paths`` paths through each, times the exposure
+    """∂ℒ/∂I of the pixels that are crossed, from ``paths`` paths through each, times the brightness
     of their views: steps of radiance are brighter by it in I. Traced."""
     radiance, (view, column, row) = mi.Color3f(0), (crossing.view, crossing.column, crossing.row)
     for _ in range(paths):
@@ -56,8 +56,7 @@ def residual(
     adjoint = loss.derivative(radiance / paths, target) * share
     if mask is not None:
         adjoint *= dr.gather(mi.Float, mask, crossing.pixel)
-    if films.exposure is not None:
-        adjoint *= dr.gather(mi.Color3f, dr.detach(films.exposure), view)
+    adjoint *= films.brightness(view)
     return dr.select(crossing.valid, adjoint, 0)
 
 

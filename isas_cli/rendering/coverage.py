@@ -18,6 +18,7 @@ from ..unknowns.kind import THRESHOLD, WELL_SEEN
 from ..unknowns.parameters import as_numpy
 from ..unknowns.unknowns import Unknown
 from . import rays
+from .kernels import recorded
 
 _LANES = 1 << 20
 _MOST = 1 << 24  # pixels visited; above this a stratified subset of them
@@ -159,7 +160,7 @@ def missed(
     def trace(lanes: int) -> None:
         stride = total / lanes
         unknowns.attach(unknowns.values_of(values))
-        _pass(problem, lanes)(
+        recorded(_pass(problem, lanes), False)(
             problem.scene,
             problem.sensors,
             problem.views,

@@ -36,7 +36,7 @@ def through(
     aperture: mi.Point2f,
 ) -> tuple[mi.RayDifferential3f, mi.Color3f]:
     """The ray through the point ``within`` [0, 1)² of each pixel, and its weight: the sensor's
-    times the view's exposure. Traced."""
+    times the view's brightness. Traced."""
     width = dr.gather(mi.UInt32, views.width, view)
     height = dr.gather(mi.UInt32, views.height, view)
     position = mi.Point2f(
@@ -45,8 +45,7 @@ def through(
     )
     sensor = dr.gather(mi.SensorPtr, sensors, view)
     ray, weight = sensor.sample_ray_differential(0.0, 0.0, position, aperture)
-    if views.exposure is not None:
-        weight = weight * dr.gather(mi.Color3f, dr.detach(views.exposure), view)
+    weight = weight * views.brightness(view)
     if views.motion is not None:
         ray.o, ray.d = _moved(ray, dr.detach(views.motion), view)
     return ray, weight

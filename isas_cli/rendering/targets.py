@@ -65,6 +65,8 @@ def given(
     if filled:
         mask = mask * _filled(problem)
     hashed.update(mask.tobytes())
+    if problem.views.given is not None:
+        hashed.update(np.array(problem.views.given).tobytes())
     ends = np.cumsum([width * height for width, height in problem.film_sizes])[:-1]
     empty = [n for n, part in zip(problem.names, np.split(mask, ends)) if not part.any()]
     if len(empty) == len(problem.names):

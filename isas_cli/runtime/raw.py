@@ -55,6 +55,5 @@ def _opened(path: Path) -> Iterator:
         with rawpy.imread(str(path)) as raw:
             yield raw
     except (rawpy.LibRawError, OSError) as error:
-        reason = error.args[0]
-        told = reason.decode() if isinstance(reason, bytes) else error
+        told = b" ".join(x for x in error.args if isinstance(x, bytes)).decode() or error
         raise InputError(f"{path}: cannot be read as a camera raw file: {told}") from error

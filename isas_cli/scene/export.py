@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -218,9 +219,10 @@ def _stand(state, views: Views) -> list[str]:
             stands[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ stands[:3, :3]
             stands[:3, 3] += shift
             props["to_world"] = mi.ScalarTransform4f(stands)
-    if views.exposure is None:
+    numbers = dr.arange(mi.UInt32, views.count)
+    factors = np.array(views.brightness(numbers) * dr.ones(mi.Color3f, views.count)).T.tolist()
+    if all(factor == 1 for each in factors for factor in each):
         return []
-    factors = [list(each) for each in np.array(views.exposure).reshape(-1, 3)]
     told = [each[:1] if len(set(each)) == 1 else each for each in factors]
     told = ", ".join("/".join(f"{e:.4g}" for e in each) for each in told)
     return [f"exposures are not in the file: multiply the views by {told}"]

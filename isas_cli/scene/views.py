@@ -22,7 +22,8 @@ _PATCHES = (128, 32, 8)
 class Views:
     """The films of a problem laid end to end: pixel ``j`` of view ``v`` is ``offset[v] + y w + x``.
 
-    ``exposure``: ``(3 V,)`` factors on the radiance of each view's channels, or None for ones.
+    ``exposure``: ``(3 V,)`` factors on the radiance of each view's channels, or None for ones;
+    ``given``: others, which are known.
     ``motion``: ``(6 V,)`` turns (radians) and shifts of each view's camera, or None.
     ``width``, ``height``, ``offset``, ``end``: ``(V,) uint32`` device arrays (pixels; ``end`` is
     one past a view's last pixel); ``count``: views; ``total``: pixels of all views together.
@@ -37,12 +38,21 @@ class Views:
     total: int
     sizes: tuple  # ((width, height), …) on the host
     exposure: mi.Float | None = None
+    given: mi.Float | None = None
     motion: mi.Float | None = None
 
     @property
     def altered(self) -> bool:
         """Whether what a view shows is not what the scene's sensors alone show."""
-        return self.exposure is not None or self.motion is not None
+        return any(each is not None for each in (self.exposure, self.given, self.motion))
+
+    def brightness(self, view: mi.UInt32) -> mi.Color3f | float:
+        """By how much views are brighter than the scene says. Traced, without derivatives."""
+        found = 1.0
+        for factors in (self.exposure, self.given):
+            if factors is not None:
+                found = dr.gather(mi.Color3f, dr.detach(factors), view) * found
+        return found
 
     @staticmethod
     def of(sizes: list[tuple[int, int]]) -> "Views":

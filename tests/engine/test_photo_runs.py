@@ -31,7 +31,7 @@ from isas_cli.runtime.errors import InputError
 from isas_cli.scene.photos import building, photographs, reading
 from isas_cli.scene.shape_error import Sampled, apart
 from isas_cli.unknowns.motion import WIDTH, Motion
-from isas_cli.unknowns.parameters import as_numpy
+from isas_cli.unknowns.parameters import as_numpy, own
 
 COLOUR = (0.6, 0.3, 0.15)
 ORIGINS = [(2.0, 1.0, 2.5), (-2.2, 0.4, 1.5), (0.3, 1.8, -2.4), (1.8, -1.0, -1.6)]
@@ -143,7 +143,7 @@ def test_shape_colour_and_exposures_are_found(tmp_path):
     poses = [look_at(origin, TARGET) for origin in ORIGINS]
     centre = {"cx": WIDE[0] / 2 - CUT[0], "cy": WIDE[1] / 2 - CUT[1]}
     # The third camera stands elsewhere than its file says: by 3 pixels of what it sees.
-    turn = np.radians(3 / FOCAL * 180 / np.pi) * np.array([0.0, 1.0, 0.0])
+    turn = np.array([0.0, 3 / FOCAL, 0.0])
     poses[2][:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ poses[2][:3, :3]
     photo_sets.transforms(Files(tmp_path, poses, rendered(tmp_path, egg, flat=False)), **centre)
     ball.export(tmp_path / "ball.ply")
@@ -167,6 +167,14 @@ def test_shape_colour_and_exposures_are_found(tmp_path):
     colour = run.parameters()[f"{BASE}.value"]
     print(left, before, colour, run.summary["exposure"])
     assert left < 0.3 * before
+    taken = photographs.load(PhotosConfig(path=str(tmp_path), mesh=str(tmp_path / "ball.ply")))
+    told = taken.all[2].camera
+    stood = moved(told, run.parameters()["cameras"][1], building.pixels(taken)[2])
+    true = dataclasses.replace(told, to_world=look_at(ORIGINS[2], TARGET))
+    places = [each.project(egg.vertices)[0] for each in (told, stood, true)]
+    off = [np.linalg.norm(each - places[2], axis=1).mean() for each in places[:2]]
+    print(off)
+    assert off[0] > 2.5 and off[1] < 0.7
     np.testing.assert_allclose(colour, COLOUR, atol=0.03)
     np.testing.assert_allclose(list(run.summary["exposure"].values()), EXPOSURES, rtol=0.06)
 
@@ -224,7 +232,7 @@ def z_of_exposures(made, estimator) -> np.ndarray:
         Renderer(made).range(0, total, 1024, lambda s, h=h: streams.seed(77 + h, s, "frame"))
         for h in (0, 1)
     ]
-    # Exposures are 1, so the renderings are what they multiply.
+    # Unknown exposures are 1, so the renderings are what they multiply.
     target = np.array(made.targets).reshape(-1, 3)
     weight = np.array(made.mask)[:, None] / (3 * np.array(made.mask).sum())
     slope = 2 * weight * (halves[0] - target) * halves[1]
@@ -240,6 +248,7 @@ def test_the_gradient_by_exposures_is_unbiased(photographed, monkeypatch):
     six entries (chance 0.04 %). With the residual's own path as the third the noise is correlated
     with itself, which is seen."""
     made = problem(*photographed, "photos.exposure=channels", "photos.test=[view_3]")
+    made.views.given = own(mi.Float, np.float32([1, 1, 1, 0.5, 0.7, 0.6, 1.5, 1.2, 2]))
     found = z_of_exposures(made, TwoPath(made, L2(), BATCH))
     assert found.shape == (6,) and np.abs(found).max() < 4, found
     seed = streams.seed
@@ -375,6 +384,29 @@ def test_what_is_unknown_where_nothing_else_is_said(photographed):
     shapes = {u.key: u.start.shape for u in made.unknowns}
     assert shapes == {f"{BASE}.data": (8, 8, 3), "sky.data": (4, 8, 3)}
     assert problem(folder, box, lit).unknowns.keys == [f"{BASE}.value"]
+
+
+def test_exposures_that_files_give_are_known(photographed, tmp_path):
+    """Of views to learn from and of those held out, beside what is unknown."""
+    folder, *more = photographed
+    shutil.copytree(folder.partition("=")[2], tmp_path / "set")
+    content = json.loads((tmp_path / "set/transforms.json").read_text())
+    factors = [1, 0.5, [1, 2, 4], 3]
+    for frame, exposure in zip(content["frames"], factors):
+        frame["exposure"] = exposure
+    photo_sets.write(tmp_path / "set/transforms.json", content)
+    more += ["photos.exposure=scale", "photos.test=[view_3]"]
+    shown = []
+    for path in (folder, f"photos.path={tmp_path / 'set'}"):
+        made = problem(path, *more)
+        exposure = {"exposure": np.float32([[2], [0.25]])}
+        made.unknowns.write(made.unknowns.starts() | made.unknowns.values_of(exposure))
+        seeds = lambda s: streams.seed(3, s, "frame")
+        shown.append([Renderer(made).range(0, made.views.total, 4, seeds).reshape(3, -1, 3)])
+        shown[-1].append(Renderer(made.held_out).range(0, made.held_out.views.total, 4, seeds))
+    wanted = np.array([[1, 1, 1], [0.5] * 3, [1, 2, 4]])[:, None]
+    np.testing.assert_allclose(shown[1][0], shown[0][0] * wanted, rtol=1e-5)
+    np.testing.assert_allclose(shown[1][1], shown[0][1] * 3, rtol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
 from isas_cli.losses.materials import Materials, OnMaterials
-from isas_cli.losses.priors import Smoothness
+from isas_cli.losses.priors import Nothing, Smoothness
 from isas_cli.runtime.errors import InputError
 
 METAL = "thing.bsdf.metallic.value"
@@ -54,6 +54,15 @@ def test_on_a_problem_the_smooth_part_is_smoothness(rng):
     found = own.add(at, zero)
     assert np.allclose(np.array(found[TEXTURE]), 3 * np.array(alone[TEXTURE]))
     assert np.allclose(np.array(found[ROUGHNESS]), 0.5 * 0.5 * 2 * 0.3)
+
+
+def test_factors_on_what_has_no_prior_are_refused():
+    unknowns = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}).unknowns
+    unknowns[ROUGHNESS].prior = 2.0
+    assert Materials().on(unknowns)
+    for prior in (Nothing(), Smoothness()):
+        with pytest.raises(InputError, match=f"{ROUGHNESS}'.*prior=2: the prior has no part"):
+            prior.on(unknowns)
 
 
 def test_what_makes_no_sense_is_refused():

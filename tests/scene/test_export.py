@@ -172,7 +172,9 @@ BUILDERS = sorted(
     for path in (Path(schema.folder()) / "scene").glob("*.yaml")
     if "builder:" in path.read_text(encoding="utf-8")
 )
-OURS = {"lego": "emission", "room_joint": "phong", "object_joint": "phong"}
+OURS = {"lego": "emission"} | dict.fromkeys(
+    ("room_joint", "object_joint", "object_joint_shape"), "phong"
+)
 # Lamps come in another order, and with other random numbers.
 NOISY = ("global_illumination",)
 

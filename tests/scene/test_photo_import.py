@@ -1,4 +1,4 @@
-"""Photographs at import: lens, square pixels, size, exposure, and which pixels count."""
+"""Photographs at import: lens, square pixels, size, and which pixels count."""
 
 from pathlib import Path
 
@@ -123,21 +123,7 @@ def test_masks_alpha_and_saturation(tmp_path):
     np.testing.assert_array_equal(linear.mask, wanted)
 
 
-@pytest.mark.parametrize("k1", [0.0, 0.1])  # as it is, resampled
-def test_known_exposures_are_divided_out(tmp_path, k1):
-    bright = [np.full((SIZE[1], SIZE[0], 3), 0.8, np.float32)] * len(POSES)
-    content = photo_sets.transforms(Files(tmp_path, POSES, bright), k1=k1)
-    content["frames"][1]["exposure"] = 2
-    content["frames"][2]["exposure"] = [1, 2, 4]
-    photo_sets.write(tmp_path / "transforms.json", content)
-    for photograph, wanted in zip(loaded(tmp_path), (0.8, 0.4, [0.8, 0.4, 0.2])):
-        counted = photograph.image[photograph.mask > 0]
-        np.testing.assert_allclose(counted, np.broadcast_to(wanted, counted.shape), rtol=1e-5)
-        assert photograph.image.dtype == np.float32
-        assert photograph.camera.exposure == (1, 1, 1)  # nobody divides again
-
-
-def test_saturated_is_what_the_file_says_before_exposures(tmp_path):
+def test_saturated_is_what_the_file_says_whatever_the_exposure(tmp_path):
     picture = np.full((SIZE[1], SIZE[0], 3), 0.6, np.float32)
     picture[:3] = 1
     content = photo_sets.ours(Files(tmp_path, POSES, [picture] * len(POSES)))
@@ -145,7 +131,8 @@ def test_saturated_is_what_the_file_says_before_exposures(tmp_path):
     photo_sets.write(tmp_path / "cameras.json", content)
     for photograph, exposure in zip(loaded(tmp_path), (4, 0.5, 1)):
         assert photograph.lost == {"saturated": 120}
-        np.testing.assert_allclose(photograph.image[15, 20], 0.6 / exposure, rtol=0.01)
+        np.testing.assert_allclose(photograph.image[15, 20], 0.6, rtol=0.01)
+        assert photograph.camera.exposure == (exposure,) * 3
 
 
 def test_raw_files_are_full_in_light():

@@ -5,7 +5,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from isas_cli.scenes import object_joint_shape
 from isas_cli.scenes.cameras import perspective
+from isas_cli.scenes.icosphere import icosphere
 from scenes_for_tests import without_targets
 
 import isas_cli
@@ -82,11 +84,35 @@ def test_derivatives_through_frosted_glass_are_those_of_differences(key, step):
     assert abs(difference) < 4 * error
 
 
+def test_texture_coordinates_follow_directions():
+    """Finite at the poles, without a jump within a triangle at the date line."""
+    directions, faces = icosphere(3)
+    corners = directions[faces]
+    found = object_joint_shape._around(corners)
+    assert np.isfinite(found).all() and np.ptp(found[..., 0], axis=1).max() < 0.5
+    longitude, latitude = found[..., 0] * 2 * np.pi - np.pi, found[..., 1] * np.pi
+    level = np.sin(latitude)
+    again = level * np.sin(longitude), np.cos(latitude), level * np.cos(longitude)
+    np.testing.assert_allclose(np.stack(again, axis=-1), corners, atol=1e-6)
+
+
+def test_everything_moves(tmp_path):
+    run = isas_cli.run(
+        *("scene=object_joint_shape", "size=tiny", "estimator=silhouettes", "sampler=uniform"),
+        *("budget.iterations=3", "estimator.batch=2048", "target.spp=4"),
+        *("frames.views=0", "report=false", f"hydra.run.dir={tmp_path}"),
+    )
+    first, last = (run.history.iloc[row] for row in (0, -1))
+    assert last["iteration"] == 3 and last["nonfinite"] == 0
+    for key in run.config["scene"]["unknowns"]:
+        assert last[f"parameter_rmse/{key}"] != first[f"parameter_rmse/{key}"], key
+
+
 @pytest.mark.slow
 def test_shape_gloss_and_sky_are_found_in_one_run_by_stages(tmp_path):
     """In stages, as configured; the paint, which the sky and the shape's sliding leave open, shows
-    in the images. Without stages the mesh grows into the background and is painted like it: seen
-    0.113 instead of 0.012, from 0.031."""
+    in the images. Without stages the mesh grows into the background and is painted like it: a
+    chamfer of 0.113 instead of 0.012 was seen, from 0.031."""
     run = isas_cli.run(
         *("scene=object_joint_shape", "size=tiny", "estimator=silhouettes", "sampler=ours"),
         *("budget.iterations=300", "optimizer.schedule=cosine", "target.spp=64"),
@@ -96,7 +122,8 @@ def test_shape_gloss_and_sky_are_found_in_one_run_by_stages(tmp_path):
     left = {key: last[f"parameter_rmse/{key}"] / first[f"parameter_rmse/{key}"]
             for key in run.config["scene"]["unknowns"]}  # fmt: skip
     print(left)
-    assert last["image_rmse"] < 0.05 * first["image_rmse"] and last["nonfinite"] == 0
+    assert last["image_rmse"] < 0.05 * first["image_rmse"]  # seen: 0.025
+    assert last["nonfinite"] == 0
     assert left["figure.vertices"] < 0.55  # seen: 0.38
     assert left["figure.bsdf.specular.value"] < 0.75  # 0.49
     assert left["figure.bsdf.roughness.value"] < 0.6  # 0.30

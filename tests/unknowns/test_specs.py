@@ -45,6 +45,11 @@ def test_ranges_unless_given():
         assert {key: (u.low, u.high) for key, u in found.items()} == ranges
     own = parsed(lit("map"), {"sky.data": {"start": 0.5, "range": [0.1, 0.9], "lr": 0.3}})
     assert (own["sky.data"].low, own["sky.data"].high, own["sky.data"].lr) == (0.1, 0.9, 0.3)
+    stages = [0, 0.5, 0.6, 1]
+    own = {"start": 0.5, "schedule": "cosine", "final": 0.3, "prior": 2.0, "during": stages}
+    found = parsed(lit("map"), {"sky.data": own, "sky.scale": {"start": 0.5}})["sky.data"]
+    assert (found.schedule, found.final, found.prior) == ("cosine", 0.3, 2.0)
+    assert list(found.during) == stages
     with pytest.raises(InputError, match="outside its range"):
         parsed(lit("map"), {"sky.data": {"start": -0.1}})
     with pytest.raises(InputError, match="zero everywhere"):

@@ -118,7 +118,8 @@ def picture(folder: Path, name: str, where: str) -> Path:
     if not isinstance(name, str):
         raise InputError(f"{where}: {name!r} is no name of a picture")
     path = folder / name
-    candidates = [path, *(Path(f"{path}{ending}") for ending in _PICTURES)]
+    endings = [*_PICTURES, *(ending.upper() for ending in _PICTURES)]
+    candidates = [path, *(Path(f"{path}{ending}") for ending in endings)]
     for each in candidates:
         if os.path.isfile(each):  # which also says no to a name that no file can have
             return each

@@ -12,8 +12,10 @@ from ...config.schema import PhotosConfig, UnknownConfig
 from ...runtime import images
 from ...runtime.errors import InputError
 from ...scenes import library, meshes
+from ...unknowns.parameters import own
 from ..views import Views
 from .camera import Camera
+from .importing import Photograph
 from .photographs import Photographs
 
 OBJECT, SKY = "object", "sky"
@@ -86,13 +88,15 @@ def straightened(camera: Camera) -> np.ndarray:
 
 
 def unknowns(settings: PhotosConfig, surface: meshes.Surface, own: dict) -> dict[str, Any]:
-    """What is unknown: ``own``, or the base colour, and the light where none is given; always the
-    exposures and poses, where they are not fixed."""
+    """What is unknown: ``own``, or the base colour, the roughness where that is asked for, and the
+    light where none is given; always the exposures and poses, where they are not fixed."""
     found = dict(own)
     if not found:
         colour = "data" if len(surface.texcoords) else "value"
         key = f"{OBJECT}.bsdf.brdf_0.base_color.{colour}"
         found[key] = UnknownConfig(start=_GREY, range=[0.0, 1.0])
+        if settings.roughness:
+            found[f"{OBJECT}.bsdf.brdf_0.roughness.value"] = UnknownConfig(start=_ROUGHNESS)
         if settings.environment is None:
             found[f"{SKY}.data"] = UnknownConfig(start=_LIGHT)
     if settings.exposure != "fixed":
@@ -105,7 +109,7 @@ def unknowns(settings: PhotosConfig, surface: meshes.Surface, own: dict) -> dict
 def of_views(taken: Photographs, views: Views) -> dict:
     """What of ``Loaded`` is of photographs. Raises InputError for a single view, whose exposure and
     pose nothing tells from light and surface."""
-    asked = taken.settings
+    asked, views.given = taken.settings, given(taken.shown)
     for name, usual in (("exposure", "fixed"), ("refine", False)):
         if views.count == 1 and getattr(asked, name) != usual:
             told = str(getattr(asked, name)).lower()
@@ -118,6 +122,12 @@ def of_views(taken: Photographs, views: Views) -> dict:
         "channels": {"fixed": None, "scale": 1, "channels": 3}[asked.exposure],
         "pixel": pixels(taken) if asked.refine else None,
     }
+
+
+def given(photographs: list[Photograph]) -> mi.Float | None:
+    """The exposures that files say, as ``Views.given``; None where all are 1."""
+    found = np.array([each.camera.exposure for each in photographs], np.float32)
+    return None if (found == 1).all() else own(mi.Float, found.ravel())
 
 
 def pixels(photographs: Photographs) -> np.ndarray:

@@ -120,8 +120,8 @@ class Camera:
         return float(np.sqrt(min(roots))) if roots else np.inf
 
     def pinhole(self, width: int | None = None) -> "Camera":
-        """The camera without a lens, with square pixels and at exposure 1 that shows about the
-        same, as wide as this one or ``width`` pixels."""
+        """The camera without a lens and with square pixels that shows about the same, as wide as
+        this one or ``width`` pixels."""
         wide = width or self.width
         focal = self.fx * wide / self.width
         down = focal / self.fy
@@ -135,5 +135,4 @@ class Camera:
             cy=self.cy * down,
             radial=(0.0,) * 4,
             tangential=(0.0, 0.0),
-            exposure=(1.0,) * 3,
         )

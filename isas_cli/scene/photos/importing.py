@@ -1,5 +1,4 @@
-"""Photographs as a renderer can compare itself with: linear, at exposure 1, without a lens, with
-square pixels."""
+"""Photographs as a renderer can compare itself with: linear, without a lens, with square pixels."""
 
 from __future__ import annotations
 
@@ -30,9 +29,9 @@ _WHOLE = 0.999
 
 @dataclass
 class Photograph:
-    """``camera``: the pinhole camera that it is resampled to; ``image (H, W, 3) float32``: linear,
-    at exposure 1; ``mask (H, W) float32``: weights of the pixels, 0 where it shows nothing that
-    counts; ``lost``: why pixels do not count → how many of the photograph's own."""
+    """``camera``: the pinhole camera that it is resampled to; ``image (H, W, 3) float32``: linear;
+    ``mask (H, W) float32``: weights of the pixels, 0 where it shows nothing that counts;
+    ``lost``: why pixels do not count → how many of the photograph's own."""
 
     camera: Camera
     image: np.ndarray
@@ -49,8 +48,6 @@ def load(camera: Camera, settings: PhotosConfig) -> Photograph:
     image = images.read(camera.image, linear=_linear(camera.image, settings.encoding))
     _check_size(camera.image, image, camera)
     mask, lost = _mask(camera, image, settings)
-    # Afterwards: what is saturated is said of the file's numbers.
-    image = image / np.float32(camera.exposure)
     target = camera.pinhole(settings.width)
     same = camera.ideal and (target.width, target.height) == (camera.width, camera.height)
     if not same:

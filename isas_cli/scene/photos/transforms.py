@@ -5,8 +5,8 @@ goes from camera to world. Intrinsics stand at the top or with a frame, as ``fl_
 angle of view. Ours alone is a frame's ``exposure``, a number or [red, green, blue]: how many times
 as bright its picture is as at exposure 1.
 
-nerfstudio lists the views that it holds out as ``val_filenames`` and ``test_filenames``; Blender
-sets have them in `transforms_test.json`.
+nerfstudio lists the views that it holds out as ``val_filenames`` and ``test_filenames``, and those
+to learn from as ``train_filenames``; Blender sets have them in `transforms_test.json`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,10 @@ def read(file: Path, given: bool = False) -> Capture:
     top, cameras = _cameras(file)
     held = []
     if given and file.name == NAMES[0]:
-        held = _listed(file, top, cameras)
+        held = _listed(file, top, cameras, "val_filenames", "test_filenames")
+        if "train_filenames" in top:
+            wanted = {*held, *_listed(file, top, cameras, "train_filenames")}
+            cameras = [camera for camera in cameras if camera.name in wanted]
     elif given and file.with_name(TEST).is_file():
         _, more = _cameras(file.with_name(TEST))
         cameras, held = cameras + more, [camera.name for camera in more]
@@ -54,10 +57,10 @@ def _cameras(file: Path) -> tuple[dict, list[Camera]]:
     return top, [_camera(file, n, top, frame) for n, frame in enumerate(frames)]
 
 
-def _listed(file: Path, top: dict, cameras: list[Camera]) -> list[str]:
-    """Names of the views that nerfstudio holds out. Raises InputError for one that is no view."""
+def _listed(file: Path, top: dict, cameras: list[Camera], *keys: str) -> list[str]:
+    """Names of the views that nerfstudio lists so. Raises InputError for one that is no view."""
     names, held = {camera.name for camera in cameras}, []
-    for key in ("val_filenames", "test_filenames"):
+    for key in keys:
         listed = top.get(key, [])
         if not isinstance(listed, list):
             raise InputError(f"{file}: {key} is no list of pictures")
