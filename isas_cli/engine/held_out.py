@@ -52,7 +52,8 @@ def measure(problem: Problem, values: dict, spp: int, seed: int, writer: RunWrit
 
 
 def exposures(problem: Problem, values: dict) -> dict:
-    """``exposure``: of each view of ``problem`` by name, where exposures are unknown."""
+    """``exposure``: of each view of ``problem`` by name, where exposures are unknown, beside what
+    the files say."""
     exposure = problem.unknowns.of(Exposure)
     if exposure is None or not problem.names:
         return {}

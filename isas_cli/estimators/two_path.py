@@ -80,9 +80,9 @@ class TwoPath:
     variance of r₁J₂ and c the covariance of a path's own r and J: that of (r₁J₂ + r₂J₁)/2 is
     (V + c² + 2 c μ_r μ_J)/2.
 
-    By a photograph's exposure e, where I = e L, the derivative is ⟨∂ℒ/∂I⟩ ⟨L⟩, with L from the
-    other path, or from a third one where that does not tell it. By a camera's pose it is a blurred
-    difference, of two more paths (``unknowns.motion``).
+    By a photograph's exposure e, where I = k e L with a known k (``Views.given``), the derivative
+    is ⟨∂ℒ/∂I⟩ k ⟨L⟩, with L from the other path, or from a third one where that does not tell it.
+    By a camera's pose it is a blurred difference, of two more paths (``unknowns.motion``).
 
     Symbols: N → ``batch`` (pixels a step; 2 N light paths, more with derivative sampling);
     p → ``PixelDistribution``; θ → ``problem.unknowns``, whose gradients receive the estimate.

@@ -11,7 +11,8 @@ from .kind import Kind, Loaded
 
 class Exposure(Kind):
     """A factor on the radiance of every view but the first, ``(V - 1, 1)``, or of each of its
-    channels, ``(V - 1, 3)``. The first view's is 1: a factor on all of them is one on the light.
+    channels, ``(V - 1, 3)``, beside what files say (``Views.given``). The first view's is 1: a
+    factor on all of them is one on the light.
 
     No parameter of the scene: it lies with the views, and every ray's weight holds it
     (``rendering.rays``). Paths do not carry its derivative, so estimators add it (``add``).
