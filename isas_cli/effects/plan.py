@@ -32,7 +32,7 @@ _LIGHTS = ((1, 1), (4, 1), (4, 4))
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
 # Of the entries that any view sees, the share that may lose all of their derivative.
 _LOST = 0.01
-_FORMAT = 10
+_FORMAT = 11
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def _as_set(problem: "Problem", settings: Effects) -> Paths:
     for name, edges in (("max_depth", depth), ("derivative_depth", derivative)):
         if getattr(settings, name) is not None and edges < whole.max_depth:
             # One entry that is met is enough, and none must be overlooked.
-            for key, lost in _lost(problem, edges, np.nextafter(1, 0), persist=True)[0].items():
+            for key, lost in _lost(problem, edges, np.nextafter(1, 0))[0].items():
                 if lost == 1:
                     raise InputError(
                         f"effects.{name}={edges}: no path of so few edges meets '{key}': give "
@@ -219,7 +219,7 @@ def _chosen(problem: "Problem", settings: Effects, found: Plan) -> tuple[Plan, d
 
 
 def _lost(
-    problem: "Problem", edges: int, enough: float, persist: bool = False
+    problem: "Problem", edges: int, enough: float, seconds: float | None = None
 ) -> tuple[dict[str, float], float]:
     """By key: of the entries that a view sees, the share that no path of so few ``edges`` meets, no
     more exactly than whether it is above ``enough``; seconds spent. See ``coverage.missed``."""
@@ -227,7 +227,7 @@ def _lost(
     judged = [u for u in kinds if not u.kind.moves_geometry]
     cut = dataclasses.replace(problem, integrator=problem.integrator.cut(Paths(edges, edges)))
     starts, seen = ({u.key: getattr(u, name) for u in judged} for name in ("start", "seen"))
-    found = coverage.missed(cut, starts, seen, enough, persist) if judged else ({}, 0.0)
+    found = coverage.missed(cut, starts, seen, enough, seconds) if judged else ({}, 0.0)
     problem.unknowns.write(problem.unknowns.starts())
     return found
 
@@ -285,9 +285,10 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
                 break
             derivatives.append(found)
             if _worst(found) < settings.derivative_tolerance:
-                shares, seconds = _lost(problem, depth, _LOST)
+                # Part of what the plan costs, and no part of the probe's share of the budget, of
+                # which it takes no more than half.
+                shares, seconds = _lost(problem, depth, _LOST, probe.allowed / 2 - checks)
                 lost = max(shares.values())
-                # Part of what the plan costs, and no part of the probe's share of the budget.
                 checks += seconds
                 if lost <= _LOST:
                     paths = dataclasses.replace(paths, derivative=depth)
@@ -339,7 +340,7 @@ def _derivative(cuts, tolerance: float, whole: int) -> tuple[int, str]:
             return each.depth, f"longer ones are up to {_worst(each):.0%} of a gradient"
     last = cuts[-1]
     if _worst(last) < tolerance:
-        return whole, f"{last.lost:.0%} of the entries are met by longer ones only"
+        return whole, f"up to {last.lost:.0%} of the entries may be met by longer ones only"
     return whole, f"longer than {last.depth} are up to {_worst(last):.0%} of a gradient"
 
 

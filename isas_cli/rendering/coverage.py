@@ -144,11 +144,12 @@ def missed(
     values: dict[str, np.ndarray],
     seen: dict[str, np.ndarray],
     enough: float,
-    persist: bool = False,
+    seconds: float | None = None,
 ) -> tuple[dict[str, float], float]:
     """By key of ``values``: of the entries that count as ``seen``, the share without a derivative
     by the paths of ``problem``; an upper bound, as long as it is above ``enough``. Seconds spent,
-    without compiling. ``persist``: ask by four paths a pixel however little the last ones showed.
+    without compiling. ``seconds``: after which to give up, or where the last paths showed little;
+    None: not before there were four paths a pixel.
 
     Every path's derivative has a random sign, so that no sums vanish.
     """
@@ -184,8 +185,9 @@ def missed(
         spent += time.perf_counter() - begun
         shares = {key: entries.size / counts[key] for key, entries in left.items()}
         earlier, worst = worst, max(shares.values())
-        hopeless = worst > (1 - _WORTH) * earlier and number > 1 and not persist
-        if worst <= enough or hopeless or paths >= _SAMPLES * min(total, _MOST):
+        hopeless = worst > (1 - _WORTH) * earlier and number > 1
+        given_up = seconds is not None and (hopeless or spent >= seconds)
+        if worst <= enough or given_up or paths >= _SAMPLES * min(total, _MOST):
             return shares, spent
 
 

@@ -20,6 +20,7 @@ from isas_cli.effects.probe import Cut, Lights, Probe, Share, gradient_share, no
 from isas_cli.effects.settings import Effects
 from isas_cli.estimators.staged import Staged
 from isas_cli.losses import L2
+from isas_cli.rendering import coverage
 from isas_cli.rendering.integrators import Paths
 from isas_cli.runtime.errors import InputError
 
@@ -208,6 +209,18 @@ def test_a_probe_leaves_out_what_would_take_longer_than_its_share(monkeypatch, t
     plan = decided(p, 60.0)
     assert plan.on(p) is p
     assert not (plan.cuts or plan.derivatives or plan.samples)
+
+
+def test_entries_are_asked_for_no_longer_than_is_allowed(monkeypatch):
+    """What was not met by then counts as lost; with time enough it is met."""
+    monkeypatch.setattr(coverage, "_FIRST", 4)
+    monkeypatch.setattr(coverage, "_WORTH", 0.0)
+    p = problem({TEXTURE: 0.5})
+    coverage.fill_in(p, 0)
+    u = p.unknowns[TEXTURE]
+    where = p, {TEXTURE: u.start}, {TEXTURE: u.seen}, 0.01
+    hasty, patient = (coverage.missed(*where, seconds)[0][TEXTURE] for seconds in (0.0, math.inf))
+    assert hasty > 0.5 > patient
 
 
 def test_what_is_set_is_done():
