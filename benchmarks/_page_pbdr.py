@@ -21,7 +21,7 @@ def facts(results: Path) -> dict | None:
         "scenes": {scene: rows.reset_index().to_dict("records") for scene, rows in by.items()},
         "seconds": dict(table.groupby("scene", sort=False)["seconds"].max()),
         "seeds": table["seeds"].min(),
-        "more": pandas.read_csv(more).to_dict("records") if more.exists() else [],
+        **(_more(pandas.read_csv(more)) if more.exists() else {"more": []}),
         "shape": pandas.read_csv(shape).to_dict("records") if shape.exists() else [],
         "claims": _claims(by),
         "prior": {scene: _ratio(rows, "mpea", "without the prior") for scene, rows in by.items()},
@@ -33,6 +33,20 @@ def facts(results: Path) -> dict | None:
         "best": {scene: rows["re"].idxmin() for scene, rows in by.items()},
         "sooner": {scene: rows.loc[FULL, "time_to_stock"] for scene, rows in by.items()},
     }
+
+
+def _more(table: pandas.DataFrame) -> dict:
+    """The rows; by scene, the method of least RE, and which end worse or better than `ours` by all
+    seeds."""
+    best, apart = {}, {}
+    for scene, rows in table.groupby("scene", sort=False):
+        rows = rows.set_index("method")
+        best[scene], ours = rows["re"].idxmin(), rows.loc[PLAIN]
+        apart[scene] = {
+            "better": list(rows.index[rows["re_high"] < ours["re_low"]]),
+            "worse": list(rows.index[rows["re_low"] > ours["re_high"]]),
+        }
+    return {"more": table.to_dict("records"), "more_best": best, "more_apart": apart}
 
 
 def _ratio(rows: pandas.DataFrame, measure: str, rival: str) -> float:

@@ -8,8 +8,9 @@ as white; texture coordinates belong to directions, and so to any shape that the
 
 The sky is in the pictures, which fixes how bright it is, but for what no view shows of it. Where
 the surface slides in itself the paint slides along, and no picture tells: the paint's error by
-texel does not fall to 0. All at once from the start, the mesh grows into the background and is
-painted like it; so the sky moves first, then the shape, then the rest as well (`during`).
+texel does not fall to 0. The sky moves first, then the shape, then the rest as well (`during`): at
+`size=tiny`, from four small views, all at once the mesh grows into the background and is painted
+like it; from sixteen views it ends as well without stages (benchmarks/pbdr.md).
 
 Direct light alone (depth 2), as in `kirby`.
 """
