@@ -21,6 +21,7 @@ def facts(results: Path) -> dict | None:
         "scenes": {scene: rows.reset_index().to_dict("records") for scene, rows in by.items()},
         "seconds": dict(table.groupby("scene", sort=False)["seconds"].max()),
         "seeds": table["seeds"].min(),
+        "ends": _ends(table, pandas.read_csv(results / "pbdr_rates.csv")),
         **(_more(pandas.read_csv(more)) if more.exists() else {"more": []}),
         "shape": pandas.read_csv(shape).to_dict("records") if shape.exists() else [],
         "claims": _claims(by),
@@ -33,6 +34,16 @@ def facts(results: Path) -> dict | None:
         "best": {scene: rows["re"].idxmin() for scene, rows in by.items()},
         "sooner": {scene: rows.loc[FULL, "time_to_stock"] for scene, rows in by.items()},
     }
+
+
+def _ends(table: pandas.DataFrame, rates: pandas.DataFrame) -> dict[str, list[str]]:
+    """By scene, the methods whose best factor is the largest that was tried."""
+    most = rates.groupby(["scene", "method"])["factor"].max()
+    found: dict[str, list[str]] = {}
+    for row in table.to_dict("records"):
+        if row["factor"] >= most[row["scene"], row["method"]]:
+            found.setdefault(row["scene"], []).append(row["method"])
+    return found
 
 
 def _more(table: pandas.DataFrame) -> dict:

@@ -27,6 +27,8 @@ uniform ones with silhouettes, and Mitsuba's projective loop, all in the stages 
 configuration; and `ours` with everything moving from the start. Writes results/pbdr_shape.csv.
 
     make reproduce SCENES=pbdr
+    .venv/bin/python benchmarks/pbdr.py --more
+    .venv/bin/python benchmarks/pbdr.py --shape
 """
 
 from __future__ import annotations
@@ -120,7 +122,7 @@ def measured(run: records.Run) -> dict:
     }
 
 
-SHAPE, SHAPE_SECONDS = "object_joint_shape", 20.0
+SHAPE, SHAPE_SECONDS = "object_joint_shape", 12.0
 
 
 def shape_methods() -> dict[str, dict]:

@@ -13,7 +13,8 @@ pages (`pages.py`). The whole takes hours.
     make reproduce SCENES="pottery bowl"
     make reproduce SCENES="dodoco_b kirby"       shapes: see shapes.py
     make reproduce SCENES="smoke lego"           volumes: see volumes.py
-    make reproduce SCENES=pbdr                   everything at once: see pbdr.py
+    make reproduce SCENES=pbdr                   everything at once: see pbdr.py, whose other
+                                                 parts are its --more and --shape
 """
 
 from __future__ import annotations
