@@ -58,12 +58,12 @@ LAMPS = {
                 "start": 0.3, "lr": 0.02, "blur": {"start": 0.1, "end": 0.02},
             },
         },
-        (0.2, 2.0, 0.1),  # seen: 0.11, 1.47, 0.001; from 1.92, 4.6, 0.5
+        (0.3, 3.0, 0.2),  # seen: 0.11, 1.47, 0.001; from 1.92, 4.6, 0.5
     ),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", LAMPS)
+@pytest.mark.parametrize("name", ["far", pytest.param("near", marks=pytest.mark.slow)])
 def test_a_lamps_place_and_power_are_found_together(name, tmp_path):
     (lamp, ball), poses, unknowns, within = LAMPS[name]
     (tmp_path / "scene.xml").write_text(SCENE.replace("LAMP", lamp).replace("BALL", ball))
