@@ -17,6 +17,7 @@ def facts(results: Path) -> dict:
     recording = read("recording").groupby("tracker")
     return {
         "step_time": step_time(read("step_time")),
+        "gpu": gpu(read("gpu_steps"), read("gpu_race")),
         "floor": floor(read("step_floor")),
         "crossed": crossed(read("crossed_estimates"), read("crossed")),
         "stage1": {name: list(rows["share"]) for name, rows in shares.groupby("sampler")},
@@ -39,11 +40,17 @@ def step_time(table: pandas.DataFrame) -> list[dict]:
     rows = []
     for batch, group in wide.groupby("batch"):
         row = {"batch": batch, "rounds": len(group)}
-        for side in ("isas", "isas-ours", "isas-auto", "isas-single"):
+        for side in group.columns.drop("stock"):
             ratio = group[side] / group["stock"]
             row[side] = (ratio.median(), ratio.min(), ratio.max())
         rows.append(row)
     return rows
+
+
+def gpu(steps: pandas.DataFrame, race: pandas.DataFrame) -> dict:
+    """Whose card, when; ratios of steps, and a row per method."""
+    named = {name: steps[name].iloc[0] for name in ("card", "day")}
+    return named | {"steps": step_time(steps), "race": race.to_dict("records")}
 
 
 def floor(table: pandas.DataFrame) -> list[dict]:

@@ -12,7 +12,7 @@ Measures: RE, its Eq. (7), 3 x the squared image error; MPEA, Eq. (8), the mean 
 materials of their squared error (of lights not); CS, iterations after which RE stays within a tenth
 of where it ends; GN, Eq. (9), the mean over the run, in the gradients' own unit. And what the
 result is good for: PSNR, SSIM and FLIP of views between those given, and of these under another
-light, which the run has not seen, of the first seed reported.
+light, which the run has not seen.
 
 Writes results/pbdr.csv (a row per scene and method), pbdr_rates.csv, pbdr_<scene>.png (image error
 against billed time) and the page pbdr.md.
@@ -195,7 +195,11 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
         for column, rival in [pair for pair in rivals if pair[1] in finals]:
             times = [reached(h, finals[rival], ERROR) / seconds for h in own["history"]]
             row[column] = np.median(times)
-        rows.append(row | elsewhere(own.iloc[0]))
+        seen = pandas.DataFrame([elsewhere(each) for _, each in own.iterrows()])
+        row |= dict(seen.median())
+        for measure in ("novel_psnr", "relit_psnr"):
+            row |= {f"{measure}_low": seen[measure].min(), f"{measure}_high": seen[measure].max()}
+        rows.append(row)
     return pandas.DataFrame(rows)
 
 

@@ -86,7 +86,7 @@ def _trace(mode, scene, medium, sampler, ray, max_depth, rr_depth, adjoint=None,
         mei = _at(origin, direction, t)
         chance = sampler.next_1d()
         with dr.resume_grad(when=not primal):
-            scattering, _, total = medium.get_scattering_coefficients(mei, active)
+            scattering, _, total = _coefficients(medium, mei, active)
             share = dr.detach(total.x) / majorant
             real = active & (chance < share)
             # The branch that is not taken must be finite too: its derivative is multiplied by 0.
@@ -190,7 +190,7 @@ def _emitted(mode, scene, medium, sampler, ray, adjoint=None, radiance=None):
         active &= t < far
         met = met + dr.select(active, mi.UInt32(1), 0)
         with dr.resume_grad(when=not primal):
-            emission, _, total = medium.get_scattering_coefficients(_at(start, ray.d, t), active)
+            emission, _, total = _coefficients(medium, _at(start, ray.d, t), active)
             own = dr.select(active, β * emission / majorant, 0)
             left = dr.select(active, 1 - total.x / majorant, 1)
             if primal:
@@ -222,6 +222,14 @@ def _emitted(mode, scene, medium, sampler, ray, adjoint=None, radiance=None):
 
 
 _WEAK = 0.05  # throughput below which Russian roulette begins
+
+
+def _coefficients(medium: mi.Medium, mei: mi.MediumInteraction3f, active: mi.Bool):
+    """Of scattering, of null collisions and of extinction, where ``active``."""
+    # Dr.Jit 1.5 aborts when it records a masked lookup in a texture of the hardware ("unknown
+    # variable r0"): what the mask selects instead has no owner.
+    hardware = dr.backend_v(mi.Float) == dr.JitBackend.CUDA
+    return medium.get_scattering_coefficients(mei, mi.Bool(True) if hardware else active)
 
 
 def _majorant(scene: mi.Scene, medium: mi.Medium, what: str) -> mi.Float:

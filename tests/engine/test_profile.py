@@ -203,7 +203,7 @@ def test_time_lands_in_the_phase_that_spends_it(monkeypatch):
     assert waiting["host"].milliseconds > 90 > waiting["Adam"].milliseconds
     loop.stepper.wait, loop.stepper.work = 0.0, 1 << 23
     busy = profiled(loop)
-    assert busy["Adam"].milliseconds > 5 * before["Adam"].milliseconds
+    assert busy["Adam"].milliseconds > 2 * before["Adam"].milliseconds
 
 
 def test_the_table_and_the_file_say_the_same(tmp_path):

@@ -38,7 +38,7 @@ def no_page(monkeypatch):
 
 
 @pytest.fixture
-def one_thread():
+def one_thread(fixed_order):
     count = dr.thread_count()
     dr.set_thread_count(1)
     yield

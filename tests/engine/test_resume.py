@@ -81,7 +81,9 @@ def stop_after(folder: Path, rows: int, process: subprocess.Popen, number: int) 
     ],
     ids=("ours", "levels", "balanced", "plateau", "silhouettes", "volume"),
 )
-def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(tmp_path, chosen, number):
+def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(
+    tmp_path, chosen, number, fixed_order
+):
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     common = ["run", *chosen, *TINY, "budget.iterations=300", "report=false"]
     first = start(*common, f"hydra.run.dir={whole}")

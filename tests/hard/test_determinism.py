@@ -20,7 +20,7 @@ TINY = [
 
 
 @pytest.fixture(scope="module")
-def values(tmp_path_factory):
+def values(tmp_path_factory, fixed_order):
     """By number of threads: the texture at the end of each of two runs."""
     folder, found = tmp_path_factory.mktemp("runs"), {}
     for threads in (1, 2):
