@@ -32,6 +32,7 @@ def test_it_stays_stable(case, tmp_path):
         assert np.isfinite(array).all()
         assert (low is None or array.min() >= low) and (high is None or array.max() <= high)
     assert last.parameter_rmse <= case.within, case.provokes
+    assert all(last[column] <= bound for column, bound in case.below.items()), case.below
     warnings = run.summary["warnings"]
     # What is said to be no result need not be one, and a loss that was noise alone goes either way.
     assert warnings or first.loss <= 0 or last.loss <= first.loss * 1.01

@@ -9,6 +9,7 @@ import photo_sets
 import pytest
 import trimesh
 
+from isas_cli import records
 from isas_cli.cli.app import main
 from isas_cli.config import schema
 from isas_cli.config.compose import compose, translate
@@ -179,21 +180,25 @@ OURS = {"lego": "emission"} | dict.fromkeys(
 NOISY = ("global_illumination",)
 
 
+def described(name: str) -> tuple[SceneConfig, mi.Scene, Unknowns]:
+    """A small scene of ours, as configured and loaded."""
+    config = schema.typed(compose([f"scene={name}", "size=tiny"])).scene
+    loaded = built.load(built.description(config))
+    scene_file.name_all(loaded)
+    specs = parse(mi.traverse(loaded), config.unknowns, True, config.poses)
+    return config, loaded, Unknowns(mi.traverse(loaded), specs)
+
+
 @pytest.mark.parametrize("name", BUILDERS)
 def test_what_a_program_described_is_a_file(tmp_path, rng, name):
     """Meshes, pictures, grids, poses; of what is isas's own it is said."""
-    described = schema.typed(compose([f"scene={name}", "size=tiny"])).scene
-    loaded = built.load(built.description(described))
-    scene_file.name_all(loaded)
-    unknowns = Unknowns(
-        mi.traverse(loaded), parse(mi.traverse(loaded), described.unknowns, True, described.poses)
-    )
+    config, loaded, unknowns = described(name)
     arrays = {}
     for each in unknowns:
         low, high = (np.clip(bound, -3, 3) for bound in (each.low, each.high))
         noise = 0.01 * rng.normal(size=each.truth.shape)
         arrays[each.key] = np.clip(each.truth + noise, low, high).astype(np.float32)
-    path, said = export.write(described, arrays, tmp_path / "result")
+    path, said = export.write(config, arrays, tmp_path / "result")
     assert [line.partition(" is isas's own")[0] for line in said] == (
         [f"'{OURS[name]}'"] if name in OURS else []
     )
@@ -208,13 +213,28 @@ def test_what_a_program_described_is_a_file(tmp_path, rng, name):
         same(path, loaded, name in NOISY)
 
 
+def test_the_command_writes_what_a_run_found(tmp_path, capsys):
+    folder = tmp_path / "run"
+    settings = ["scene=materials_joint", "size=tiny", "sampler=uniform", "budget.iterations=2"]
+    settings += ["target.spp=1", "estimator.batch=64", "evaluation.pixels=64", "frames.views=0"]
+    assert main(["run", *settings, "report=false", f"hydra.run.dir={folder}"]) == 0
+    assert main(["export", str(folder)]) == 0
+    path = folder / "result" / "scene.xml"
+    assert f"result: {path}\n" in capsys.readouterr().out
+    _, loaded, unknowns = described("materials_joint")
+    ends = records.load(folder).parameters()
+    assert not any(np.array_equal(ends[each.key], each.start) for each in unknowns)
+    unknowns.write(unknowns.values_of(ends))
+    same(path, loaded)
+
+
 def test_a_painted_mesh_is_an_obj_file_with_its_picture(tmp_path, rng):
-    described = schema.typed(compose(["scene=pottery", "size=tiny"])).scene
-    key = next(iter(described.unknowns))
+    config, loaded, _ = described("pottery")
+    key = next(iter(config.unknowns))
     shape = key.partition(".")[0]
-    params = mi.traverse(built.load(built.description(described)))
+    params = mi.traverse(loaded)
     colour = rng.random(params[key].shape).astype(np.float32)
-    export.write(described, {key: colour}, tmp_path)
+    export.write(config, {key: colour}, tmp_path)
     read = trimesh.load(tmp_path / "painted" / f"{shape}.obj", process=False)
     picture = np.asarray(read.visual.material.image)
     assert np.array_equal(picture, images.to_display(colour))

@@ -49,7 +49,8 @@ SETTINGS = [
 @dataclass(frozen=True)
 class Case:
     """``provokes``: what is hard about it; ``unknowns``: as in scene.unknowns; ``within``: the
-    largest final parameter error, in the unknowns' own unit; ``sky``: pixels of an environment map,
+    largest final parameter error, in the unknowns' own unit; ``below``: other columns of the
+    history, each with a bound of its end; ``sky``: pixels of an environment map,
     ``(H, W, 3)``; ``bumps``: of a normal map, ``(H, W, 3)``; ``side``: of the film, pixels;
     ``poses``: as in scene.poses; ``ends``: whether it is a numerical failure, since nothing can be
     found; ``warns``: what it warns of; ``sure``: whether it does on every machine (where a mesh
@@ -73,6 +74,7 @@ class Case:
     poses: dict = field(default_factory=dict)
     ends: bool = False
     warns: str = ""
+    below: dict[str, float] = field(default_factory=dict)
     sure: bool = True
     settings: tuple[str, ...] = field(default=())
     meshes: dict[str, tuple] = field(default_factory=dict)
@@ -375,6 +377,21 @@ CASES = [
         shapes=FLOOR,
         origin="0,3,2",
         warns="can trade brightness",
+    ),
+    Case(
+        *("maps to trade", "a sky's map and a texture, of which images tell products alone"),
+        *({"sky.data": {"start": 0.5}, "thing.bsdf.reflectance.data": {"start": 0.2}}, 1.0),
+        emitter=MAP,
+        sky=_coloured(),
+        shapes=FLOOR,
+        bsdf='<bsdf type="diffuse"><texture type="bitmap" name="reflectance">'
+        '<boolean name="raw" value="true"/><string name="filename" value="bumps.exr"/>'
+        "</texture></bsdf>",
+        bumps=0.1 + 0.6 * _waves(80),
+        origin="0,3,2",
+        warns="can trade brightness",
+        below={"value/thing.bsdf.reflectance.data/scaled": 0.1},  # of 0.16; 0.2 without the factor
+        settings=("estimator.batch=4096",),
     ),
     Case(
         *("a speck", "one pixel tells of the unknown, the residuals of all others are 0"),
