@@ -11,6 +11,10 @@ With `--rebuilds`: the same time on kirby with fewer and larger steps, and so fe
 tree that rays are traced with, each at its own best rate; the smallest says what a step costs
 without samples. Writes results/shapes_rebuilds.csv.
 
+With `--levels`: `silhouettes` with uniform pixels on kirby of 10,242 vertices, as it is and from
+meshes of a quarter and of a sixteenth of them, and on that of 40,962 (24 seconds a run), each at
+its own best rate. Writes results/shapes_levels.csv.
+
 With `--step`: one step's time with films of 16 × 512² and 20,480 triangles, `silhouettes` against
 Mitsuba's loop at one path a pixel, in turns; prints the ratio, writes results/shapes_step.csv.
 
@@ -66,9 +70,10 @@ def measured(run: records.Run) -> dict:
     return found | {"iterations": int(last["iteration"])}
 
 
-def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
-    """Medians; ``time_to_stock``: share of the budget to the median final error of Mitsuba's."""
-    goal = found[found["method"] == STOCK]["chamfer"].median()
+def table(found: pandas.DataFrame, seconds: float, rival: str = STOCK) -> pandas.DataFrame:
+    """Medians; ``time_to_stock``: share of the budget to the median final error of the ``rival``,
+    Mitsuba's loop."""
+    goal = found[found["method"] == rival]["chamfer"].median()
     rows = []
     for name, own in found.groupby("method", sort=False):
         row = {
@@ -151,12 +156,36 @@ def rebuilds(seeds: list[int], seconds: float) -> pandas.DataFrame:
     return table.assign(step=steps / table["iterations"])
 
 
+SIZES = {"default": 8.0, "paper": 24.0}  # billed seconds
+
+
+def levels(seeds: list[int]) -> pandas.DataFrame:
+    """A row for each size and number of levels: medians."""
+    rows = []
+    for size, seconds in SIZES.items():
+        contestants = {
+            f"{count} levels": methods("kirby")[f"{OURS}, uniform"]
+            | {f"scene.sizes.{size}.levels": count}
+            for count in (1, 2, 3)
+        }
+        with tempfile.TemporaryDirectory(prefix="isas-shapes-") as root:
+            own = [*SETTINGS, f"size={size}", "evaluation.count=12"]
+            _, found = _contest.judged(
+                *("kirby", Path(root), own, contestants, FACTORS, seeds, seconds),
+                *(measured, "chamfer", True),
+            )
+        made = table(found, seconds, "1 levels").rename(columns={"time_to_stock": "time_to_one"})
+        rows.append(made.assign(scene="kirby", size=size))
+    return pandas.concat(rows)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=8)
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
     parser.add_argument("--scenes", nargs="+", default=SCENES)
     parser.add_argument("--rebuilds", action="store_true")
+    parser.add_argument("--levels", action="store_true")
     parser.add_argument("--step", action="store_true")
     chosen = parser.parse_args()
     if chosen.step:
@@ -169,6 +198,12 @@ def main() -> None:
     if chosen.rebuilds:
         found = rebuilds(chosen.seeds, chosen.seconds)
         found.to_csv(RESULTS / "shapes_rebuilds.csv", index=False, float_format="%.4g")
+        pages.write()
+        print(found.to_string(index=False))
+        return
+    if chosen.levels:
+        found = levels(chosen.seeds)
+        found.to_csv(RESULTS / "shapes_levels.csv", index=False, float_format="%.4g")
         pages.write()
         print(found.to_string(index=False))
         return

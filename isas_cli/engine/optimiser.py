@@ -189,7 +189,7 @@ class Stepper:
         if not kind.uniform:
             return entries
         clean = np.where(np.isfinite(entries), entries, 0)
-        return kind.smoothed(clean.reshape(kind.present.shape)).ravel()
+        return kind.smoothed(clean.reshape(tuple(self.adam[key].shape))).ravel()
 
     def _cut(self, key: str, entries: np.ndarray) -> np.ndarray:
         """``entries`` of ``_along``, scaled, none beyond ``_OUTLIER``; float32."""

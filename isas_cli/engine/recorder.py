@@ -13,7 +13,6 @@ from ..config.schema import Config
 from ..records import KEY_PREFIX, VALUE_PREFIX, RunWriter, manifest, safe_name, trackers
 from ..rendering.renderer import Renderer
 from ..runtime.errors import InputError
-from ..unknowns.parameters import as_numpy
 from . import held_out
 from .loop import Hooks, Loop
 from .pictures import Pictures
@@ -136,7 +135,7 @@ class Recorder:
         loop = self.loop
         with loop.clock.unbilled("evaluation"):
             for unknown in (u for u in loop.problem.unknowns if u.kind.doubtful):
-                array = as_numpy(loop.stepper.values[unknown.key])
+                array = unknown.kind.whole(loop.stepper.values[unknown.key])
                 if not unknown.kind.doubt(array):
                     self._good[unknown.key] = row, array
         with loop.clock.unbilled("writing"):
@@ -276,7 +275,7 @@ class Recorder:
         """By unknown, why its result is not to be trusted."""
         values = self.loop.stepper.values
         found = {
-            u.key: u.kind.doubt(as_numpy(values[u.key]))
+            u.key: u.kind.doubt(u.kind.whole(values[u.key]))
             for u in self.loop.problem.unknowns
             if u.kind.doubtful
         }

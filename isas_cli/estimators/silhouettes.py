@@ -18,6 +18,7 @@ from ..runtime import streams
 from ..runtime.errors import InputError
 from ..samplers.sampler import Sampler
 from ..scene.topology import Topology
+from ..unknowns.vertices import Vertices
 from .estimator import Estimator, at_least_one
 from .two_path import TwoPath
 
@@ -142,24 +143,24 @@ class ByShape:
         # By the key of its mesh's positions, which for those that stand still are ``_still``.
         self.borders: list[tuple[str, tuple, Silhouettes | Shadows | Reflections]] = []
 
-        def throws(key: str, topology: Topology, samples: int) -> None:
+        def throws(key: str, topologies: dict[int, Topology], samples: int) -> None:
             each = max(1, samples), chosen.paths, chosen.lamps, chosen.freeze
-            self.borders.append((key, _SHADOW, Shadows(problem, loss, topology, *each)))
+            self.borders.append((key, _SHADOW, Shadows(problem, loss, topologies, *each)))
 
         reflections = chosen.reflected(problem)
-        for key, topology in meshes.items():
-            where = problem, loss, key.rpartition(".")[0], topology
+        for key, topologies in meshes.items():
+            where = problem, loss, key.rpartition(".")[0], topologies
             edges = max(1, chosen.edges // len(meshes)), chosen.paths, chosen.adaptive
             self.borders.append((key, _EDGE, Silhouettes(*where, *edges, chosen.freeze)))
             if shadows:
-                throws(key, topology, shadows // len(meshes))
+                throws(key, topologies, shadows // len(meshes))
             if reflections:
                 each = max(1, reflections // len(meshes)), chosen.paths, not shadows, chosen.freeze
                 self.borders.append((key, _REFLECTED, Reflections(*where, *each)))
         still = others(problem) if shadows else None
         if still:
             self._still, topology = still
-            throws("", topology, shadows)
+            throws("", {len(topology.place): topology}, shadows)
 
     @property
     def paths_per_step(self) -> int:
@@ -213,10 +214,15 @@ class ByShape:
         return total
 
 
-def _meshes(problem: "Problem") -> dict[str, Topology]:
-    """Of what moves, the key of its vertices' positions, and how its triangles hang together."""
+def _meshes(problem: "Problem") -> dict[str, dict[int, Topology]]:
+    """Of what moves, the key of its vertices' positions, and how its triangles hang together, by
+    the number of vertices."""
     params, found = mi.traverse(problem.scene), {}
     for name in problem.unknowns.moving:
+        kind = problem.unknowns[name].kind
+        if isinstance(kind, Vertices):
+            found[kind.positions] = kind.topologies
+            continue
         for key in problem.unknowns.written(name):
             id, _, word = key.rpartition(".")
             where = f"scene.unknowns['{name}'] moves '{id}'"
@@ -232,5 +238,6 @@ def _meshes(problem: "Problem") -> dict[str, Topology]:
                     f"{where}, which has face normals: its shading steps from facet to facet, "
                     "which is not differentiated; give it smooth normals, or take sampler=plateau"
                 )
-            found[key] = Topology.of(*triangles(params, key))
+            topology = Topology.of(*triangles(params, key))
+            found.setdefault(key, {len(topology.place): topology})
     return found

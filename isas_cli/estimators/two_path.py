@@ -231,6 +231,7 @@ class TwoPath:
             p.share,
             self._lost,
             self._jitter(seed, iteration),
+            sizes=p.unknowns.sizes,
         )
 
     def _jitter(self, seed: int, iteration: int) -> tuple[mi.Float, mi.Float] | None:

@@ -14,13 +14,23 @@ from .outline import Cameras, Crossing, Outline
 
 
 class Border:
-    """The edges of one mesh, and ``_kernel``, which adds one estimate by ``samples`` points on them
+    """The edges of one mesh, and ``kernel``, which adds one estimate by ``samples`` points on them
     to the gradient, each with ``paths`` light paths: with ``own`` as its last arguments, frozen or
-    traced anew."""
+    traced anew.
 
-    def __init__(self, problem: Problem, topology: Topology, samples: int, paths: int):
+    ``topologies``: of the mesh, by the number of its vertices in the scene, where it becomes finer
+    on the way.
+    """
+
+    def __init__(self, problem: Problem, topologies: dict[int, Topology], samples: int, paths: int):
         self.problem, self.samples, self._paths = problem, samples, paths
-        self.cameras, self.outline = Cameras.of(problem), Outline.of(topology)
+        self.cameras = Cameras.of(problem)
+        self._outlines = {count: Outline.of(each) for count, each in topologies.items()}
+
+    @property
+    def edges(self) -> int:
+        """How many, of the finest mesh."""
+        return max(each.count for each in self._outlines.values())
 
     def _made(self, kernel, freeze: bool, *own) -> None:
         self._kernel, self._own = recorded(kernel, freeze), own
@@ -36,9 +46,10 @@ class Border:
         p, cameras = self.problem, self.cameras
         if p.views.motion is not None:
             cameras = cameras.moved(p.views.motion)
+        outline = self._outlines[dr.width(positions) // 3]
         self._kernel(
-            p.scene, p.sensors, p.views, positions, self.outline, cameras, p.targets, p.mask,
-            seeds, p.share, *self._own,
+            p.scene, p.sensors, p.views, positions, outline, cameras, p.targets, p.mask,
+            seeds, p.share, *self._own, sizes=p.unknowns.sizes,
         )  # fmt: skip
 
 

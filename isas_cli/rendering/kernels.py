@@ -15,11 +15,18 @@ def recorded(kernel: Callable, freeze: bool) -> Callable:
     has one pending expands it for all threads before it evaluates what it adds, which reduces the
     array again, and what is added then by any thread but the first is never counted (Dr.Jit 1.5,
     LLVM).
-    """
-    if freeze:
-        return dr.freeze(kernel)
 
-    def isolated(*arguments):
+    Where it is called with ``sizes``, a tuple of numbers, each has a recording of its own: those of
+    arrays that are differentiated by, or over which it runs, are compiled into it.
+    """
+
+    def sized(*arguments, sizes: tuple[int, ...] = ()):
+        return kernel(*arguments)
+
+    if freeze:
+        return dr.freeze(sized)
+
+    def isolated(*arguments, sizes: tuple[int, ...] = ()):
         with dr.isolate_grad():
             return kernel(*arguments)
 

@@ -43,10 +43,10 @@ class Reflections(Border):
     """
 
     def __init__(
-        self, problem: Problem, loss, id: str, topology: Topology, samples: int, paths: int,
-        emission: bool = True, freeze: bool = True,
+        self, problem: Problem, loss, id: str, topologies: dict[int, Topology], samples: int,
+        paths: int, emission: bool = True, freeze: bool = True,
     ):  # fmt: skip
-        super().__init__(problem, topology, samples, paths + 3)
+        super().__init__(problem, topologies, samples, paths + 3)
         (shape,) = [each for each in problem.scene.shapes() if each.id() == id]
         integrator, differences = problem.integrator, without_film(problem.integrator)
         views = len(problem.film_sizes)

@@ -117,12 +117,12 @@ class Shadows(Border):
     """
 
     def __init__(
-        self, problem: Problem, loss, topology: Topology, samples: int, paths: int, lamps: int,
-        freeze: bool = True,
+        self, problem: Problem, loss, topologies: dict[int, Topology], samples: int, paths: int,
+        lamps: int, freeze: bool = True,
     ):  # fmt: skip
-        super().__init__(problem, topology, samples, paths + 1)
+        super().__init__(problem, topologies, samples, paths + 1)
         emitters, box = problem.scene.emitters(), problem.scene.bbox()
-        lamps = max(len(emitters), min(lamps, _MOST // self.outline.count))
+        lamps = max(len(emitters), min(lamps, _MOST // self.edges))
         for emitter in emitters:
             kind = emitter.class_name().lower()
             if kind in ("projector", "directionalarea"):

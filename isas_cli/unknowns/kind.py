@@ -72,7 +72,9 @@ class Kind:
 
     ``order``: of those that write the same parameter, the lower comes first. ``settings``: what the
     configuration says of it beside ``scene.unknowns``, in a text that changes as that does.
-    ``doublings``: how often a coarser version of it may double its resolution before it is whole.
+    ``doublings``: how often a coarser version of it may double its resolution before it is whole;
+    ``undivided``: what a user is told who wants levels of what has none. ``levels``: how many it
+    passes through, as configured.
     ``carried``: whether a path's derivative by it is among those that integrators take.
     ``uniform``: whether Adam divides the steps of all entries by one number, and steps go along
     ``smoothed``. ``texture``: whose texels, laid out on meshes, are the unknown; the meshes are
@@ -92,6 +94,8 @@ class Kind:
     uniform: bool = False
     doubtful: bool = False
     doublings: int = 0
+    levels: int = 1
+    undivided: ClassVar[str] = "one level; leave it out"
     carried: bool = True
     role: str = ""
 

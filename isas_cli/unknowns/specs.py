@@ -109,13 +109,14 @@ def _doubled(levels, kind: Kind) -> tuple[float, ...]:
                 f"{where}: a number of levels, at least 1, or the shares of the budget at which "
                 "the resolution doubles, rising between 0 and 1, such as [0.3, 0.6]"
             ) from None
-    if len(shares) > kind.doublings:
+    if shares and len(shares) > kind.doublings:
         least = kind.shape(kind.doublings)
         most = f"at most {kind.doublings + 1}, the coarsest of {least}"
         raise InputError(
             f"{where}: this {kind.name} of {kind.present.shape} has "
-            f"{most if kind.doublings else 'one level; leave it out'}"
+            f"{most if kind.doublings else kind.undivided}"
         )
+    kind.levels = len(shares) + 1
     return tuple(shares)
 
 

@@ -110,6 +110,12 @@ class Unknowns:
         return {written.rpartition(".")[0] for key in self.moving for written in self.written(key)}
 
     @property
+    def sizes(self) -> tuple[int, ...]:
+        """How many vertices the meshes have at present that become finer on the way."""
+        finer = (u.key for u in self.items if u.kind.moves_geometry and u.kind.levels > 1)
+        return tuple(self.leaves[key].shape[0] for key in finer)
+
+    @property
     def textures(self) -> dict[str, mi.Texture]:
         """Of those laid out on surfaces, the texture that holds them, by key."""
         return {u.key: u.kind.texture for u in self.items if u.kind.texture is not None}

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
+import re
 from functools import cached_property
 from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from scipy import sparse
-from scipy.sparse import linalg
 from scipy.spatial import cKDTree
 
 from ..runtime.errors import InputError
 from ..scene.crossings import crossing
 from ..scene.mesh_files import upwards
 from ..scene.shape_error import MEASURES, Sampled, apart, enclosed
+from ..scene.subdivision import coarser
 from ..scene.topology import Topology
 from .kind import Kind, Loaded, Surface
-from .parameters import like, own
+from .mesh import Halved, Mesh
+from .parameters import like
 
-# λ of I + λL for a mesh of 10,000 vertices, as the paper's authors take it. Derivatives are spread
-# over about √λ edges; in proportion to the count it is the same part of the surface.
-_STIFFNESS = 19.0 / 10_000
 # From this share of folded edges, or of triangles that pass through others, on a mesh is not what
 # is looked for.
 _FOLDED = 0.005
@@ -32,6 +30,8 @@ _NEARLY = 1e-5
 _STRETCHED = 10.0
 POSITIONS = ("vertex_positions", "positions")  # as Mitsuba calls them, by version
 _NORMALS = ("vertex_normals", "normals")
+# Of a mesh's own: (vertex|face)_<name>, but for what is positions, normals or texture coordinates.
+_ATTRIBUTE = re.compile(r"\.(vertex_(?!positions|normals|texcoords)|face_).*")
 
 
 class Vertices(Kind):
@@ -43,12 +43,19 @@ class Vertices(Kind):
     which Adam divides by one number for all vertices (AdamUniform): a rate is about the largest
     length that a vertex moves in a step. Only that number differs from the paper's.
     Normals are the area-weighted means of the faces around a vertex, seams included.
+
+    A coarser version is the mesh whose triangles, each split into four, are this one's; the scene
+    has it, too, while it is stepped.
     """
 
     name = "vertices"
     moves_geometry = True
     uniform = True
     doubtful = True
+    undivided = (
+        "one level: a mesh has a coarser one where it is closed, has no texture coordinates, seams "
+        "or attributes, and where its triangles are quarters of that one's; leave it out"
+    )
 
     @classmethod
     def keys(cls, loaded: Loaded) -> list[str]:
@@ -57,7 +64,7 @@ class Vertices(Kind):
     def __init__(self, key: str, loaded: Loaded):
         self.key, self.id = key, key.rpartition(".")[0]
         params = loaded.params
-        self.positions = _named(params, self.id, POSITIONS)
+        self.positions, self.faces = _named(params, self.id, POSITIONS), f"{self.id}.faces"
         self.normals = _named(params, self.id, _NORMALS)
         where = f"scene.unknowns['{key}']"
         if not dr.width(params[self.normals]):
@@ -65,67 +72,90 @@ class Vertices(Kind):
                 f"{where}: the mesh '{self.id}' has face normals: its shading steps from facet to "
                 "facet, which is not differentiated; give it smooth normals (face_normals=false)"
             )
-        self.writes = [self.positions, self.normals]
         positions = np.array(params[self.positions]).reshape(-1, 3)
-        faces = np.array(params[f"{self.id}.faces"]).reshape(-1, 3).astype(np.int64)
+        faces = np.array(params[self.faces]).reshape(-1, 3).astype(np.int64)
         self.topology = Topology.of(positions, faces)
         self.present = positions[self.topology.first].astype(np.float32)
         self.range, self.unit = (-np.inf, np.inf), "scene units"
         self.scale = max(1.0, float(np.abs(self.present).max()))
-        self.stiffness = _STIFFNESS * self.topology.count
         self._faces, self._latest, self._truth = faces, None, None
         self._crossed = b"", np.zeros(0, np.int64)
         coordinates = f"{self.id}.vertex_texcoords"
         self._texcoords = (
             np.array(params[coordinates]).reshape(-1, 2) if coordinates in params else np.zeros(0)
         )
-        self._place = own(mi.UInt32, self.topology.place.astype(np.uint32))
-        self._corners = [
-            own(mi.UInt32, corner.astype(np.uint32)) for corner in self.topology.faces.T
+        self._mesh = self._shown = Mesh(self.topology, faces)
+        self._attributes = [
+            k for k in params.keys() if _ATTRIBUTE.fullmatch(k.removeprefix(self.id))
         ]
+
+    @property
+    def writes(self) -> list[str]:
+        return [self.positions, self.normals, *([self.faces] if self.levels > 1 else [])]
+
+    @cached_property
+    def _coarser(self) -> list[tuple[Mesh, Halved]]:
+        """From the next to the coarsest: each mesh, and what leads from it to the one before."""
+        found, faces, count = [], self.topology.faces, self.topology.count
+        if len(self.topology.place) > count or len(self._texcoords) or self._attributes:
+            return found
+        while (before := coarser(faces, count)) is not None:
+            faces, count = before.faces, len(before.kept)
+            same = np.arange(count)
+            mesh = Mesh(Topology(same, same, faces), faces)
+            found.append((mesh, Halved(before)))
+        return found
+
+    @property
+    def doublings(self) -> int:
+        return len(self._coarser)
+
+    @property
+    def topologies(self) -> dict[int, Topology]:
+        """Of the levels that it passes through, by the number of vertices in the scene."""
+        meshes = [self._mesh, *(mesh for mesh, _ in self._coarser[: self.levels - 1])]
+        return {len(each.topology.place): each.topology for each in meshes}
+
+    def _at(self, count: int) -> Mesh:
+        """That of so many welded vertices."""
+        if count == self.topology.count:
+            return self._mesh
+        return next(mesh for mesh, _ in self._coarser if mesh.topology.count == count)
+
+    def shape(self, doublings: int) -> tuple[int, ...]:
+        if doublings:
+            return self._coarser[doublings - 1][0].topology.count, 3
+        return self.present.shape
+
+    def coarse(self, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+        for _, halved in self._coarser if array.shape != tuple(shape) else ():
+            array = array[halved.kept]
+            if array.shape == tuple(shape):
+                break
+        return array
+
+    def fine(self, leaf: mi.TensorXf, shape: tuple[int, ...]) -> mi.TensorXf:
+        if leaf.shape[0] == shape[0]:
+            return leaf
+        for mesh, halved in reversed(self._coarser):
+            if leaf.shape[0] == mesh.topology.count < shape[0]:
+                leaf = halved.finer(leaf)
+        return leaf
 
     def value(self, array: np.ndarray) -> mi.TensorXf:
         return like(mi.TensorXf, array)
 
     def write(self, leaf: mi.TensorXf, written: dict) -> None:
-        points = dr.unravel(mi.Point3f, leaf.array)
-        a, b, c = (dr.gather(mi.Point3f, points, index) for index in self._corners)
-        across = dr.cross(b - a, c - a)
-        sums = [dr.zeros(mi.Float, self.topology.count) for _ in range(3)]
-        for index in self._corners:
-            for total, part in zip(sums, across):
-                dr.scatter_add(total, part, index)
-        normals = mi.Vector3f(*sums)
-        length = dr.norm(normals)
-        # Where the faces around a vertex cancel, any direction; the division has a derivative.
-        normals = dr.select(length > 0, normals / dr.maximum(length, 1e-30), mi.Vector3f(0, 0, 1))
-        written[self.positions] = dr.ravel(dr.gather(mi.Point3f, points, self._place))
-        written[self.normals] = dr.ravel(dr.gather(mi.Vector3f, normals, self._place))
-
-    @cached_property
-    def _solve(self):
-        """(I + λL)⁻¹, by cholespy where it is installed, which is faster on large meshes."""
-        matrix = sparse.identity(self.topology.count) + self.stiffness * self.topology.laplacian()
-        try:
-            import cholespy
-        except ImportError:
-            return linalg.splu(matrix.tocsc()).solve
-        entries = matrix.tocoo()
-        solver = cholespy.CholeskySolverD(
-            *(self.topology.count, entries.row, entries.col, entries.data),
-            cholespy.MatrixType.COO,
-        )
-
-        def solve(right: np.ndarray) -> np.ndarray:
-            found = np.zeros_like(right)
-            solver.solve(np.ascontiguousarray(right), found)
-            return found
-
-        return solve
+        mesh = self._at(leaf.shape[0])
+        written[self.positions], written[self.normals] = mesh.arrays(leaf)
+        # Mitsuba looks for edges anew where faces are given, so only where they are others.
+        if self._shown is not mesh:
+            written[self.faces], self._shown = mesh.faces, mesh
 
     def smoothed(self, gradient: np.ndarray) -> np.ndarray:
-        """(I + λL)⁻² times ``gradient (V, 3)``."""
-        return self._solve(self._solve(gradient.astype(np.float64)))
+        """(I + λL)⁻² times ``gradient (V, 3)``, at any level."""
+        solve = self._at(len(gradient)).solve
+        return solve(solve(gradient.astype(np.float64)))
 
     def start(self, spec: str, where: str) -> np.ndarray:
         """``sphere``: every vertex on a sphere about the mesh's middle, of its mean radius;
@@ -149,7 +179,7 @@ class Vertices(Kind):
         if spec == "smooth":
             found = self.present.astype(np.float64)
             for _ in range(5):
-                found = self._solve(found)
+                found = self._mesh.solve(found)
             return found.astype(np.float32)
         return self._read(Path(spec), where)
 

@@ -49,10 +49,11 @@ def problem(
     seams: bool = False,
     level: int = 3,
     start: str = "sphere",
+    levels: int = 1,
     **more,
 ) -> Problem:
-    """``seams``: no triangle shares a vertex in the file. ``more``: beside the figure, or instead
-    of it."""
+    """``seams``: no triangle shares a vertex in the file. ``levels``: as in ``scene.unknowns``.
+    ``more``: beside the figure, or instead of it."""
     description = kirby.build(views, side, level) | more
     if seams:
         values = mi.traverse(description["figure"])
@@ -60,7 +61,7 @@ def problem(
         faces = np.array(values["faces"]).reshape(-1, 3)
         places, which = np.unique(vertices, axis=0, return_inverse=True)
         description["figure"] = shaped(places, which.ravel()[faces])
-    made = without_targets(description, {KEY: UnknownConfig(start=start)})
+    made = without_targets(description, {KEY: UnknownConfig(start=start, levels=levels)})
     render_targets(made, 256)
     return made
 

@@ -42,7 +42,7 @@ def test_steps_are_spread_by_the_laplacian_and_no_vertex_goes_farther_than_the_r
     p = problem(views=1, side=8)
     kind, rng = p.unknowns[KEY].kind, np.random.default_rng(3)
     gradient = rng.normal(size=(642, 3))
-    dense = np.eye(642) + kind.stiffness * kind.topology.laplacian().toarray()
+    dense = np.eye(642) + kind._mesh.stiffness * kind.topology.laplacian().toarray()
     spread = np.linalg.solve(dense, np.linalg.solve(dense, gradient))
     np.testing.assert_allclose(kind.smoothed(gradient), spread, atol=1e-12)
     stepper = Stepper(p.unknowns, OptimizerConfig(lr=0.01))
