@@ -16,7 +16,7 @@ def facts(results: Path) -> dict:
     step = pandas.read_csv(results / "shapes_step.csv").groupby("side")["seconds"].median()
     ours = table[table["method"] != STOCK]
     best = ours.loc[ours.groupby("scene", sort=False)["chamfer"].idxmin()]
-    rebuilds = results / "shapes_rebuilds.csv"
+    rebuilds, levels = (results / f"shapes_{name}.csv" for name in ("rebuilds", "levels"))
     return {
         "scenes": {
             scene: rows.to_dict("records") for scene, rows in table.groupby("scene", sort=False)
@@ -27,5 +27,16 @@ def facts(results: Path) -> dict:
         "left": dict(zip(best["scene"], best["chamfer_share"])),
         "sooner": list(ours["time_to_stock"]),
         "step": step["silhouettes"] / step[STOCK],
+        "levels": _levels(pandas.read_csv(levels)) if levels.exists() else [],
         "rebuilds": pandas.read_csv(rebuilds).to_dict("records") if rebuilds.exists() else [],
     }
+
+
+def _levels(table: pandas.DataFrame) -> list[dict]:
+    """A row per size and number of levels; distances over the start's of the whole mesh."""
+    table["levels"] = table["method"].str.split().str[0].astype(int)
+    table["vertices"] = table["size"].map({"default": 10 * 4**5 + 2, "paper": 10 * 4**6 + 2})
+    whole = table[table["levels"] == 1].set_index("size")["start"]
+    for name in ("chamfer", "chamfer_low", "chamfer_high"):
+        table[f"{name}_share"] = table[name] / table["size"].map(whole)
+    return table.to_dict("records")

@@ -22,9 +22,10 @@ unknowns, whose width falls from 0.05 to a tenth of it: much for a colour, littl
 `room_joint`), beside `ours` anew, all without the paper's parts. Writes
 results/pbdr_more.csv and pbdr_more_rates.csv.
 
-With `--shape`: `object_joint_shape`, whose vertices are unknown as well: drawn pixels (`ours`) and
-uniform ones with silhouettes, and Mitsuba's projective loop, all in the stages of the scene's
-configuration; and `ours` with everything moving from the start. Writes results/pbdr_shape.csv.
+With `--shape`: `object_joint_shape`, whose vertices are unknown as well: silhouettes with drawn
+pixels (`ours`), with and without the paper's parts, and with uniform ones, and Mitsuba's projective
+loop, all in the stages of the scene's configuration; and `ours` with everything moving from the
+start. Writes results/pbdr_shape.csv.
 
     make reproduce SCENES=pbdr
     .venv/bin/python benchmarks/pbdr.py --more
@@ -83,20 +84,24 @@ def specs(scene: str, **changed) -> dict[str, dict]:
     }
 
 
+PRIOR = {"prior": "materials"} | {
+    f"prior.{name}": WEIGHT for name in ("smooth", "metallic", "roughness")
+}
+SMOOTH = {"optimizer.smoothing": SMOOTHING}
+
+
 def methods(scene: str) -> dict[str, dict]:
     """Settings by name."""
-    prior = {"prior": "materials", **{f"prior.{k}": WEIGHT for k in ("smooth", "metallic")}}
-    prior["prior.roughness"] = WEIGHT
     one_way = {"estimator.crossed": "false"}  # the papers' estimator
-    smooth, ours = {"optimizer.smoothing": SMOOTHING}, {"sampler": "ours"} | one_way
+    ours = {"sampler": "ours"} | one_way
     others = {name: {"sampler": name} | one_way for name in ("uniform", "relevant", "progress")}
     others[STOCK] = {"sampler": "mitsuba"}
     if scene != "object_joint":
-        return {FULL: ours | prior, PLAIN: ours, **others}
+        return {FULL: ours | PRIOR, PLAIN: ours, **others}
     parts = {
-        FULL: ours | prior | smooth,
-        "without smoothing": ours | prior,
-        "without the prior": ours | smooth,
+        FULL: ours | PRIOR | SMOOTH,
+        "without smoothing": ours | PRIOR,
+        "without the prior": ours | SMOOTH,
     }
     return {**parts, PLAIN: ours, **others}
 
@@ -105,7 +110,7 @@ def measured(run: records.Run) -> dict:
     history = run.history
     first, last = history.iloc[0], history.iloc[-1]
     errors = {key: last[f"parameter_rmse/{key}"] for key in run.config["scene"]["unknowns"]}
-    materials = {k: v for k, v in errors.items() if k.partition(".")[0] not in LIGHTS}
+    materials = {k: v for k, v in errors.items() if ".bsdf" in k}
     colours = [k for k in materials if any(w in k for w in ("diffuse", "color", "reflectance"))]
     rough = [k for k in materials if any(w in k for w in ("roughness", "alpha"))]
     counted = history.assign(seconds=history["iteration"])
@@ -128,7 +133,8 @@ SHAPE, SHAPE_SECONDS = "object_joint_shape", 12.0
 def shape_methods() -> dict[str, dict]:
     """Settings by name."""
     own = {"estimator": "silhouettes", "estimator.batch": 16384}
-    found = {name: own | {"sampler": name} for name in (PLAIN, "uniform")}
+    found = {FULL: own | {"sampler": PLAIN} | PRIOR | SMOOTH}
+    found |= {name: own | {"sampler": name} for name in (PLAIN, "uniform")}
     return found | {STOCK: {"sampler": "mitsuba", "sampler.silhouettes": "direct"}}
 
 
@@ -136,7 +142,7 @@ def shape_measured(run: records.Run) -> dict:
     history = run.history
     first, last = history.iloc[0], history.iloc[-1]
     bsdf = "parameter_rmse/figure.bsdf"
-    return {
+    return {name: measured(run)[name] for name in ("re", "mpea", "cs", "gn")} | {
         "start": first["parameter_rmse/figure.vertices"],
         "chamfer": last["parameter_rmse/figure.vertices"],
         "normals": last["value/figure.vertices/normals"],
@@ -170,7 +176,8 @@ def shapes(seeds: list[int], seconds: float) -> pandas.DataFrame:
         row |= {"seeds": len(own), "seconds": seconds, "start": own["start"].median()}
         for measure in ("chamfer", ERROR):
             row |= {f"{measure}_low": own[measure].min(), f"{measure}_high": own[measure].max()}
-        for measure in ("chamfer", "normals", "specular", "roughness", "sky", ERROR, "iterations"):
+        others = ("re", "mpea", "cs", "gn", "normals", "specular", "roughness", "sky", "iterations")
+        for measure in ("chamfer", ERROR, *others):
             row[measure] = own[measure].median()
         rows.append(row)
     return pandas.DataFrame(rows)

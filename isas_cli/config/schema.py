@@ -82,8 +82,9 @@ class UnknownConfig:
     ``during``: the shares of the budget between which it moves, [from, to], or several such stages,
     [from, to, from, to]; outside it keeps its value (None: it always moves); ``schedule`` and
     ``final``: of its own rate, else the optimiser's; ``prior``: what the prior's weights are
-    multiplied with for it; ``levels``: of a grid, how many resolutions it passes through, each
-    twice the last and for twice the time, or the shares of the budget at which it doubles."""
+    multiplied with for it; ``levels``: of a grid or a mesh's vertices, how many resolutions it
+    passes through, each twice the last and for twice the time, or the shares of the budget at which
+    it doubles."""
 
     start: Any = None
     # How fast, and within which bounds, an unknown may move is the method's affair.
@@ -422,7 +423,7 @@ class Config:
             if unknown.levels != 1 and blurring:
                 raise InputError(
                     f"scene.unknowns['{key}'].levels={unknown.levels}: "
-                    f"estimator={self.estimator['name']} blurs and moves whole grids; leave levels "
+                    f"estimator={self.estimator['name']} blurs and moves the whole; leave levels "
                     "out"
                 )
         # A preset names the estimator that it picks.
