@@ -17,7 +17,7 @@ def facts(results: Path) -> dict:
     recording = read("recording").groupby("tracker")
     return {
         "step_time": step_time(read("step_time")),
-        "gpu": gpu(read("gpu_steps"), read("gpu_race")),
+        "gpu": gpu(read("gpu_steps"), read("gpu_race"), read("gpu_rates")),
         "floor": floor(read("step_floor")),
         "crossed": crossed(read("crossed_estimates"), read("crossed")),
         "stage1": {name: list(rows["share"]) for name, rows in shares.groupby("sampler")},
@@ -47,10 +47,12 @@ def step_time(table: pandas.DataFrame) -> list[dict]:
     return rows
 
 
-def gpu(steps: pandas.DataFrame, race: pandas.DataFrame) -> dict:
-    """Whose card, when; ratios of steps, and a row per method."""
+def gpu(steps: pandas.DataFrame, race: pandas.DataFrame, rates: pandas.DataFrame) -> dict:
+    """Whose card, when; ratios of steps, a row per method, and whose best rate was the largest."""
     named = {name: steps[name].iloc[0] for name in ("card", "day")}
-    return named | {"steps": step_time(steps), "race": race.to_dict("records")}
+    most = race["method"].map(rates.groupby("method")["factor"].max())
+    ends = list(race["method"][race["factor"] >= most])
+    return named | {"steps": step_time(steps), "race": race.to_dict("records"), "ends": ends}
 
 
 def floor(table: pandas.DataFrame) -> list[dict]:

@@ -1,10 +1,10 @@
 """On a graphics card: a step against Mitsuba's usual loop, and a race of samplers.
 
-Needs a card, and no LLVM. Steps are those of `step_time.py`, sides in turn, a process each. The
-race: pottery with 65,536 pixels a step, each method at three factors on its rate with the first
-seed (and at one beyond), then at its best with three others, which alone are reported. Writes
-results/gpu_steps.csv (a row a process) and gpu_race.csv (a row a method, medians and ranges), both
-with the card's name and the day.
+Steps are those of `step_time.py`, sides in turn, a process each. The race: pottery with 65,536
+pixels a step, each method at three factors on its rate with the first seed (and at one beyond an
+end), then at its best with three others, which alone are reported. Writes
+results/gpu_steps.csv (a row a process), gpu_rates.csv (a row a run) and gpu_race.csv (a row a
+method, medians and ranges), with the card's name and the day.
 
     .venv/bin/python benchmarks/gpu.py
 """
@@ -52,9 +52,10 @@ def measured(run: records.Run) -> dict:
     return dict(run.history.iloc[-1][[*MEASURES]])
 
 
-def race(seconds: float) -> pandas.DataFrame:
+def race(seconds: float) -> tuple[pandas.DataFrame, pandas.DataFrame]:
+    """The runs at all rates, and a row a method."""
     with tempfile.TemporaryDirectory(prefix="isas-gpu-") as root:
-        _, found = _contest.judged(
+        first, found = _contest.judged(
             *("pottery", Path(root), SETTINGS, METHODS, (0.3, 1.0, 3.0), [1, 2, 3, 4]),
             *(seconds, measured, ERROR, True),
         )
@@ -67,7 +68,7 @@ def race(seconds: float) -> pandas.DataFrame:
         times = [reached(h, goal, ERROR) / seconds for h in own["history"]]
         row["time_to_uniform"] = np.median(times)
         rows.append(row)
-    return pandas.DataFrame(rows)
+    return first, pandas.DataFrame(rows)
 
 
 def main() -> None:
@@ -79,7 +80,9 @@ def main() -> None:
     found = steps(chosen.rounds).assign(**card)
     found.to_csv(RESULTS / "gpu_steps.csv", index=False, float_format="%.5f")
     print(found.to_string(index=False), flush=True)
-    found = race(chosen.seconds).assign(**card)
+    first, found = (each.assign(**card) for each in race(chosen.seconds))
+    first = first[["scene", "method", "factor", "seed", ERROR, "card", "day"]]
+    first.to_csv(RESULTS / "gpu_rates.csv", index=False, float_format="%.4g")
     found.to_csv(RESULTS / "gpu_race.csv", index=False, float_format="%.4g")
     print(found.to_string(index=False), flush=True)
     pages.write()

@@ -3,10 +3,10 @@
 On each of three scenes: the full method (`ours`, with smoothed gradients and the prior on
 materials), the same without either part and without both, other samplers without both, and
 Mitsuba's own loop (`sampler=mitsuba`), at four factors on the scene's rates each with the first
-seed, and at one beyond where the best was the last, then each at its best with three others, which
-alone are reported. Where all unknowns are numbers there is nothing to smooth over, and the methods
-that differ by it alone are left out. The paper's other rival, a mesh rasteriser, is left out
-throughout.
+seed, and at one beyond where the best was the last or the first, then each at its best with three
+others, which alone are reported. Where all unknowns are numbers there is nothing to smooth over,
+and the methods that differ by it alone are left out. The paper's other rival, a mesh rasteriser, is
+left out throughout.
 
 Measures: RE, its Eq. (7), 3 x the squared image error; MPEA, Eq. (8), the mean over the unknown
 materials of their squared error (of lights not); CS, iterations after which RE stays within a tenth
@@ -142,7 +142,8 @@ def shape_measured(run: records.Run) -> dict:
     history = run.history
     first, last = history.iloc[0], history.iloc[-1]
     bsdf = "parameter_rmse/figure.bsdf"
-    return {name: measured(run)[name] for name in ("re", "mpea", "cs", "gn")} | {
+    own = measured(run)
+    return {name: own[name] for name in ("re", "mpea", "cs", "gn")} | {
         "start": first["parameter_rmse/figure.vertices"],
         "chamfer": last["parameter_rmse/figure.vertices"],
         "normals": last["value/figure.vertices/normals"],

@@ -423,8 +423,8 @@ class Config:
             if unknown.levels != 1 and blurring:
                 raise InputError(
                     f"scene.unknowns['{key}'].levels={unknown.levels}: "
-                    f"estimator={self.estimator['name']} blurs and moves the whole; leave levels "
-                    "out"
+                    f"estimator={self.estimator['name']} blurs and moves whole unknowns; leave "
+                    "levels out"
                 )
         # A preset names the estimator that it picks.
         preset, picked = self.sampler.get("name"), self.estimator.get("name")

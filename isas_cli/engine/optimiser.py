@@ -111,8 +111,9 @@ class Stepper:
         return self.scales[self.level]
 
     def refine(self, level: int) -> None:
-        """Go on at a finer level. What the images show stays, or nearly where a level between two
-        is met. Evaluates."""
+        """Go on at a finer level. What the images show stays, or nearly: where a level between two
+        is met, and of a mesh, whose surface stays and whose normals are the finer one's.
+        Evaluates."""
         shapes, self.level = self.unknowns.shapes(level), level
         for u in self.unknowns:
             coarse = dr.detach(self.adam[u.key])

@@ -174,7 +174,7 @@ class TwoPath:
                     motion.add(leaves[moved.key], view, slope, jitter[0])
                 lost[0] += sum(dr.count(each) for each in missed)
 
-        self._kernel = recorded(kernel, freeze)
+        self._kernel = recorded(kernel, freeze, problem.unknowns.sizes)
 
     @property
     def paths_per_step(self) -> int:
@@ -231,7 +231,6 @@ class TwoPath:
             p.share,
             self._lost,
             self._jitter(seed, iteration),
-            sizes=p.unknowns.sizes,
         )
 
     def _jitter(self, seed: int, iteration: int) -> tuple[mi.Float, mi.Float] | None:

@@ -14,7 +14,7 @@ from .outline import Cameras, Crossing, Outline
 
 
 class Border:
-    """The edges of one mesh, and ``kernel``, which adds one estimate by ``samples`` points on them
+    """The edges of one mesh, and ``_kernel``, which adds one estimate by ``samples`` points on them
     to the gradient, each with ``paths`` light paths: with ``own`` as its last arguments, frozen or
     traced anew.
 
@@ -33,7 +33,7 @@ class Border:
         return max(each.count for each in self._outlines.values())
 
     def _made(self, kernel, freeze: bool, *own) -> None:
-        self._kernel, self._own = recorded(kernel, freeze), own
+        self._kernel, self._own = recorded(kernel, freeze, self.problem.unknowns.sizes), own
 
     @property
     def paths_per_step(self) -> int:
@@ -49,7 +49,7 @@ class Border:
         outline = self._outlines[dr.width(positions) // 3]
         self._kernel(
             p.scene, p.sensors, p.views, positions, outline, cameras, p.targets, p.mask,
-            seeds, p.share, *self._own, sizes=p.unknowns.sizes,
+            seeds, p.share, *self._own,
         )  # fmt: skip
 
 

@@ -7,7 +7,9 @@ from collections.abc import Callable
 import drjit as dr
 
 
-def recorded(kernel: Callable, freeze: bool) -> Callable:
+def recorded(
+    kernel: Callable, freeze: bool, sizes: Callable[[], tuple[int, ...]] | None = None
+) -> Callable:
     """``kernel`` frozen (``dr.freeze``), or as it is.
 
     Derivatives leave it when it ends, as they leave a frozen one. Passes within it that each
@@ -16,17 +18,13 @@ def recorded(kernel: Callable, freeze: bool) -> Callable:
     array again, and what is added then by any thread but the first is never counted (Dr.Jit 1.5,
     LLVM).
 
-    Where it is called with ``sizes``, a tuple of numbers, each has a recording of its own: those of
-    arrays that are differentiated by, or over which it runs, are compiled into it.
+    ``sizes``: of arrays that it differentiates by, or runs over, and that change between calls;
+    they are compiled in, so each has a recording of its own (``Unknowns.sizes``).
     """
-
-    def sized(*arguments, sizes: tuple[int, ...] = ()):
-        return kernel(*arguments)
-
     if freeze:
-        return dr.freeze(sized)
+        return dr.freeze(kernel, state_fn=sizes and (lambda *arguments: sizes()))
 
-    def isolated(*arguments, sizes: tuple[int, ...] = ()):
+    def isolated(*arguments):
         with dr.isolate_grad():
             return kernel(*arguments)
 

@@ -96,7 +96,9 @@ def _write(
             thing.set_id("")
     scene_file.name_all(loaded)
     unknowns, views = _unknowns(scene, taken, loaded)
-    unknowns.write(unknowns.values_of(arrays))
+    # A run that was stopped may have left a coarse version.
+    whole = unknowns.arrays(unknowns.values_of(arrays))
+    unknowns.write(unknowns.values_of(whole))
     # What was instantiated has been used up.
     settings, written = parsed()
     _name(written)

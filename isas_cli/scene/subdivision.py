@@ -20,8 +20,8 @@ class Coarser:
 
 def coarser(faces: np.ndarray, count: int) -> Coarser | None:
     """Of a closed mesh of ``count`` vertices, ``faces (F, 3)``, all turned the same way. None where
-    it comes from no coarser one, or where six triangles meet everywhere: then nothing tells which
-    vertices are old.
+    it comes from no coarser one, or where six triangles meet everywhere in one of its pieces: then
+    nothing tells which vertices are old.
 
     A vertex where not six meet is old. Neighbours of an old one are new, and what lies opposite of
     it, seen from them, is old again.
@@ -29,10 +29,10 @@ def coarser(faces: np.ndarray, count: int) -> Coarser | None:
     third = {}
     for a, b, c in faces.tolist():
         third[a, b], third[b, c], third[c, a] = c, a, b
-    odd = np.flatnonzero(np.bincount(faces.ravel(), minlength=count) != 6)
-    if len(third) != 3 * len(faces) or not len(odd):
+    if len(third) != 3 * len(faces):
         return None
-    old, ends, waiting = {int(odd[0])}, {}, [int(odd[0])]
+    waiting = np.flatnonzero(np.bincount(faces.ravel(), minlength=count) != 6).tolist()
+    old, ends = set(waiting), {}
     beside = {a: b for a, b in third}
     try:
         while waiting:

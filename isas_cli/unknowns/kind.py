@@ -128,7 +128,8 @@ class Kind:
         return like(self._type, array)
 
     def write(self, leaf, written: dict) -> None:
-        """Put what ``leaf`` stands for into ``written``, values by parameter of the scene.
+        """Put what ``leaf`` stands for into ``written``, values by parameter of the scene, into
+        which the caller puts them.
 
         What an unknown of a lower ``order`` has put there is to be built upon. Traced and
         differentiable: derivatives by the scene's parameters flow back to the leaf on this way. A

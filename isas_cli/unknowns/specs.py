@@ -111,12 +111,11 @@ def _doubled(levels, kind: Kind) -> tuple[float, ...]:
             ) from None
     if shares and len(shares) > kind.doublings:
         least = kind.shape(kind.doublings)
-        most = f"at most {kind.doublings + 1}, the coarsest of {least}"
+        most = f"at most {kind.doublings + 1} levels, the coarsest of {least}"
         raise InputError(
-            f"{where}: this {kind.name} of {kind.present.shape} has "
+            f"{where}: what it is of ({kind.name}, {kind.present.shape}) has "
             f"{most if kind.doublings else kind.undivided}"
         )
-    kind.levels = len(shares) + 1
     return tuple(shares)
 
 
@@ -210,6 +209,7 @@ def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
         raise InputError(f"{where}: the scene's own value, the truth: {reason}")
     during = (0.0, 1.0) if spec.during is None else tuple(spec.during)
     doubled = _doubled(spec.levels, kind)
+    kind.levels = len(doubled) + 1  # before anyone asks what it writes
     return Unknown(
         *(kind, start, truth, low, high, spec.lr, spec.blur),
         **dict(during=during, doubled=doubled),

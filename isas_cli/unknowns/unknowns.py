@@ -109,7 +109,6 @@ class Unknowns:
         """Ids of the objects that ``moving`` unknowns move."""
         return {written.rpartition(".")[0] for key in self.moving for written in self.written(key)}
 
-    @property
     def sizes(self) -> tuple[int, ...]:
         """How many vertices the meshes have at present that become finer on the way."""
         finer = (u.key for u in self.items if u.kind.moves_geometry and u.kind.levels > 1)

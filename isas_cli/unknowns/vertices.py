@@ -44,8 +44,8 @@ class Vertices(Kind):
     length that a vertex moves in a step. Only that number differs from the paper's.
     Normals are the area-weighted means of the faces around a vertex, seams included.
 
-    A coarser version is the mesh whose triangles, each split into four, are this one's; the scene
-    has it, too, while it is stepped.
+    A coarser version is the mesh whose triangles, each split into four, are this one's; while it is
+    stepped, the scene has that mesh.
     """
 
     name = "vertices"
@@ -113,7 +113,8 @@ class Vertices(Kind):
     @property
     def topologies(self) -> dict[int, Topology]:
         """Of the levels that it passes through, by the number of vertices in the scene."""
-        meshes = [self._mesh, *(mesh for mesh, _ in self._coarser[: self.levels - 1])]
+        coarse = self._coarser[: self.levels - 1] if self.levels > 1 else []
+        meshes = [self._mesh, *(mesh for mesh, _ in coarse)]
         return {len(each.topology.place): each.topology for each in meshes}
 
     def _at(self, count: int) -> Mesh:
@@ -148,7 +149,8 @@ class Vertices(Kind):
     def write(self, leaf: mi.TensorXf, written: dict) -> None:
         mesh = self._at(leaf.shape[0])
         written[self.positions], written[self.normals] = mesh.arrays(leaf)
-        # Mitsuba looks for edges anew where faces are given, so only where they are others.
+        # Mitsuba looks for edges anew where faces are given, so only where they are others. What is
+        # written here must reach the scene.
         if self._shown is not mesh:
             written[self.faces], self._shown = mesh.faces, mesh
 

@@ -91,9 +91,9 @@ def test_levels_that_cannot_be_are_one_line(levels, words):
         problem(*uneven(), levels=levels)
 
 
-def test_only_grids_have_levels():
+def test_textures_have_no_levels():
     scene = dictionary()
-    with pytest.raises(InputError, match="levels=2: this texture of .* has one level"):
+    with pytest.raises(InputError, match="levels=2: what it is of .texture, .* has one level"):
         without_targets(scene, {TEXTURE: UnknownConfig(start=0.5, levels=2)})
 
 
