@@ -83,7 +83,7 @@ def test_a_coarser_grid_is_interpolated_at_the_finer_points(rng):
         ([0.6, 0.3], "rising between 0 and 1"),
         ([0.5, 1.0], "rising between 0 and 1"),
         ("many", "rising between 0 and 1"),
-        (3, "at most 2, the coarsest of"),
+        (3, "at most 2 levels, the coarsest of"),
     ],
 )
 def test_levels_that_cannot_be_are_one_line(levels, words):
