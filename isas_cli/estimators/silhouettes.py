@@ -18,7 +18,6 @@ from ..runtime import streams
 from ..runtime.errors import InputError
 from ..samplers.sampler import Sampler
 from ..scene.topology import Topology
-from ..unknowns.vertices import Vertices
 from .estimator import Estimator, at_least_one
 from .two_path import TwoPath
 
@@ -219,11 +218,9 @@ def _meshes(problem: "Problem") -> dict[str, dict[int, Topology]]:
     the number of vertices."""
     params, found = mi.traverse(problem.scene), {}
     for name in problem.unknowns.moving:
-        kind = problem.unknowns[name].kind
-        if isinstance(kind, Vertices):
-            found[kind.positions] = kind.topologies
-            continue
-        for key in problem.unknowns.written(name):
+        own = problem.unknowns[name].kind.topologies
+        found |= own
+        for key in problem.unknowns.written(name) if not own else ():
             id, _, word = key.rpartition(".")
             where = f"scene.unknowns['{name}'] moves '{id}'"
             if word.endswith("normals"):

@@ -22,6 +22,7 @@ from ..runtime.errors import InputError
 from .parameters import as_numpy, like, owner, role, usual
 
 if TYPE_CHECKING:
+    from ..scene.topology import Topology
     from ..scene.views import Views
 
 # An entry counts as seen from this share of a well seen one's sensitivity on. Texels that only
@@ -136,6 +137,12 @@ class Kind:
         leaf that is put there itself is read back from the scene, as Mitsuba keeps it.
         """
         written[self.key] = leaf
+
+    @property
+    def topologies(self) -> "dict[str, dict[int, Topology]]":
+        """Where it is a mesh's own shape: by the key of its vertices' positions, how its triangles
+        hang together at each level that it passes through, by the number of vertices."""
+        return {}
 
     def shape(self, doublings: int) -> tuple[int, ...]:
         """Of a version that doubles its resolution so often before it is whole."""

@@ -111,11 +111,10 @@ class Vertices(Kind):
         return len(self._coarser)
 
     @property
-    def topologies(self) -> dict[int, Topology]:
-        """Of the levels that it passes through, by the number of vertices in the scene."""
+    def topologies(self) -> dict[str, dict[int, Topology]]:
         coarse = self._coarser[: self.levels - 1] if self.levels > 1 else []
         meshes = [self._mesh, *(mesh for mesh, _ in coarse)]
-        return {len(each.topology.place): each.topology for each in meshes}
+        return {self.positions: {len(each.topology.place): each.topology for each in meshes}}
 
     def _at(self, count: int) -> Mesh:
         """That of so many welded vertices."""
