@@ -70,9 +70,10 @@ def measured(run: records.Run) -> dict:
     return found | {"iterations": int(last["iteration"])}
 
 
-def table(found: pandas.DataFrame, seconds: float, rival: str = STOCK) -> pandas.DataFrame:
-    """Medians; ``time_to_stock``: share of the budget to the median final error of the ``rival``,
-    Mitsuba's loop."""
+def table(
+    found: pandas.DataFrame, seconds: float, rival: str = STOCK, column: str = "time_to_stock"
+) -> pandas.DataFrame:
+    """Medians; ``column``: share of the budget to the median final error of the ``rival``."""
     goal = found[found["method"] == rival]["chamfer"].median()
     rows = []
     for name, own in found.groupby("method", sort=False):
@@ -86,7 +87,7 @@ def table(found: pandas.DataFrame, seconds: float, rival: str = STOCK) -> pandas
         row |= {"chamfer_low": own["chamfer"].min(), "chamfer_high": own["chamfer"].max()}
         for measure in ("chamfer", "outlines", *MEASURES, "image_rmse", "iterations"):
             row[measure] = own[measure].median()
-        row["time_to_stock"] = np.median([reached(h, goal) / seconds for h in own["history"]])
+        row[column] = np.median([reached(h, goal) / seconds for h in own["history"]])
         rows.append(row)
     return pandas.DataFrame(rows)
 
@@ -174,14 +175,13 @@ def levels(seeds: list[int]) -> pandas.DataFrame:
                 *("kirby", Path(root), own, contestants, FACTORS, seeds, seconds),
                 *(measured, "chamfer", True),
             )
-        made = table(found, seconds, "1 levels").rename(columns={"time_to_stock": "time_to_one"})
-        rows.append(made.assign(scene="kirby", size=size))
+        rows.append(table(found, seconds, "1 levels", "time_to_one").assign(size=size))
     return pandas.concat(rows)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=8)
+    parser.add_argument("--seconds", type=float, default=8, help="of each run, but for --levels")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
     parser.add_argument("--scenes", nargs="+", default=SCENES)
     parser.add_argument("--rebuilds", action="store_true")
