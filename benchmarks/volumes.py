@@ -1,10 +1,11 @@
 """Volumes from images: samplers race at equal time, from coarse to fine and on the fine grid alone.
 
-On smoke and lego every sampler from coarse to fine, and `uniform` and `progress` on the fine grid
-from the start, at some factors on the scene's rates each with the first seed, then each at its
-best, by the final image error, with three others, which alone are reported: what no image tells is
-in the parameters' error. Contestants take turns. Writes results/volumes.csv (a row per scene and
-method), volumes_rates.csv and volumes_<scene>.png (image error against billed time).
+On smoke and lego every sampler from coarse to fine, some on the fine grid from the start, and, in a
+race of their own after it, some with half the budget; at some factors on the scene's rates each
+with the first seed, then each at its best, by the final image error, with three others, which alone
+are reported: what no image tells is in the parameters' error. Contestants take turns. Writes
+results/volumes.csv (a row per scene and method), volumes_rates.csv and volumes_<scene>.png (image
+error against billed time).
 
     make reproduce SCENES="smoke lego"
 """
@@ -24,7 +25,10 @@ from reproduce import reached
 from isas_cli import records
 
 RESULTS = Path(__file__).parent / "results"
-ERROR, BASE, FINE = "image_rmse", "uniform", ", fine"
+ERROR, BASE, FINE, HALF = "image_rmse", "uniform", ", fine", ", half"
+# Levels and rates go by shares of the budget: whether a method needs half the time is seen by
+# giving it half the time.
+PROMISED = ("ours", "progress")
 # Billed seconds, factors on the scene's rates, and settings: smoke's images are noisier than what
 # runs leave of their error.
 SCENES = {
@@ -39,9 +43,20 @@ SETTINGS += ["frames.views=1", "frames.snapshots=0", "report=false"]
 def methods() -> dict[str, dict]:
     """Settings by name."""
     found = {name: {"sampler": name} for name in SAMPLERS}
-    for name in (BASE, "progress"):
+    for name in (BASE, *PROMISED):
         found[name + FINE] = {"sampler": name, "scene.sizes.default.levels": 1}
     return found
+
+
+def judged(scene: str, root: Path, seconds: float, seeds: list[int], factors, settings: list[str]):
+    """See ``_contest.judged``: with all of the budget, and with half of it."""
+    halved = {name + HALF: {"sampler": name} for name in PROMISED}
+    races = [(root / "whole", methods(), seconds), (root / "half", halved, seconds / 2)]
+    found = [
+        _contest.judged(scene, own, settings, named, factors, seeds, time, measured, ERROR)
+        for own, named, time in races
+    ]
+    return [pandas.concat(each, ignore_index=True) for each in zip(*found)]
 
 
 def measured(run: records.Run) -> dict:
@@ -81,12 +96,10 @@ def main() -> None:
         usual, factors, more = SCENES[scene]
         seconds, settings = chosen.seconds or usual, SETTINGS + more
         with tempfile.TemporaryDirectory(prefix="isas-volumes-") as root:
-            first, found = _contest.judged(
-                *(scene, Path(root), settings, methods(), factors, chosen.seeds, seconds),
-                *(measured, ERROR),
-            )
+            asked = seconds, chosen.seeds, factors, settings
+            first, found = judged(scene, Path(root), *asked)
             plot = RESULTS / f"volumes_{scene}.png"
-            _contest.draw(found, plot, ERROR, "image error", dotted=FINE)
+            _contest.draw(found, plot, ERROR, "image error", dotted=(FINE, HALF))
             # After each scene: what is measured survives what follows.
             made = table(found, seconds)
             print(made.to_string(index=False), flush=True)

@@ -49,6 +49,7 @@ def show(plan: "Plan", console: Console) -> None:
     for cuts, title in (
         (plan.derivatives, "what the derivatives of longer paths are"),
         (plan.cuts, "what longer paths are"),
+        ((plan.caustics,) if plan.caustics else (), "what caustics are"),
     ):
         if cuts:
             console.print(_cuts(cuts, title))

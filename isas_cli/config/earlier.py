@@ -63,6 +63,7 @@ _ALL_EFFECTS = {
     "derivative_depth": None,
     "light_samples": None,
     "roulette": None,
+    "caustics": None,
     "tolerance": 0.005,
     "derivative_tolerance": 0.3,
     "finish": 0.0,

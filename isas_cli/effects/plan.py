@@ -18,21 +18,22 @@ from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
 from .probe import Cut, Lights, Probe, Share
 from .settings import Effects
-from .structure import UNLIMITED, longest, statements
+from .structure import UNLIMITED, clear, longest, statements
 
 if TYPE_CHECKING:
     from ..estimators.estimator import Estimator
     from ..scene.problem import Problem
 
-# Depths that are compared, and numbers of light samples (residual, derivative).
+# Depths that are compared, and numbers of light samples (residual, derivative); the last only where
+# no path gives both, which takes as many for one as for the other.
 _LADDER = (2, 3, 4, 6, 8)
-_LIGHTS = ((1, 1), (4, 1), (4, 4))
+_LIGHTS = ((1, 1), (4, 4), (4, 1))
 # A budget of so many seconds can pay for a probe, which takes at most this share of it and at most
 # so many seconds.
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
 # Of the entries that any view sees, the share that may lose all of their derivative.
 _LOST = 0.01
-_FORMAT = 11
+_FORMAT = 12
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,8 @@ class Plan:
     """``paths``: as they are simulated; ``finish``: the last share of the budget with all effects;
     ``views``: those that are drawn from (None: all);
     ``statements``: effect → what is done about it, and why; ``cuts`` (of paths), ``derivatives``
-    (of what is differentiated), ``samples``: what the probe measured; ``work``: collisions of a
-    path in a medium, at the start; ``seconds``: what it is billed."""
+    (of what is differentiated), ``samples``, ``caustics``: what the probe measured; ``work``:
+    collisions of a path in a medium, at the start; ``seconds``: what it is billed."""
 
     paths: Paths
     finish: float
@@ -50,6 +51,7 @@ class Plan:
     cuts: tuple[Cut, ...] = ()
     derivatives: tuple[Cut, ...] = ()
     samples: tuple[Lights, ...] = ()
+    caustics: Cut | None = None
     work: float = 0.0
     seconds: float = 0.0
 
@@ -76,6 +78,7 @@ class Plan:
             "derivative_depth": _finite(self.paths.derivative),
             "light_samples": list(self.paths.lights),
             "roulette": self.paths.roulette,
+            "caustics": self.paths.caustics,
             "views": None if self.views is None else list(self.views),
             "finish": self.finish,
             "probe_seconds": self.seconds,
@@ -83,6 +86,7 @@ class Plan:
             "depths": [dataclasses.asdict(each) for each in self.cuts],
             "derivatives": [dataclasses.asdict(each) for each in self.derivatives],
             "lights": [dataclasses.asdict(each) for each in self.samples],
+            "without_caustics": self.caustics and dataclasses.asdict(self.caustics),
         }
 
 
@@ -125,7 +129,7 @@ def decide(
         depth = earlier["max_depth"] or UNLIMITED
         derivative = earlier.get("derivative_depth") or depth
         lights, roulette = tuple(earlier["light_samples"]), earlier.get("roulette")
-        paths = Paths(depth, derivative, lights, roulette)
+        paths = Paths(depth, derivative, lights, roulette, earlier.get("caustics", True))
         kept = earlier.get("views")
         plan = Plan(paths, settings.finish, {}, kept and tuple(kept))
         plan, why = dataclasses.replace(plan, seconds=earlier["probe_seconds"]), {}
@@ -171,17 +175,27 @@ def _as_set(problem: "Problem", settings: Effects) -> Paths:
             "medium, a path finds it by leaving: leave it out"
         )
     lights = tuple(settings.light_samples or (1, 1))
-    paths = Paths(depth, derivative, lights, settings.roulette)
+    paths = Paths(depth, derivative, lights, settings.roulette, settings.caustics is not False)
     for name, edges in (("max_depth", depth), ("derivative_depth", derivative)):
         if getattr(settings, name) is not None and edges < whole.max_depth:
-            # One entry that is met is enough, and none must be overlooked.
-            for key, lost in _lost(problem, edges, np.nextafter(1, 0))[0].items():
-                if lost == 1:
-                    raise InputError(
-                        f"effects.{name}={edges}: no path of so few edges meets '{key}': give "
-                        f"more, at most the scene's {whole.max_depth}"
-                    )
+            if key := _unmet(problem, Paths(edges, edges)):
+                raise InputError(
+                    f"effects.{name}={edges}: no path of so few edges meets '{key}': give "
+                    f"more, at most the scene's {whole.max_depth}"
+                )
+    if not paths.caustics and (key := _unmet(problem, dataclasses.replace(paths, lights=(1, 1)))):
+        raise InputError(
+            f"effects.caustics=false: only light by way of mirrors or clear glass meets '{key}': "
+            "leave it out"
+        )
     return paths
+
+
+def _unmet(problem: "Problem", paths: Paths) -> str | None:
+    """The key of an unknown that ``paths`` do not meet."""
+    # One entry that is met is enough, and none must be overlooked.
+    lost = _lost(problem, paths, np.nextafter(1, 0))[0]
+    return next((key for key, share in lost.items() if share == 1), None)
 
 
 def _at_most(whole: int, asked: int | None, name: str, what: str) -> int:
@@ -213,19 +227,28 @@ def _chosen(problem: "Problem", settings: Effects, found: Plan) -> tuple[Plan, d
     elif found.seconds and problem.integrator.samples_lights:
         lights, why["light samples"] = _lights(found.samples)
         paths = dataclasses.replace(paths, lights=lights)
+    if settings.caustics is not None:
+        why["caustics"] = "as set"
+    elif found.caustics is not None:
+        bound = _worst(found.caustics)
+        less = bound < settings.tolerance and found.caustics.lost <= _LOST
+        paths = dataclasses.replace(paths, caustics=not less)
+        why["caustics"] = f"up to {bound:.2%} of a gradient (95 % bound)"
+        if bound < settings.tolerance and not less:
+            why["caustics"] = f"{found.caustics.lost:.0%} of the entries may be met by it alone"
     if found.work:
         why["media"] = f"{found.work:.3g} collisions a path at the start"
     return dataclasses.replace(found, paths=paths), why
 
 
 def _lost(
-    problem: "Problem", edges: int, enough: float, seconds: float | None = None
+    problem: "Problem", paths: Paths, enough: float, seconds: float | None = None
 ) -> tuple[dict[str, float], float]:
-    """By key: of the entries that a view sees, the share that no path of so few ``edges`` meets, no
-    more exactly than whether it is above ``enough``; seconds spent. See ``coverage.missed``."""
+    """By key: of the entries that a view sees, the share that none of ``paths`` meets, no more
+    exactly than whether it is above ``enough``; seconds spent. See ``coverage.missed``."""
     kinds = [u for u in problem.unknowns if u.kind.carried]
     judged = [u for u in kinds if not u.kind.moves_geometry]
-    cut = dataclasses.replace(problem, integrator=problem.integrator.cut(Paths(edges, edges)))
+    cut = dataclasses.replace(problem, integrator=problem.integrator.cut(paths))
     starts, seen = ({u.key: getattr(u, name) for u in judged} for name in ("start", "seen"))
     found = coverage.missed(cut, starts, seen, enough, seconds) if judged else ({}, 0.0)
     problem.unknowns.write(problem.unknowns.starts())
@@ -260,6 +283,7 @@ def _probed(
         samples=tuple(
             Lights(**row | {"samples": tuple(row["samples"])}) for row in found["lights"]
         ),
+        caustics=found["without_caustics"] and _cut(found["without_caustics"]),
         work=found["work"],
         seconds=found["probe_seconds"],
     )
@@ -274,9 +298,22 @@ def _cut(row: dict) -> Cut:
 def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -> Plan:
     """What pays most first: a short budget ends before the rest. The derivative's depth from the
     shortest up to one that does; the paths' own from the longest down to one that does not."""
-    paths, cuts, derivatives, samples = plan.paths, [], [], []
+    paths, cuts, derivatives, samples, caustics = plan.paths, [], [], [], None
     views, checks = probe.views(), 0.0
-    work = 0.0 if problem.integrator.samples_lights else probe.work()
+    surfaces = problem.integrator.samples_lights
+    work = 0.0 if surfaces else probe.work()
+
+    def check(own: Paths) -> float:
+        """The largest share of an unknown's entries that ``own`` do not meet. Part of what the plan
+        costs, and no part of the probe's share of the budget, of which all checks take no more
+        than half."""
+        nonlocal checks
+        shares, seconds = _lost(problem, own, _LOST, probe.allowed / 2 - checks)
+        checks += seconds
+        return max(shares.values(), default=0.0)
+
+    if settings.light_samples is None and surfaces and paths.depth > 1:
+        samples = probe.lights(paths, list(_LIGHTS[: 2 if problem.integrator.crosses else 3]))
     ladder = [depth for depth in _LADDER if depth < paths.depth]
     if settings.derivative_depth is None:
         for depth in ladder:
@@ -285,18 +322,16 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
                 break
             derivatives.append(found)
             if _worst(found) < settings.derivative_tolerance:
-                # Part of what the plan costs, and no part of the probe's share of the budget, of
-                # which it takes no more than half.
-                shares, seconds = _lost(problem, depth, _LOST, probe.allowed / 2 - checks)
-                lost = max(shares.values())
-                checks += seconds
+                lost = check(Paths(depth, depth))
                 if lost <= _LOST:
                     paths = dataclasses.replace(paths, derivative=depth)
                     break
                 derivatives[-1] = dataclasses.replace(found, lost=lost)
-    asked = settings.light_samples is None and problem.integrator.samples_lights
-    if asked and paths.depth > 1:
-        samples = probe.lights(paths, list(_LIGHTS))
+    if settings.caustics is None and surfaces and clear(problem):
+        caustics = probe.caustics()
+        if caustics and _worst(caustics) < settings.tolerance:
+            lost = check(dataclasses.replace(plan.paths, caustics=False))
+            caustics = dataclasses.replace(caustics, lost=lost)
     if settings.max_depth is None:
         for depth in reversed(ladder):
             found = probe.cut(depth, derivative=False)
@@ -311,6 +346,7 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
         cuts=tuple(cuts),
         derivatives=tuple(derivatives),
         samples=tuple(samples),
+        caustics=caustics,
         work=work,
         seconds=probe.seconds + checks,
     )

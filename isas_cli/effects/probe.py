@@ -2,9 +2,10 @@
 
 All at the start values, with uniform pixels. **Depth**: one kernel traces paths of any length; with
 the same random numbers a longer path begins as the shorter one, so the difference of two gradients
-is what the longer paths add, free of the noise that both share. **Light samples**: how the noise of
-a gradient and the time of a step change with their number. The residual that a run is left with in
-the end is noise, so the residual here is the difference of two renderings of the same pixels.
+is what the longer paths add, free of the noise that both share. **Caustics**: likewise. **Light
+samples**: how the noise of a gradient and the time of a step change with their number. The residual
+that a run is left with in the end is noise, so the residual here is the difference of two
+renderings of the same pixels.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from ..runtime import streams
 from ..runtime.backend import sync
 from ..scene.problem import Problem
 from ..unknowns.parameters import as_numpy
+from . import structure
 
 _LANES = 1 << 13
 # A kind of path is measured for so many seconds, or for its part of what is allowed (about as many
@@ -50,10 +52,10 @@ class Share:
 
 @dataclass(frozen=True)
 class Cut:
-    """What paths of more than ``depth`` edges are, or their derivatives: their share of the images
-    (none, where only the derivative is cut) and of the gradient by each unknown; ``time``: of a
-    gradient without them, over that with them; ``lost``: of the entries that a view sees, the share
-    that has no other derivative, where that was asked."""
+    """What paths of more than ``depth`` edges are, or their derivatives, or caustics: their share
+    of the images (none, where only the derivative is cut) and of the gradient by each unknown;
+    ``time``: of a gradient without them, over that with them; ``lost``: of the entries that a view
+    sees, the share that has no other derivative, where that was asked."""
 
     depth: int
     image: Share | None
@@ -84,7 +86,8 @@ class Probe:
         self.pixels = PixelDistribution.uniform(Tiles.over(problem.views))
         self.lanes = min(_LANES, problem.views.total)
         self.seconds = 0.0
-        self._any_depth = self._kernel(None, True)
+        self._clear = bool(structure.clear(problem))
+        self._any = self._kernel(None, True)
         self._whole = None
 
     def views(self) -> tuple[int, ...] | None:
@@ -138,10 +141,18 @@ class Probe:
         """What is lost where paths (``derivative``: what is differentiated of them) have at most
         ``depth`` edges; None where measuring would take too long."""
         whole = self.problem.integrator.max_depth
+        return self._without(Paths(whole if derivative else depth, depth))
+
+    def caustics(self) -> Cut | None:
+        """What is lost without caustics; None where measuring would take too long."""
+        whole = self.problem.integrator.max_depth
+        return self._without(Paths(whole, whole, caustics=False))
+
+    def _without(self, paths: Paths) -> Cut | None:
+        whole = self.problem.integrator.max_depth
         if self._whole is None:
-            self._whole = self._repeated(self._any_depth, Paths(whole, whole))
-        paths = Paths(whole if derivative else depth, depth)
-        own = self._whole and self._repeated(self._any_depth, paths)
+            self._whole = self._repeated(self._any, Paths(whole, whole))
+        own = self._whole and self._repeated(self._any, paths)
         self.problem.unknowns.write(self.values)
         if not own:
             return None
@@ -152,8 +163,9 @@ class Probe:
         for key, every in gradients[1].items():
             every, some = every[:count], gradients[0][key][:count]
             shares[key] = gradient_share(every - some, every)
-        image = None if derivative else _image_share(images[1] - images[0], images[1])
-        return Cut(depth, image, shares, own[2] / self._whole[2])
+        alike = paths.depth == whole and paths.caustics
+        image = None if alike else _image_share(images[1] - images[0], images[1])
+        return Cut(paths.derivative, image, shares, own[2] / self._whole[2])
 
     def lights(self, paths: Paths, candidates: list[tuple[int, int]]) -> list[Lights]:
         """For each of ``candidates``, the first of which is (1, 1), on ``paths``; those for which
@@ -220,25 +232,29 @@ class Probe:
             )
         ]
         p.unknowns.attach(self.values)
-        depths = [dr.opaque(mi.UInt32, depth) for depth in (paths.depth, paths.derivative)]
+        own = [dr.opaque(mi.UInt32, depth) for depth in (paths.depth, paths.derivative)]
+        own.append(dr.opaque(mi.Bool, paths.caustics))
         sync()
         begun = time.perf_counter()
         arguments = (p.scene, p.sensors, p.views, p.unknowns.leaves, self.pixels, p.targets)
-        radiance = kernel(*arguments, p.mask, earlier, depths, seeds, p.share)
+        radiance = kernel(*arguments, p.mask, earlier, own, seeds, p.share)
         sync()
         return radiance, time.perf_counter() - begun
 
     def _kernel(self, integrator, of_targets: bool):
-        """One estimate of the gradient. ``integrator``: None for paths as long as is asked for;
+        """One estimate of the gradient. ``integrator``: None for paths as are asked for;
         ``of_targets``: the residual is towards the targets, else towards an earlier rendering."""
         whole, loss, lanes = self.problem.integrator, self.loss, self.lanes
+        clear = self._clear
         roulette = whole.paths.roulette
 
         def kernel(
-            scene, sensors, views, leaves, pixels, targets, mask, earlier, depths, seeds, share
+            scene, sensors, views, leaves, pixels, targets, mask, earlier, own, seeds, share
         ):
             with dr.suspend_grad():
-                paths = integrator or whole.deep(Paths(*depths, roulette=roulette))
+                *depths, caustics = own
+                asked = Paths(*depths, roulette=roulette, caustics=caustics if clear else True)
+                paths = integrator or whole.deep(asked)
                 view, column, row, probability = pixels.draw(lanes, seeds[0])
                 pixel = views.index(view, column, row)
                 dr.eval(view, column, row, pixel, probability)

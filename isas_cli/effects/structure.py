@@ -28,6 +28,7 @@ def statements(problem: "Problem", derivatives: str) -> dict[str, str]:
         "light": _counted([e.class_name() for e in problem.scene.emitters()]),
         "paths": (_depth if problem.integrator.samples_lights else _scatterings)(depth),
         "refraction": _transmission(shapes),
+        "caustics": _caustics(problem),
         "media": _media(shapes, problem.integrator.simulates),
         "moving silhouettes": _moving(problem.unknowns.moving),
         "colour": "linear RGB, no spectra, no polarisation",
@@ -73,14 +74,27 @@ def _scatterings(depth: int) -> str:
     return f"of up to {depth} edges: light scatters {times}"
 
 
+def clear(problem: "Problem") -> list[str]:
+    """The shapes that mirror or pass light in one direction alone."""
+    return _with(problem.scene.shapes(), mi.BSDFFlags.Delta)
+
+
+def _with(shapes: list, flag: mi.BSDFFlags) -> list[str]:
+    bsdfs = ((shape.id(), shape.bsdf()) for shape in shapes)
+    return [name for name, bsdf in bsdfs if bsdf is not None and mi.has_flag(bsdf.flags(), flag)]
+
+
+def _caustics(problem: "Problem") -> str:
+    if not clear(problem):
+        return "not met: nothing mirrors or passes light in one direction alone"
+    if problem.integrator.paths.caustics:
+        return f"simulated: light that surfaces get by way of {', '.join(clear(problem))}"
+    return f"left out: light that surfaces get by way of {', '.join(clear(problem))}"
+
+
 def _transmission(shapes: list) -> str:
     """Whether light passes through any surface."""
-    through = [
-        shape.id()
-        for shape in shapes
-        if shape.bsdf() is not None and mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Transmission)
-    ]
-    if through:
+    if through := _with(shapes, mi.BSDFFlags.Transmission):
         return f"simulated: light passes through {', '.join(through)}"
     return "not met: no surface lets light through"
 

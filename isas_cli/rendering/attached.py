@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from .light import gathered, mis_weight
+from .light import by_chance, gathered, mis_weight
 
 # Paths up to this many edges are unrolled. Longer ones would cost compile time.
 LONGEST = 8
@@ -23,6 +23,7 @@ def radiance(
     max_depth: int,
     rr_depth: int,
     lights: int = 1,
+    caustics: bool = True,
     differentiated: int | None = None,
 ) -> mi.Spectrum:
     """Radiance of one path per ray, the derivative by materials and lights attached.
@@ -31,9 +32,10 @@ def radiance(
     detached sampling, attached BSDF and emitter values. PRB traces every path twice, first for
     the radiance that each vertex passes on and then for the derivatives, because memory for a
     long path's graph is dear. Unrolled, a short path's graph lives in registers and every ray is
-    traced once; values and derivatives agree with ``prb`` path by path.
+    traced once; values and derivatives agree with ``prb`` path by path, but for ``mis_weight``.
 
-    ``lights``: samples of emitters at the first vertex; at later ones it is one.
+    ``lights``: samples of emitters at the first vertex; at later ones it is one. ``caustics``: with
+    the light of ``light.by_chance``.
     ``differentiated``: edges of the longest paths whose derivatives are attached (None: all; 0: the
     radiance alone): call it with derivatives on (``dr.resume_grad``) and propagate from or to the
     result. Geometry is not differentiated. Traced.
@@ -43,6 +45,7 @@ def radiance(
     context = mi.BSDFContext()
     L, β, η = mi.Spectrum(0), mi.Spectrum(1), mi.Float(1)
     active, delta = mi.Bool(True), mi.Bool(True)
+    scattered = mi.Bool(False)
     pdf, count = mi.Float(1), 1
     differentiated = max_depth if differentiated is None else differentiated
     previous = dr.zeros(mi.SurfaceInteraction3f)
@@ -62,7 +65,7 @@ def radiance(
                 mis = mis_weight(pdf, count * of_light)
         with dr.suspend_grad(when=depth + 1 > differentiated):
             emitted = β * mis * ds.emitter.eval(si, active)
-        L += emitted
+        L += emitted if caustics else dr.select(by_chance(scattered, delta), 0, emitted)
         active &= si.is_valid()
         if depth + 1 == max_depth:
             break
@@ -95,5 +98,6 @@ def radiance(
         with dr.suspend_grad():
             previous, pdf, ray = si, sample.pdf, next_ray
             delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+            scattered |= ~delta
             hit = scene.ray_intersect_preliminary(ray, coherent=False, reorder=False, active=active)
     return L

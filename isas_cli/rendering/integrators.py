@@ -186,12 +186,14 @@ class Paths:
     that is differentiated, at most ``depth``; ``lights``: samples of emitters at the first vertex,
     in a primal pass and in one that differentiates (one at later vertices); ``roulette``: vertices
     after which Russian roulette ends paths (None: as the scene's integrator has it);
+    ``caustics``: with light that only chance finds (``light.by_chance``);
     ``crossed``: whether a ``pair`` may differentiate both of its paths."""
 
     depth: int
     derivative: int
     lights: tuple[int, int] = (1, 1)
     roulette: int | None = None
+    caustics: bool | mi.Bool = True
     crossed: bool = True
 
 
@@ -223,13 +225,14 @@ class Unrolled(Surfaces, InOneGo):
         self.crosses = paths.crossed and paths.lights[0] == paths.lights[1]
 
     def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, None]:
-        depths, lights = (self.paths.depth, self.rr_depth), self.paths.lights[0]
-        return attached.radiance(scene, sampler, ray, *depths, lights, 0), None
+        own = self.paths.depth, self.rr_depth, self.paths.lights[0], self.paths.caustics
+        return attached.radiance(scene, sampler, ray, *own, 0), None
 
     def pair(self, scene, samplers, rays, adjoints, mode=dr.ADMode.Backward) -> None:
         if not self.crosses:
             return super().pair(scene, samplers, rays, adjoints, mode)
-        whole = self.paths.depth, self.rr_depth, self.paths.lights[0], self.paths.derivative
+        paths = self.paths
+        whole = paths.depth, self.rr_depth, paths.lights[0], paths.caustics, paths.derivative
         with dr.resume_grad():
             found = [attached.radiance(scene, *path, *whole) for path in zip(samplers, rays)]
             with dr.suspend_grad():
@@ -241,8 +244,8 @@ class Unrolled(Surfaces, InOneGo):
                 dr.eval(dr.forward_to(total))
 
     def radiance(self, scene, sampler, ray) -> mi.Spectrum:
-        depths, lights = (self.paths.derivative, self.rr_depth), self.paths.lights[1]
-        return attached.radiance(scene, sampler, ray, *depths, lights)
+        own = self.paths.derivative, self.rr_depth, self.paths.lights[1], self.paths.caustics
+        return attached.radiance(scene, sampler, ray, *own)
 
 
 class Twice(Integrator):
@@ -275,8 +278,8 @@ class Replayed(Surfaces, Twice):
 
     def once(self, mode, scene, sampler, ray, differentiated, *more):
         depth = self.paths.derivative if differentiated else self.paths.depth
-        lights = self.paths.lights[differentiated]
-        return replayed.trace(mode, scene, sampler, ray, depth, self.rr_depth, lights, *more)
+        own = depth, self.rr_depth, self.paths.lights[differentiated], self.paths.caustics
+        return replayed.trace(mode, scene, sampler, ray, *own, *more)
 
 
 class Mixed(Surfaces):
@@ -356,6 +359,9 @@ def adapt(
             f"{where}: the integrator emission has no {base.strange[0]}, as nothing scatters: "
             "leave it out"
         )
+    if scene is not None and "media" in _REPLAYED[type(base).__name__][0] and _empty(scene):
+        names = "max_depth", "rr_depth", "hide_emitters"
+        base = mi.load_dict({"type": "prb"} | {name: getattr(base, name) for name in names})
     medium = volume.medium_of(scene) if scene is not None and not base.hide_emitters else None
     if "media" in _REPLAYED[type(base).__name__][0] and medium is not None:
         return Medium(base, medium)
@@ -367,6 +373,14 @@ def adapt(
     if replayed.handles(base):
         return _surfaces(base, Paths(base.max_depth, base.max_depth))
     return Integrator(base)
+
+
+def _empty(scene: mi.Scene) -> bool:
+    """Whether nothing is filled, and nothing that a path passes counts as no edge of it."""
+    bsdfs = [shape.bsdf() for shape in scene.shapes()]
+    null = any(bsdf and mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null) for bsdf in bsdfs)
+    filled = any(each.get_medium() for each in scene.sensors())
+    return not (null or filled or any(s.is_medium_transition() for s in scene.shapes()))
 
 
 def _roulette(base: mi.Integrator, paths: Paths) -> int:

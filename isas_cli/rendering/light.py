@@ -9,10 +9,17 @@ import mitsuba as mi
 
 
 def mis_weight(a: mi.Float, b: mi.Float) -> mi.Float:
-    """Power heuristic (Veach 1997) of two densities, each times the number of its samples."""
-    a, b = dr.square(a), dr.square(b)
+    """Balance heuristic (Veach 1995) of two densities, each times the number of its samples.
+
+    Mitsuba has the power heuristic, with more noise on most scenes (benchmarks/sharing.py)."""
     w = a / (a + b)
     return dr.select(dr.isfinite(w), w, 0)
+
+
+def by_chance(scattered: mi.Bool, delta: mi.Bool) -> mi.Bool:
+    """Whether a path met a light as only chance finds it: by a mirror or clear glass (``delta``)
+    after a surface that scatters, as in a caustic. Light samples do not go through them."""
+    return scattered & delta
 
 
 def stratum(point: mi.Point2f, index: int, count: int) -> mi.Point2f:

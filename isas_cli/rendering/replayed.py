@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from .light import gathered, mis_weight
+from .light import by_chance, gathered, mis_weight
 
 
 def handles(integrator) -> bool:
@@ -21,6 +21,7 @@ def trace(
     max_depth: int | mi.UInt32,
     rr_depth: int,
     lights: int = 1,
+    caustics: bool | mi.Bool = True,
     adjoint: mi.Spectrum | None = None,
     radiance: mi.Spectrum | None = None,
 ) -> mi.Spectrum:
@@ -28,13 +29,13 @@ def trace(
 
     Mitsuba's ``prb`` also differentiates where vertices lie, which costs a second look at every
     surface and light; here materials and lights are all that is unknown. Values and derivatives
-    agree with ``prb``'s path by path where ``lights`` is 1.
+    agree with ``prb``'s path by path where ``lights`` is 1, but for ``mis_weight``.
 
     ``mode``: Primal, Backward (adds ⟨adjoint, dL/dθ⟩ to the gradients) or Forward. ``radiance``: of
     the same paths, from a primal pass with the same random numbers. ``lights``: samples of emitters
-    at the first vertex; at later ones it is one. ``max_depth`` may be opaque, so that one kernel
-    does for all depths. Returns the radiance, or in forward mode its derivative, ``(3, N)``.
-    Traced.
+    at the first vertex; at later ones it is one. ``caustics``: with the light of
+    ``light.by_chance``. This and ``max_depth`` may be opaque, so that one kernel does for all.
+    Returns the radiance, or in forward mode its derivative, ``(3, N)``. Traced.
 
     L: radiance so far; in a replay, what the path still brings; β: throughput so far.
     """
@@ -44,7 +45,12 @@ def trace(
     ray = mi.Ray3f(dr.detach(ray))
     hit = scene.ray_intersect_preliminary(ray, coherent=True, reorder=False, active=True)
 
-    def vertex(L, found, β, η, depth, active, hit, ray, previous, pdf, delta, sampler, count, here):
+    # Whether the path met a surface that scatters; only where that counts, as it costs registers.
+    spread = (mi.Bool(False),) if caustics is not True else ()
+
+    def vertex(
+        L, found, β, η, depth, active, hit, ray, previous, pdf, delta, spread, sampler, count, here
+    ):
         """One vertex: what it emits and reflects. ``count``: light samples at the one before;
         ``here``: at this one."""
         si = hit.compute_surface_interaction(ray, ray_flags=mi.RayFlags.All, active=active)
@@ -55,6 +61,9 @@ def trace(
         on = active & si.is_valid() & (depth + 1 < max_depth)
         with dr.resume_grad(when=not primal):
             emitted = β * mis * ds.emitter.eval(si, active)
+            if spread:
+                left_out = by_chance(*spread, delta) & ~mi.Bool(caustics)
+                emitted = dr.select(left_out, 0, emitted)
             reflected = gathered(scene, sampler, si, bsdf, on, here, not primal)
             own = emitted + dr.select(on, β * reflected, 0)
         L = L + own if primal else L - dr.detach(own)
@@ -82,7 +91,9 @@ def trace(
         hit = scene.ray_intersect_preliminary(next_ray, coherent=False, reorder=False, active=on)
         delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
         previous = dr.detach(si, True)
-        return L, found, β, η, depth + 1, on, hit, next_ray, previous, sample.pdf, delta, sampler
+        spread = tuple(each | ~delta for each in spread)
+        after = on, hit, next_ray, previous, sample.pdf, delta, spread, sampler
+        return L, found, β, η, depth + 1, *after
 
     state = (
         mi.Spectrum(0 if primal else radiance),
@@ -96,6 +107,7 @@ def trace(
         dr.zeros(mi.SurfaceInteraction3f),
         mi.Float(1),
         mi.Bool(True),
+        spread,
         sampler,
     )
     count = mi.Float(1)

@@ -181,7 +181,7 @@ def test_a_timed_run_is_probed_once(monkeypatch, tmp_path):
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}, depth=4)
     settings = {"tolerance": 0.99, "derivative_tolerance": 0.99}
     first = decided(p, 60.0, **settings)
-    assert [each.depth for each in first.cuts] == [2, 3] and len(first.samples) == 3
+    assert [each.depth for each in first.cuts] == [2, 3] and len(first.samples) == 2
     assert [each.depth for each in first.derivatives] == [2]
     assert first.seconds > 0 and first.paths.depth == first.paths.derivative == 2
     assert first.cuts[0].gradient.keys() == {TEXTURE, ROUGHNESS}
@@ -288,7 +288,8 @@ def test_a_plan_without_a_path_to_an_unknown_is_refused_or_not_made(monkeypatch,
     with pytest.raises(InputError, match=rf"effects.derivative_depth=2: .*'{WALL}'"):
         decided(p, derivative_depth=2)
     assert decided(p, max_depth=3).paths.depth == 3
-    assert decided(p, 60.0, tolerance=0.9, derivative_tolerance=0.9).paths == Paths(3, 3)
+    found = decided(p, 60.0, tolerance=0.9, derivative_tolerance=0.9).paths
+    assert (found.depth, found.derivative) == (3, 3)
 
 
 def test_views_that_see_no_unknown_are_not_drawn_from(monkeypatch, tmp_path):

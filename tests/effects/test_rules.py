@@ -62,6 +62,12 @@ def in_a_caustic():
     return {"thing": floor, "dome": ball(2.0, GLASS)}, [0, 1, 1]
 
 
+def a_bead():
+    """Beside a speck of glass, whose caustic is a small share of what lights it."""
+    bead = ball(0.03, GLASS) | {"to_world": to().translate([0, 1.0, 0])}
+    return {"thing": ball(0.8, grey(0.5)), "bead": bead}, [0, 0, 4]
+
+
 def out_of_sight():
     """Behind the camera, which sees the floor that it lights."""
     thing = square(to().translate([0, 1, 4]).rotate([0, 1, 0], 180).scale(3), grey(0.9))
@@ -111,6 +117,34 @@ def test_the_only_way_to_an_unknown_stays(build, least):
     print(plan.paths, plan.cuts, plan.derivatives)
     assert plan.views is None
     assert plan.paths.depth >= least and plan.paths.derivative >= least
+
+
+@pytest.mark.parametrize(
+    "build, kept", [(in_a_caustic, True), (behind_glass, True), (a_bead, False)]
+)
+def test_caustics_go_where_they_are_little_and_stay_where_they_are_the_light(build, kept):
+    plan = decided(problem(build), 60.0)
+    print(plan.statements["caustics"], plan.caustics)
+    assert plan.paths.caustics is plan.record()["caustics"] is kept
+    assert ("simulated" if kept else "left out") in plan.statements["caustics"]
+
+
+def test_caustics_can_be_set():
+    kept = decided(problem(a_bead), 60.0, caustics=True)
+    assert kept.paths.caustics and "as set" in kept.statements["caustics"]
+    assert kept.caustics is None
+    with pytest.raises(InputError, match=f"effects.caustics=false: .*'{KEY}'"):
+        decided(problem(in_a_caustic), caustics=False)
+    plan = decided(problem(alone), 60.0)
+    assert plan.caustics is None and "not met" in plan.statements["caustics"]
+
+
+def test_the_share_of_a_caustic_is_what_it_brings():
+    """Under a dome it is all of the gradient and of the floor's radiance, but not the sky that the
+    camera sees through the glass."""
+    found = probe.Probe(problem(in_a_caustic), L2(), 1).caustics()
+    assert found.gradient[KEY].value == pytest.approx(1, abs=1e-3)
+    assert 0.05 < found.image.value < 0.95
 
 
 def test_a_convex_object_alone_is_done_with_two_edges():

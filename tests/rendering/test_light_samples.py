@@ -11,6 +11,7 @@ from gradient_estimates import Gradients
 from hard_scenes import hard_problem
 from montecarlo import welch
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
+from weights import as_mitsuba
 
 from isas_cli.losses import L2
 from isas_cli.rendering import light, rays
@@ -61,8 +62,9 @@ def primal(p, integrator) -> np.ndarray:
 
 @pytest.mark.parametrize("depth", [2, 7])
 @pytest.mark.parametrize("what", [backward, forward, primal])
-def test_own_replay_agrees_with_mitsubas(what, depth):
+def test_own_replay_agrees_with_mitsubas(what, depth, monkeypatch):
     """Path by path; with roulette where paths are long enough for it."""
+    as_mitsuba(monkeypatch)
     p = problem(UNKNOWNS, depth=depth)
     own = Replayed(p.integrator.mitsuba, Paths(depth, depth))
     ours, stock = what(p, own), what(p, Integrator(p.integrator.mitsuba))
@@ -71,8 +73,9 @@ def test_own_replay_agrees_with_mitsubas(what, depth):
 
 
 @pytest.mark.parametrize("what", [backward, primal])
-def test_roulette_as_set_is_that_of_a_scene_that_has_it(what):
+def test_roulette_as_set_is_that_of_a_scene_that_has_it(what, monkeypatch):
     """Path by path, and other paths than without."""
+    as_mitsuba(monkeypatch)
     p = problem(UNKNOWNS, depth=4)
     early = mi.load_dict({"type": "prb", "max_depth": 4, "rr_depth": 1})
     stock = what(p, Integrator(early))
@@ -104,6 +107,22 @@ def test_the_beginning_of_a_path_is_differentiated_as_a_short_path(depth, kind):
         found, wanted = what(p, mixed), what(p, short)
         np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-5 * np.abs(wanted).max())
         assert not np.allclose(what(p, mixed), what(p, whole), rtol=0.01)
+
+
+@pytest.mark.parametrize("depth", [5, 9])
+def test_paths_without_caustics_are_those_with_them_but_for_their_light(depth):
+    """A glass ball in the sun: behind it, as when an opaque flag says so to one kernel for all."""
+    p = hard_problem("glass", depth=depth)
+    whole = Paths(depth, depth)
+    less = dataclasses.replace(whole, caustics=False)
+    with_them, without = (primal(p, p.integrator.cut(each)) for each in (whole, less))
+    assert 0 < np.mean(with_them - without) < np.mean(with_them)
+    assert np.all(without <= with_them * (1 + 1e-4) + 1e-6)
+    for paths, found in ((whole, with_them), (less, without)):
+        flag = dr.opaque(mi.Bool, paths.caustics)
+        opaque = Replayed(p.integrator.mitsuba, dataclasses.replace(paths, caustics=flag))
+        assert np.allclose(primal(p, opaque), found, rtol=1e-3, atol=1e-5)
+        assert np.allclose(backward(p, opaque), backward(p, p.integrator.cut(paths)), rtol=5e-3)
 
 
 def test_parts_of_the_square_are_equal_and_disjoint():
