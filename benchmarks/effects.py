@@ -1,13 +1,16 @@
 """What leaving out effects saves in time and costs in accuracy: plans race at equal time.
 
-On each scene, with `sampler=progress`: everything (`full`), the plan that is made (`auto`), the
-same with the shortest paths that meet every unknown until the last third of the budget (`staged`),
-and everything with paths cut to each depth below the scene's own (`depth 2`, …). Each at the best
-of three factors on the rates with the first seed, by the final parameter error, then with three
-others, which alone are reported. Settings are those of `reproduce.py`, but for the estimator, which
-is the one that runs have by default. Writes results/effects.csv (a row per scene and plan),
-effects_rates.csv and effects_<scene>.png (error against billed time); and, over all scenes whose
-runs are in one `--folder`, effects_across.csv and effects_arrivals.png, unless these have more.
+On each scene, with `sampler=progress`: everything (`full`) and the plan that is made (`auto`). Each
+at the best of three factors on the rates with the first seed, by the final parameter error, then
+with three others, which alone are reported. Settings are those of `reproduce.py`, but for the
+estimator, which is the one that runs have by default. Writes results/effects.csv (a row per scene
+and plan) and effects_rates.csv; and, over all scenes whose runs are in one `--folder`,
+effects_across.csv and effects_arrivals.png, unless these have more.
+
+With `--ladder` besides: `auto` with the shortest paths that meet every unknown until the last third
+of the budget (`staged`), and everything with paths cut to each depth below the scene's own
+(`depth 2`, …). Writes results/effects_ladder.csv, effects_ladder_rates.csv and
+effects_ladder_<scene>.png (error against billed time).
 
     .venv/bin/python benchmarks/effects.py pottery bowl
 """
@@ -39,8 +42,11 @@ LADDER = (2, 3, 4, 6, 8)
 JUDGED = "judged.txt"  # folders of runs, a line each
 
 
-def plans(scene: str) -> dict[str, dict]:
+def plans(scene: str, ladder: bool) -> dict[str, dict]:
     """Name → settings. Depths below the scene's own, which its module states."""
+    found = {FULL: {"effects": "full"}, AUTO: {"effects": "auto"}}
+    if not ladder:
+        return found
     from isas_cli.config.compose import compose
     from isas_cli.runtime import backend
 
@@ -52,7 +58,6 @@ def plans(scene: str) -> dict[str, dict]:
     # What is too short for an unknown is refused.
     while depths and not _reaches(scene, depths[0]):
         depths.pop(0)
-    found = {FULL: {"effects": "full"}, AUTO: {"effects": "auto"}}
     if depths:
         found[STAGED] = {"effects": "auto", "effects.max_depth": depths[0], "effects.finish": 0.33}
     return found | {f"depth {d}": {"effects": "full", "effects.max_depth": d} for d in depths}
@@ -116,12 +121,17 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
     parser.add_argument("--folder", type=Path, help="where runs go (default: a new folder)")
+    parser.add_argument("--ladder", action="store_true", help="plans beside full and auto, too")
     chosen = parser.parse_args()
+    name = "effects_ladder" if chosen.ladder else "effects"
     root = chosen.folder or Path(tempfile.mkdtemp(prefix="isas-effects-"))
     root.mkdir(parents=True, exist_ok=True)
     print(f"runs: {root}", flush=True)
     for scene in chosen.scenes or SCENES:
-        named, settings = plans(scene), [*SETTINGS, *reproduce.SCENES[scene].settings]
+        named, settings = (
+            plans(scene, chosen.ladder),
+            [*SETTINGS, *reproduce.SCENES[scene].settings],
+        )
         first, found = _contest.judged(
             *(scene, root / scene, settings, named, FACTORS, chosen.seeds, SECONDS),
             *(measured, MEASURE),
@@ -130,13 +140,15 @@ def main() -> None:
         (root / scene / JUDGED).write_text("\n".join(map(str, judged)), encoding="utf-8")
         made = table(found, SECONDS)
         print(made.to_string(index=False), flush=True)
-        others = tuple(name for name in named if name not in (FULL, AUTO))
-        plot = RESULTS / f"effects_{scene}.png"
-        _contest.draw(found, plot, MEASURE, "parameter error", dotted=others)
         # After each scene: what is measured survives what follows.
-        _contest.write(RESULTS / "effects.csv", made)
-        _contest.write(RESULTS / "effects_rates.csv", first)
-        together(root)
+        _contest.write(RESULTS / f"{name}.csv", made)
+        _contest.write(RESULTS / f"{name}_rates.csv", first)
+        if chosen.ladder:
+            others = tuple(each for each in named if each not in (FULL, AUTO))
+            plot = RESULTS / f"{name}_{scene}.png"
+            _contest.draw(found, plot, MEASURE, "parameter error", dotted=others)
+        else:
+            together(root)
         pages.write()
 
 

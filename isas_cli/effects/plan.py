@@ -381,14 +381,14 @@ def _derivative(cuts, tolerance: float, whole: int) -> tuple[int, str]:
 
 
 def _lights(samples) -> tuple[tuple[int, int], str]:
-    """The number with the least noise × time, if it is surely less than that of one each. Of those
-    that are as good within their errors, the most: noise is what the residual is at a run's end,
-    and earlier the derivative's own noise counts for more."""
+    """The number with the least noise × time. Of those that are as good within their errors, the
+    most: noise is what the residual is at a run's end, and earlier the derivative's own noise
+    counts for more. No number loses anything, so that none has to be surely better."""
     if not samples:
         return (1, 1), "not measured"
     least = min(samples, key=lambda s: s.noise * s.time)
-    if (least.noise + 1.645 * least.error) * least.time >= 1:
-        return (1, 1), "more would not surely pay"
+    if least.noise * least.time >= 1:
+        return (1, 1), "more would not pay"
     alike = [s for s in samples if (s.noise - s.error) * s.time <= least.noise * least.time]
     best = max(alike, key=lambda s: sum(s.samples))
     return best.samples, f"noise × time {best.noise * best.time:.2f} of that with one each"

@@ -23,9 +23,9 @@ from .kernels import recorded
 _LANES = 1 << 20
 _MOST = 1 << 24  # pixels visited; above this a stratified subset of them
 _SAMPLES = 4  # paths a pixel, where all fit into one pass
-# ``missed`` asks by so many paths first, each time by twice as many, until twice as many show less
-# than this share of what was missed.
-_FIRST, _WORTH = 1 << 16, 0.1
+# ``missed`` asks first by some paths for each entry, within these numbers, and each time by twice
+# as many, until twice as many show less than this share of what was missed.
+_FIRST, _EACH, _WORTH = (1 << 12, 1 << 16), 4, 0.1
 
 
 def fill_in(problem: Problem, seed: int) -> None:
@@ -157,6 +157,7 @@ def missed(
     left = {key: np.flatnonzero(seen[key].ravel()) for key in values}  # those not met so far
     counts = {key: max(entries.size, 1) for key, entries in left.items()}
     worst, paths, number = 1.0, 0, 0
+    first = int(np.clip(_EACH * max(counts.values()), *_FIRST))
 
     def trace(lanes: int) -> None:
         stride = total / lanes
@@ -176,7 +177,7 @@ def missed(
 
     trace(64)  # compiles
     while True:
-        begun, number, lanes = time.perf_counter(), number + 1, min(paths or _FIRST, _LANES)
+        begun, number, lanes = time.perf_counter(), number + 1, min(paths or first, _LANES)
         trace(lanes)
         paths += lanes
         for key, gradient in unknowns.gradients().items():
