@@ -26,6 +26,7 @@ def facts(results: Path) -> dict:
         "best": dict(zip(best["scene"], best["method"])),
         "left": dict(zip(best["scene"], best["chamfer_share"])),
         "sooner": list(ours["time_to_stock"]),
+        "shadows": dict(table[table["scene"] == "shadowplay"][["method", "chamfer_share"]].values),
         "step": step["silhouettes"] / step[STOCK],
         "levels": _levels(pandas.read_csv(levels)) if levels.exists() else [],
         "rebuilds": pandas.read_csv(rebuilds).to_dict("records") if rebuilds.exists() else [],

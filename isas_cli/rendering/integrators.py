@@ -359,9 +359,6 @@ def adapt(
             f"{where}: the integrator emission has no {base.strange[0]}, as nothing scatters: "
             "leave it out"
         )
-    if scene is not None and "media" in _REPLAYED[type(base).__name__][0] and _empty(scene):
-        names = "max_depth", "rr_depth", "hide_emitters"
-        base = mi.load_dict({"type": "prb"} | {name: getattr(base, name) for name in names})
     medium = volume.medium_of(scene) if scene is not None and not base.hide_emitters else None
     if "media" in _REPLAYED[type(base).__name__][0] and medium is not None:
         return Medium(base, medium)
@@ -373,14 +370,6 @@ def adapt(
     if replayed.handles(base):
         return _surfaces(base, Paths(base.max_depth, base.max_depth))
     return Integrator(base)
-
-
-def _empty(scene: mi.Scene) -> bool:
-    """Whether nothing is filled, and nothing that a path passes counts as no edge of it."""
-    bsdfs = [shape.bsdf() for shape in scene.shapes()]
-    null = any(bsdf and mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null) for bsdf in bsdfs)
-    filled = any(each.get_medium() for each in scene.sensors())
-    return not (null or filled or any(s.is_medium_transition() for s in scene.shapes()))
 
 
 def _roulette(base: mi.Integrator, paths: Paths) -> int:

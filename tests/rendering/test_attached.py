@@ -92,34 +92,6 @@ def test_long_paths_are_replayed():
     assert type(adapt(hidden)) is Integrator and not adapt(hidden).cuts
 
 
-def test_a_volumetric_integrator_of_a_scene_without_media_is_one_of_surfaces():
-    """Of the same radiance; not where a path passes through what is no surface."""
-    p = problem({TEXTURE: 0.5}, depth=4)
-    volumetric = {"type": "prbvolpath", "max_depth": 4, "rr_depth": 3}
-    own = adapt(mi.load_dict(volumetric), scene=p.scene)
-    assert type(own) is Unrolled and own.simulates == ("surfaces",)
-    assert (own.max_depth, own.rr_depth) == (4, 3)
-    means = []
-    for integrator in (own, Integrator(mi.load_dict(volumetric))):
-        with dr.suspend_grad():
-            rows = []
-            for seed in range(40):
-                ray, stream = setting(p, seed)
-                rows.append(np.array(integrator.primal(p.scene, stream, ray)[0]).mean())
-        means.append((np.mean(rows), np.std(rows, ddof=1) / len(rows) ** 0.5))
-    (ours, one), (stock, other) = means
-    print(means)
-    assert abs(ours - stock) < 4 * np.hypot(one, other) < 0.05 * stock
-    hidden = adapt(mi.load_dict(volumetric | {"hide_emitters": True}), scene=p.scene)
-    assert type(hidden) is Integrator and hidden.name == "PRBIntegrator"
-    open_air = {"type": "cube", "bsdf": {"type": "null"}}
-    fog = {"type": "homogeneous", "albedo": 0.5, "sigma_t": 1.0}
-    for shape in (open_air, open_air | {"interior": fog}):
-        lamp = {"type": "point", "intensity": 1.0}
-        scene = mi.load_dict({"type": "scene", "box": shape, "lamp": lamp})
-        assert adapt(mi.load_dict(volumetric), scene=scene).name == "PRBVolpathIntegrator"
-
-
 def test_inner_product_of_forward_and_backward():
     """⟨J v, w⟩ = ⟨v, Jᵀ w⟩."""
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}, depth=4)

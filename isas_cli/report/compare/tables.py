@@ -58,9 +58,8 @@ def read(path: Path) -> pandas.DataFrame:
         if "scene" not in frame:
             raise ValueError("it has no column scene")
         for name in frame.columns:
-            if name not in _TEXTS and frame[name].dtype == object:
-                frame[name] = [_MEANING.get(cell, cell) for cell in frame[name]]
-                frame[name] = frame[name].astype(float)
+            if name not in _TEXTS and not pandas.api.types.is_numeric_dtype(frame[name]):
+                frame[name] = [float(_MEANING.get(cell, cell)) for cell in frame[name]]
     except (OSError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: no table of isas compare: {reason}") from error
