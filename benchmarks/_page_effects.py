@@ -12,28 +12,8 @@ DEFAULT = (65536, 0.02)
 
 
 def facts(results: Path) -> dict:
-    table = pandas.read_csv(results / "effects.csv")
-    scenes = []
-    for scene, rows in table.groupby("scene", sort=False):
-        of = {row["method"]: row for row in rows.to_dict("records")}
-        full = of["full"]
-        scenes.append(
-            {
-                "name": scene,
-                "seconds": full["seconds"],
-                "rows": [_row(row, full) for row in of.values()],
-                "auto": of["auto"],
-                "verdict": {name: _verdict(row, full) for name, row in of.items()},
-            }
-        )
+    scenes, ladder = (_scenes(results / f"{name}.csv") for name in ("effects", "effects_ladder"))
     times = [scene["auto"]["time_to_full"] for scene in scenes]
-    verdicts = {
-        plan: {
-            words: [s["name"] for s in scenes if s["verdict"].get(plan) == words]
-            for words in ("better", "worse", "alike")
-        }
-        for plan in ("auto", "staged")
-    }
     across = pandas.read_csv(results / "effects_across.csv")
     (auto,) = (
         row
@@ -44,10 +24,61 @@ def facts(results: Path) -> dict:
         "spending": _spending(pandas.read_csv(results / "steps_or_paths.csv")),
         "across": auto,
         "scenes": scenes,
-        "seeds": int(table["seeds"].max()),
+        "ladder": ladder,
+        "seeds": int(scenes[0]["auto"]["seeds"]),
         "median": float(pandas.Series(times).median()),
-        "verdicts": verdicts,
+        "verdicts": {"auto": _verdicts(scenes, "auto"), "staged": _verdicts(ladder, "staged")},
+        "sharing": _sharing(pandas.read_csv(results / "sharing.csv")),
     }
+
+
+def _scenes(path: Path) -> list[dict]:
+    scenes = []
+    for scene, rows in pandas.read_csv(path).groupby("scene", sort=False):
+        of = {row["method"]: row for row in rows.to_dict("records")}
+        full = of["full"]
+        scenes.append(
+            {
+                "name": scene,
+                "seconds": full["seconds"],
+                "rows": [_row(row, full) for row in of.values()],
+                "auto": _row(of["auto"], full),
+                "full": full,
+                "verdict": {name: _verdict(row, full) for name, row in of.items()},
+            }
+        )
+    return scenes
+
+
+def _verdicts(scenes: list[dict], plan: str) -> dict[str, list[str]]:
+    return {
+        words: [scene["name"] for scene in scenes if scene["verdict"].get(plan) == words]
+        for words in ("better", "worse", "alike")
+    }
+
+
+def _sharing(table: pandas.DataFrame) -> list[dict]:
+    """A row per scene: noise by the power heuristic over the balance heuristic's, with one light
+    sample and with four; noise and time of four light samples, and of roulette, over one and none
+    of it."""
+    rows = []
+    for scene, own in table.groupby("scene", sort=False):
+
+        def of(heuristic: str, lights: int, roulette: int | None = None, own=own) -> pandas.Series:
+            same = own["roulette"].isna() if roulette is None else own["roulette"] == roulette
+            (found,) = own[(own["heuristic"] == heuristic) & (own["lights"] == lights) & same].index
+            return own.loc[found]
+
+        many = of("balance", 4)
+        rows.append(
+            {
+                "scene": scene,
+                "power": [of("power", n)["noise"] / of("balance", n)["noise"] for n in (1, 4)],
+                "many": [many["noise"], many["time"]],
+                "roulette": [[of("balance", 1, n)[m] for m in ("noise", "time")] for n in (1, 2)],
+            }
+        )
+    return rows
 
 
 def _spending(table: pandas.DataFrame) -> list[dict]:

@@ -7,17 +7,19 @@ from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from ..rendering.pixels import PixelDistribution
 from ..rendering.projective import Attached
 from ..rendering.reflections import Reflections
 from ..rendering.shadows import Shadows
 from ..rendering.silhouettes import Silhouettes
-from ..rendering.standing import others, triangles
+from ..rendering.standing import meshes_of, others, triangles
 from ..runtime import streams
 from ..runtime.errors import InputError
 from ..samplers.sampler import Sampler
 from ..scene.topology import Topology
+from ..unknowns import parameters
 from .estimator import Estimator, at_least_one
 from .two_path import TwoPath
 
@@ -129,7 +131,8 @@ class ByShape:
     What shadows are followed: of moving meshes, on themselves, on each other and on what stands
     still; of what stands still (``standing.others``), on moving ones. In direct light, seen
     directly; the rest is the bias of ``Shadows``. Of silhouettes that other surfaces show, those by
-    way of one, from ``reflections`` samples (``Reflections``). Bias: that of all parts. Traced once
+    way of one, from ``reflections`` samples (``Reflections``), and as many again of meshes that
+    stand still, as what moves shows them. Bias: that of all parts. Traced once
     and frozen, but for ``params.update()``.
     """
 
@@ -139,7 +142,7 @@ class ByShape:
         self.problem, self.freeze = problem, chosen.freeze
         self.inside = TwoPath(problem, loss, chosen.batch, chosen.freeze)
         meshes, shadows = _meshes(problem), chosen.shadowed(problem)
-        # By the key of its mesh's positions, which for those that stand still are ``_still``.
+        # By the key of its mesh's positions; those of what stands still are ``_still``.
         self.borders: list[tuple[str, tuple, Silhouettes | Shadows | Reflections]] = []
 
         def throws(key: str, topologies: dict[int, Topology], samples: int) -> None:
@@ -156,10 +159,18 @@ class ByShape:
             if reflections:
                 each = max(1, reflections // len(meshes)), chosen.paths, not shadows, chosen.freeze
                 self.borders.append((key, _REFLECTED, Reflections(*where, *each)))
-        still = others(problem) if shadows else None
-        if still:
-            self._still, topology = still
+        self._still: dict[str, mi.Float] = {}
+        if shadows and (found := others(problem)):
+            self._still[""], topology = found
             throws("", {len(topology.place): topology}, shadows)
+        params = mi.traverse(problem.scene)
+        still = meshes_of(problem, params) if reflections else []
+        for key in still:
+            self._still[key] = parameters.own(mi.Float, np.array(params[key]))
+            topology = Topology.of(*triangles(params, key))
+            where = problem, loss, key.rpartition(".")[0], {len(topology.place): topology}
+            each = max(1, reflections // len(still)), chosen.paths, not shadows, chosen.freeze
+            self.borders.append((key, _REFLECTED, Reflections(*where, *each)))
 
     @property
     def paths_per_step(self) -> int:
@@ -207,7 +218,8 @@ class ByShape:
             ]
             if not self.freeze:  # the backward pass has cleared the way to the leaves
                 unknowns.attach(values)
-            border.accumulate(unknowns.params[key] if key else self._still, seeds)
+            positions = self._still.get(key)
+            border.accumulate(unknowns.params[key] if positions is None else positions, seeds)
             for name, gradient in unknowns.taken().items():
                 total[name] += gradient
         return total

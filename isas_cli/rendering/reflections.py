@@ -1,4 +1,4 @@
-"""Silhouettes of moving meshes that other surfaces show: in reflections and in scattered light."""
+"""Silhouettes of meshes that other surfaces show: in reflections and in scattered light."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class Reflections(Border):
     from an emitter behind, which is the part of ``Shadows``.
 
     Bias: none for this mesh's silhouettes by way of one surface that is neither an ideal mirror nor
-    clear, under the conditions of ``Silhouettes``; left out are those of what stands still, seen
-    from what moves, and ways by two surfaces and more. Edges that a point or directed light sees
+    clear, under the conditions of ``Silhouettes``; left out are ways by two surfaces and more. A
+    mesh that stands still has none but the last term. Edges that a point or directed light sees
     are no silhouettes here. The variance is infinite where a surface of smooth normals shows them
     edge on.
     """

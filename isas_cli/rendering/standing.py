@@ -1,4 +1,4 @@
-"""What stands still and can throw a shadow on what moves, as triangles."""
+"""What stands still, and can throw a shadow on what moves or show itself in it, as triangles."""
 
 from __future__ import annotations
 
@@ -28,9 +28,7 @@ def others(problem: Problem) -> tuple[mi.Float, Topology] | None:
     Triangles are around a sphere or disk, not in it: it hides none of their edges from a lamp.
     """
     params, shapes = mi.traverse(problem.scene), problem.scene.shapes()
-    ids = {shape.id() for shape in shapes if shape.is_mesh()} - problem.unknowns.moved
-    keys = [f"{id}.{name}" for id in sorted(ids) for name in POSITIONS if f"{id}.{name}" in params]
-    meshes = [triangles(params, key) for key in keys]
+    meshes = [triangles(params, key) for key in meshes_of(problem, params)]
     plain = [(shape.class_name(), shape) for shape in shapes if shape.class_name() in _PLAIN]
     if plain:
         lamps, moving = _lamps(problem), _moving(problem, params)
@@ -44,6 +42,13 @@ def others(problem: Problem) -> tuple[mi.Float, Topology] | None:
         return None
     positions = np.concatenate([each for each, _ in meshes]).astype(np.float32)
     return own(mi.Float, positions.ravel()), Topology.together([Topology.of(*m) for m in meshes])
+
+
+def meshes_of(problem: Problem, params: mi.SceneParameters) -> list[str]:
+    """The keys of the positions of the meshes that stand still."""
+    ids = {shape.id() for shape in problem.scene.shapes() if shape.is_mesh()}
+    every = (f"{id}.{name}" for id in sorted(ids - problem.unknowns.moved) for name in POSITIONS)
+    return [key for key in every if key in params]
 
 
 def triangles(params: mi.SceneParameters, key: str) -> tuple[np.ndarray, np.ndarray]:
