@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pandas
 
+FINE, HALF = ", fine", ", half"
+
 
 def facts(results: Path) -> dict | None:
     """None before there was a race."""
@@ -22,9 +24,14 @@ def facts(results: Path) -> dict | None:
         "seconds": table["seconds"].max(),
         "seeds": table["seeds"].min(),
         "best": {scene: rows["image_rmse"].idxmin() for scene, rows in by.items()},
-        "sooner": {
-            scene: {name: rows.loc[name, "time_to_uniform"] for name in ("ours", "progress")}
-            for scene, rows in by.items()
-        },
-        "coarse": {scene: rows.loc["uniform", "time_to_fine"] for scene, rows in by.items()},
+        "halves": {scene: _shares(rows, HALF) for scene, rows in by.items()},
+        "fines": {scene: _shares(rows, FINE) for scene, rows in by.items()},
+        "uniform": {scene: rows.loc["uniform", "image_rmse_share"] for scene, rows in by.items()},
     }
+
+
+def _shares(rows: pandas.DataFrame, suffix: str) -> dict[str, tuple[float, float]]:
+    """Of each method that was raced so, too, its error as usual, and so."""
+    shares = rows["image_rmse_share"]
+    names = [name.removesuffix(suffix) for name in rows.index if name.endswith(suffix)]
+    return {name: (shares[name], shares[name + suffix]) for name in names}

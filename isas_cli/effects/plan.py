@@ -16,6 +16,7 @@ from ..rendering import coverage
 from ..rendering.integrators import Paths
 from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
+from . import rules
 from .probe import Cut, Lights, Probe, Share
 from .settings import Effects
 from .structure import UNLIMITED, clear, longest, statements
@@ -31,8 +32,6 @@ _LIGHTS = ((1, 1), (4, 4), (4, 1))
 # A budget of so many seconds can pay for a probe, which takes at most this share of it and at most
 # so many seconds.
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
-# Of the entries that any view sees, the share that may lose all of their derivative.
-_LOST = 0.01
 _FORMAT = 12
 
 
@@ -213,29 +212,25 @@ def _chosen(problem: "Problem", settings: Effects, found: Plan) -> tuple[Plan, d
     if settings.max_depth is not None:
         why["paths"] = "as set"
     elif found.cuts:
-        depth, why["paths"] = _depth(found.cuts, settings.tolerance, paths.depth)
+        depth, why["paths"] = rules.depth(found.cuts, settings.tolerance, paths.depth)
         paths = dataclasses.replace(paths, depth=depth, derivative=min(depth, paths.derivative))
     if settings.derivative_depth is not None:
         why["differentiated"] = "as set"
     elif found.derivatives:
-        derivative, why["differentiated"] = _derivative(
+        derivative, why["differentiated"] = rules.derivative(
             found.derivatives, settings.derivative_tolerance, paths.derivative
         )
         paths = dataclasses.replace(paths, derivative=derivative)
     if settings.light_samples is not None:
         why["light samples"] = "as set"
     elif found.seconds and problem.integrator.samples_lights:
-        lights, why["light samples"] = _lights(found.samples)
+        lights, why["light samples"] = rules.lights(found.samples)
         paths = dataclasses.replace(paths, lights=lights)
     if settings.caustics is not None:
         why["caustics"] = "as set"
     elif found.caustics is not None:
-        bound = _worst(found.caustics)
-        less = bound < settings.tolerance and found.caustics.lost <= _LOST
-        paths = dataclasses.replace(paths, caustics=not less)
-        why["caustics"] = f"up to {bound:.2%} of a gradient (95 % bound)"
-        if bound < settings.tolerance and not less:
-            why["caustics"] = f"{found.caustics.lost:.0%} of the entries may be met by it alone"
+        caustics, why["caustics"] = rules.caustics(found.caustics, settings.tolerance)
+        paths = dataclasses.replace(paths, caustics=caustics)
     if found.work:
         why["media"] = f"{found.work:.3g} collisions a path at the start"
     return dataclasses.replace(found, paths=paths), why
@@ -308,7 +303,7 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
         costs, and no part of the probe's share of the budget, of which all checks take no more
         than half."""
         nonlocal checks
-        shares, seconds = _lost(problem, own, _LOST, probe.allowed / 2 - checks)
+        shares, seconds = _lost(problem, own, rules.LOST, probe.allowed / 2 - checks)
         checks += seconds
         return max(shares.values(), default=0.0)
 
@@ -321,15 +316,15 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
             if found is None:
                 break
             derivatives.append(found)
-            if _worst(found) < settings.derivative_tolerance:
+            if rules.worst(found) < settings.derivative_tolerance:
                 lost = check(Paths(depth, depth))
-                if lost <= _LOST:
+                if lost <= rules.LOST:
                     paths = dataclasses.replace(paths, derivative=depth)
                     break
                 derivatives[-1] = dataclasses.replace(found, lost=lost)
     if settings.caustics is None and surfaces and clear(problem):
         caustics = probe.caustics()
-        if caustics and _worst(caustics) < settings.tolerance:
+        if caustics and rules.worst(caustics) < settings.tolerance:
             lost = check(dataclasses.replace(plan.paths, caustics=False))
             caustics = dataclasses.replace(caustics, lost=lost)
     if settings.max_depth is None:
@@ -338,7 +333,7 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
             if found is None:
                 break
             cuts.insert(0, found)
-            if not _worst(found) < settings.tolerance:
+            if not rules.worst(found) < settings.tolerance:
                 break
     return dataclasses.replace(
         plan,
@@ -350,45 +345,3 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
         work=work,
         seconds=probe.seconds + checks,
     )
-
-
-def _worst(cut: Cut) -> float:
-    """The 95 % bound of what the unknown that loses most loses of its gradient."""
-    return max(share.bound for share in cut.gradient.values())
-
-
-def _depth(cuts, tolerance: float, whole: int) -> tuple[int, str]:
-    """The shallowest of the ladder beyond which nothing counts."""
-    chosen, why = whole, "all that the scene has"
-    for each in reversed(cuts):
-        bound = _worst(each)
-        told = f"longer ones are up to {bound:.2%} of a gradient (95 % bound)"
-        if not bound < tolerance:
-            return chosen, why if chosen != whole else told
-        chosen, why = each.depth, told
-    return chosen, why
-
-
-def _derivative(cuts, tolerance: float, whole: int) -> tuple[int, str]:
-    """The shallowest of the ladder whose derivative points nearly where the whole one does."""
-    for each in cuts:
-        if _worst(each) < tolerance and each.lost <= _LOST:
-            return each.depth, f"longer ones are up to {_worst(each):.0%} of a gradient"
-    last = cuts[-1]
-    if _worst(last) < tolerance:
-        return whole, f"up to {last.lost:.0%} of the entries may be met by longer ones only"
-    return whole, f"longer than {last.depth} are up to {_worst(last):.0%} of a gradient"
-
-
-def _lights(samples) -> tuple[tuple[int, int], str]:
-    """The number with the least noise × time. Of those that are as good within their errors, the
-    most: noise is what the residual is at a run's end, and earlier the derivative's own noise
-    counts for more. No number loses anything, so that none has to be surely better."""
-    if not samples:
-        return (1, 1), "not measured"
-    least = min(samples, key=lambda s: s.noise * s.time)
-    if least.noise * least.time >= 1:
-        return (1, 1), "more would not pay"
-    alike = [s for s in samples if (s.noise - s.error) * s.time <= least.noise * least.time]
-    best = max(alike, key=lambda s: sum(s.samples))
-    return best.samples, f"noise × time {best.noise * best.time:.2f} of that with one each"

@@ -196,8 +196,9 @@ def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
 def _tell(recorder: "Recorder") -> None:
     """What is simulated."""
     plan = recorder.loop.plan
-    for effect in ("paths", "differentiated", "roulette", "light samples", "finish"):
-        if effect in plan.statements:
+    told = "paths", "differentiated", "caustics", "roulette", "light samples", "finish"
+    for effect in told:
+        if not plan.statements.get(effect, "not met").startswith("not met"):
             recorder.display.say(f"{effect}: {plan.statements[effect]}")
     if plan.seconds:
         recorder.display.say(f"found by a probe of {plan.seconds:.1f} billed seconds")

@@ -14,8 +14,7 @@ from isas_cli import effects, records
 from isas_cli.cli.app import main
 from isas_cli.config.compose import compose
 from isas_cli.effects import plan as planning
-from isas_cli.effects import probe
-from isas_cli.effects.plan import _depth, _derivative, _lights
+from isas_cli.effects import probe, rules
 from isas_cli.effects.probe import Cut, Lights, Probe, Share, gradient_share, noise_ratio
 from isas_cli.effects.settings import Effects
 from isas_cli.estimators.staged import Staged
@@ -142,29 +141,29 @@ def rung(depth: int, *bounds: float, lost: float = 0.0) -> Cut:
 
 def test_depth_is_the_least_beyond_which_no_unknown_loses_its_share():
     ladder = [rung(2, 0.001, 0.2), rung(3, 0.001, 0.004), rung(4, 0, 0)]
-    assert _depth(ladder, 0.01, 6)[0] == 3
-    assert _depth(ladder, 0.002, 6)[0] == 4
-    assert _depth(ladder, 0.5, 6)[0] == 2
-    depth, why = _depth(ladder, 0.0, 6)
+    assert rules.depth(ladder, 0.01, 6)[0] == 3
+    assert rules.depth(ladder, 0.002, 6)[0] == 4
+    assert rules.depth(ladder, 0.5, 6)[0] == 2
+    depth, why = rules.depth(ladder, 0.0, 6)
     assert depth == 6 and "%" in why
 
 
 def test_what_is_differentiated_is_the_least_that_loses_no_share_and_no_entry():
     ladder = [rung(2, 0.1, 0.5), rung(3, 0.1, 0.2)]
-    assert _derivative(ladder, 0.3, 6)[0] == 3
-    assert _derivative(ladder, 0.15, 6) == (6, "longer than 3 are up to 20% of a gradient")
-    depth, why = _derivative([rung(2, 0.1, lost=0.4)], 0.3, 6)
+    assert rules.derivative(ladder, 0.3, 6)[0] == 3
+    assert rules.derivative(ladder, 0.15, 6) == (6, "longer than 3 are up to 20% of a gradient")
+    depth, why = rules.derivative([rung(2, 0.1, lost=0.4)], 0.3, 6)
     assert depth == 6 and why.startswith("up to 40% of the entries")
 
 
 def test_light_samples_are_more_only_where_that_pays():
     one = Lights((1, 1), 1.0, 0.05, 1.0)
-    assert _lights([one, Lights((4, 4), 0.3, 0.02, 1.6)])[0] == (4, 4)
-    assert _lights([one, Lights((4, 4), 0.6, 0.02, 1.8)])[0] == (1, 1)
+    assert rules.lights([one, Lights((4, 4), 0.3, 0.02, 1.6)])[0] == (4, 4)
+    assert rules.lights([one, Lights((4, 4), 0.6, 0.02, 1.8)])[0] == (1, 1)
     few, many = Lights((4, 1), 0.33, 0.03, 1.23), Lights((4, 4), 0.29, 0.03, 1.47)
-    assert _lights([one, few, many])[0] == (4, 4), "as good within the errors"
-    assert _lights([one, few, Lights((4, 4), 0.4, 0.03, 1.47)])[0] == (4, 1)
-    assert _lights([])[0] == (1, 1)
+    assert rules.lights([one, few, many])[0] == (4, 4), "as good within the errors"
+    assert rules.lights([one, few, Lights((4, 4), 0.4, 0.03, 1.47)])[0] == (4, 1)
+    assert rules.lights([])[0] == (1, 1)
 
 
 def test_a_run_by_iterations_has_all_effects_and_no_probe():
