@@ -28,8 +28,10 @@ def facts(results: Path) -> dict:
         "seeds": int(scenes[0]["auto"]["seeds"]),
         "median": float(pandas.Series(times).median()),
         "verdicts": {"auto": _verdicts(scenes, "auto"), "staged": _verdicts(ladder, "staged")},
-        "sharing": _sharing(pandas.read_csv(results / "sharing.csv")),
-    }
+        "never": [s["name"] for s in scenes if not math.isfinite(s["auto"]["time_to_full"])],
+        # Tables of before have no such column.
+        "before": "caustics" not in ladder[0]["full"],
+    } | _sharing(pandas.read_csv(results / "sharing.csv"))
 
 
 def _scenes(path: Path) -> list[dict]:
@@ -57,28 +59,43 @@ def _verdicts(scenes: list[dict], plan: str) -> dict[str, list[str]]:
     }
 
 
-def _sharing(table: pandas.DataFrame) -> list[dict]:
-    """A row per scene: noise by the power heuristic over the balance heuristic's, with one light
-    sample and with four; noise and time of four light samples, and of roulette, over one and none
-    of it."""
-    rows = []
+def _sharing(table: pandas.DataFrame) -> dict:
+    """A row per scene, in words: noise by the power heuristic over the balance heuristic's, with
+    one light sample and with four; noise and time of four light samples, and of roulette, over one
+    and none of it. The scenes where one heuristic has surely less noise, and the range of noise ×
+    time of early roulette."""
+    rows, lower, higher, products = [], [], [], []
     for scene, own in table.groupby("scene", sort=False):
-
-        def of(heuristic: str, lights: int, roulette: int | None = None, own=own) -> pandas.Series:
-            same = own["roulette"].isna() if roulette is None else own["roulette"] == roulette
-            (found,) = own[(own["heuristic"] == heuristic) & (own["lights"] == lights) & same].index
-            return own.loc[found]
-
-        many = of("balance", 4)
+        of = own.fillna({"roulette": 0}).set_index(["heuristic", "lights", "roulette"])
+        powers = []
+        for count in (1, 4):
+            one, other = (of.loc[(name, count, 0)] for name in ("power", "balance"))
+            ratio = one["noise"] / other["noise"]
+            error = ratio * math.hypot(*(e["error"] / e["noise"] for e in (one, other)))
+            powers.append(f"{ratio:.2f} ± {error:.2f}")
+            if abs(ratio - 1) > 2 * error:
+                (lower if ratio > 1 else higher).append(scene)
+        early = of.loc[("balance", 1, 1)]
+        products.append(early["noise"] * early["time"])
         rows.append(
             {
                 "scene": scene,
-                "power": [of("power", n)["noise"] / of("balance", n)["noise"] for n in (1, 4)],
-                "many": [many["noise"], many["time"]],
-                "roulette": [[of("balance", 1, n)[m] for m in ("noise", "time")] for n in (1, 2)],
+                "power": powers,
+                "many": _told(of.loc[("balance", 4, 0)]),
+                "roulette": [_told(of.loc[("balance", 1, n)]) for n in (1, 2)],
             }
         )
-    return rows
+    return {
+        "sharing": rows,
+        "lower": list(dict.fromkeys(lower)),
+        "higher": list(dict.fromkeys(higher)),
+        "roulette": (min(products), max(products)),
+    }
+
+
+def _told(row: pandas.Series) -> list[str]:
+    """Noise and time."""
+    return [f"{row['noise']:.2f} ± {row['error']:.2f}", f"{row['time']:.2f}"]
 
 
 def _spending(table: pandas.DataFrame) -> list[dict]:

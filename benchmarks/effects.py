@@ -80,7 +80,9 @@ def measured(run: records.Run) -> dict:
         "depth": plan["max_depth"],
         "derivative": plan["derivative_depth"],
         "light_samples": " ".join(map(str, plan["light_samples"])),
+        "caustics": plan["caustics"],
         "probe": plan["probe_seconds"],
+        "threads": run.manifest["threads"],
     }
 
 
@@ -90,8 +92,9 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     rows = []
     goal = found[found["method"] == FULL][MEASURE].median()
     for _, own in found.groupby("method", sort=False):
-        same = "scene", "method", "factor", "depth", "derivative", "light_samples", "probe"
-        row = {key: own[key].iloc[0] for key in same} | {"seeds": len(own), "seconds": seconds}
+        same = ["scene", "method", "factor", "depth", "derivative", "light_samples", "caustics"]
+        row = {key: own[key].iloc[0] for key in [*same, "probe", "threads"]}
+        row |= {"seeds": len(own), "seconds": seconds}
         for measure in (MEASURE, "image_rmse"):
             row |= reproduce._spread(measure, own[measure].tolist())
         row["left_out"] = own["left_out"].median() if own["left_out"].notna().any() else None
@@ -128,10 +131,8 @@ def main() -> None:
     root.mkdir(parents=True, exist_ok=True)
     print(f"runs: {root}", flush=True)
     for scene in chosen.scenes or SCENES:
-        named, settings = (
-            plans(scene, chosen.ladder),
-            [*SETTINGS, *reproduce.SCENES[scene].settings],
-        )
+        named = plans(scene, chosen.ladder)
+        settings = [*SETTINGS, *reproduce.SCENES[scene].settings]
         first, found = _contest.judged(
             *(scene, root / scene, settings, named, FACTORS, chosen.seeds, SECONDS),
             *(measured, MEASURE),

@@ -1,11 +1,11 @@
 """How light and BSDF samples share the work, and what roulette saves: noise and time of a gradient.
 
-On every scene with surfaces, at the start, all effects: the gradient's noise (`effects/probe.py`:
+On the scenes of `effects.py`, at the start, all effects: the gradient's noise (`effects/probe.py`:
 of each entry, the geometric mean of the ratio of its mean squares, ± one standard error) and the
 time of an estimate, with the power heuristic's weights instead of the balance heuristic's, with
 four light samples at the first hit (each of both heuristics), and with Russian roulette from the
-first or second vertex on; over one light sample, balance heuristic, and the scene's roulette.
-Writes results/sharing.csv.
+first or second vertex on; over one light sample, balance heuristic, and the scene's roulette. Sides
+take turns; times are medians of the turns' ratios. Writes results/sharing.csv.
 
     .venv/bin/python benchmarks/sharing.py
 """
@@ -14,15 +14,16 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import statistics
 import sys
-from pathlib import Path
 
+import _contest
 import _rows
+import pages
+from effects import SCENES
+from reproduce import RESULTS
 
-HERE = Path(__file__).parent
-SCENES = ("pottery", "bowl", "jumpydumpy", "dodoco_a", "catcake", "earth2mars", "earth")
-SCENES += ("trashcan", "dodoco", "caustic_failure", "multires")
-BATCHES = 64
+BATCHES, TURNS = 64, 5
 
 
 def measure(scene: str) -> None:
@@ -56,34 +57,39 @@ def measure(scene: str) -> None:
     }
     sides |= {("balance", 1, n): dataclasses.replace(usual, roulette=n) for n in (1, 2)}
     measured = probe.Probe(problem, losses.L2(), 3)
-    first = None
-    for (heuristic, lights, roulette), paths in sides.items():
-        for module in (attached, light, replayed):
-            module.mis_weight = balance if heuristic == "balance" else power
-        kernel = measured._kernel(problem.integrator.cut(paths), False)
-        _, gradients, seconds = measured._repeated(kernel, paths, fixed=True)
-        squares = {key: rows.astype(np.float64) ** 2 for key, rows in gradients.items()}
-        first = first or (squares, seconds)
-        noise, error = probe.noise_ratio(squares, first[0])
-        row = {"scene": scene, "heuristic": heuristic, "lights": lights, "roulette": roulette}
-        _rows.emit(row | {"noise": noise, "error": error, "time": seconds / first[1]})
+    kernels = {
+        side: measured._kernel(problem.integrator.cut(p), False) for side, p in sides.items()
+    }
+    squares, seconds = {}, {side: [] for side in sides}
+    for _ in range(TURNS):
+        for side, paths in sides.items():
+            for module in (attached, light, replayed):  # read where a kernel is traced
+                module.mis_weight = balance if side[0] == "balance" else power
+            _, gradients, spent = measured._repeated(kernels[side], paths, fixed=True)
+            seconds[side].append(spent)
+            squares[side] = {key: rows.astype(np.float64) ** 2 for key, rows in gradients.items()}
+    first = next(iter(sides))
+    for side in sides:
+        noise, error = probe.noise_ratio(squares[side], squares[first])
+        time = statistics.median(a / b for a, b in zip(seconds[side], seconds[first]))
+        row = dict(zip(("scene", "heuristic", "lights", "roulette"), (scene, *side)))
+        _rows.emit(row | {"noise": noise, "error": error, "time": time})
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenes", nargs="*", help=f"of {', '.join(SCENES)}", default=SCENES)
+    parser.add_argument("scenes", nargs="*", help=f"of {', '.join(SCENES)}")
     parser.add_argument("--scene", help="this one alone, in this process")
     chosen = parser.parse_args()
     if chosen.scene:
         return measure(chosen.scene)
     import pandas
 
-    rows = []
-    for scene in chosen.scenes:
-        rows += _rows.collect([sys.executable, __file__, "--scene", scene])
-    table = pandas.DataFrame(rows)
-    print(table.round(3).to_string(index=False))
-    table.to_csv(HERE / "results" / "sharing.csv", index=False, float_format="%.4g")
+    for scene in chosen.scenes or SCENES:
+        rows = _rows.collect([sys.executable, __file__, "--scene", scene])
+        print(pandas.DataFrame(rows).round(3).to_string(index=False), flush=True)
+        _contest.write(RESULTS / "sharing.csv", pandas.DataFrame(rows))
+    pages.write()
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from . import one
 
 if TYPE_CHECKING:
     from ..effects.plan import Plan
+    from ..effects.probe import Cut
 
 
 def main(arguments: list[str]) -> int:
@@ -46,13 +47,12 @@ def show(plan: "Plan", console: Console) -> None:
     for effect, told in plan.statements.items():
         table.add_row(effect, told)
     console.print(table)
-    for cuts, title in (
-        (plan.derivatives, "what the derivatives of longer paths are"),
-        (plan.cuts, "what longer paths are"),
-        ((plan.caustics,) if plan.caustics else (), "what caustics are"),
-    ):
+    longer = "what the derivatives of longer paths are", "what longer paths are"
+    for title, cuts in zip(longer, (plan.derivatives, plan.cuts)):
         if cuts:
-            console.print(_cuts(cuts, title))
+            console.print(_cuts(title, {f"up to {cut.depth} edges": cut for cut in cuts}))
+    if plan.caustics:
+        console.print(_cuts("what caustics are", {"none": plan.caustics}))
     if plan.samples:
         table = Table(
             "light samples: residual, derivative", title="with one each = 1; ± one standard error"
@@ -68,15 +68,16 @@ def show(plan: "Plan", console: Console) -> None:
         console.print(f"a run is billed {plan.seconds:.1f} s for these measurements")
 
 
-def _cuts(cuts, title: str) -> Table:
-    table = Table("edges at most", title=f"{title}; in brackets the 95 % bound")
+def _cuts(title: str, cuts: dict[str, "Cut"]) -> Table:
+    """``cuts``: by what is left."""
+    table = Table("what is left", title=f"{title}; in brackets the 95 % bound")
     for column in ("of the images", "of the gradient", "time without them"):
         table.add_column(column, justify="right")
-    for each in cuts:
+    for left, each in cuts.items():
         key, worst = max(each.gradient.items(), key=lambda pair: pair[1].bound)
         of_gradient = f"{_share(worst)} {key}" if len(each.gradient) > 1 else _share(worst)
         of_image = _share(each.image) if each.image else "–"
-        table.add_row(str(each.depth), of_image, of_gradient, f"{each.time:.2f}")
+        table.add_row(left, of_image, of_gradient, f"{each.time:.2f}")
     return table
 
 

@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from ..estimators.estimator import Estimator
     from ..scene.problem import Problem
 
-# Depths that are compared, and numbers of light samples (residual, derivative); the last only where
-# no path gives both, which takes as many for one as for the other.
+# Depths that are compared, and numbers of light samples (residual, derivative). The last pair is
+# left out where one path gives both, by as many.
 _LADDER = (2, 3, 4, 6, 8)
 _LIGHTS = ((1, 1), (4, 4), (4, 1))
 # A budget of so many seconds can pay for a probe, which takes at most this share of it and at most
 # so many seconds.
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
-_FORMAT = 12
+_FORMAT = 13
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,8 @@ def decide(
     if not whole.samples_lights:
         told["light samples"] = "none: a path finds its light by leaving the medium"
     for effect, reason in why.items():
-        told[effect] += f": {reason}"
+        if effect != "caustics" or clear(planned):  # paths as planned may be too short for any
+            told[effect] += f": {reason}"
     if plan.staged(problem):
         told["finish"] = f"the last {plan.finish:.0%} of the budget with all effects"
     return dataclasses.replace(plan, statements=told)
@@ -177,12 +178,17 @@ def _as_set(problem: "Problem", settings: Effects) -> Paths:
     paths = Paths(depth, derivative, lights, settings.roulette, settings.caustics is not False)
     for name, edges in (("max_depth", depth), ("derivative_depth", derivative)):
         if getattr(settings, name) is not None and edges < whole.max_depth:
-            if key := _unmet(problem, Paths(edges, edges)):
+            if key := _unmet(problem, Paths(edges, edges, caustics=paths.caustics)):
                 raise InputError(
                     f"effects.{name}={edges}: no path of so few edges meets '{key}': give "
                     f"more, at most the scene's {whole.max_depth}"
                 )
-    if not paths.caustics and (key := _unmet(problem, dataclasses.replace(paths, lights=(1, 1)))):
+    if settings.caustics is not None and not whole.samples_lights:
+        raise InputError(
+            f"effects.caustics={str(settings.caustics).lower()}: no mirror or glass lights a "
+            "medium here: leave it out"
+        )
+    if not paths.caustics and clear(problem) and (key := _unmet(problem, paths)):
         raise InputError(
             f"effects.caustics=false: only light by way of mirrors or clear glass meets '{key}': "
             "leave it out"
@@ -317,7 +323,7 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
                 break
             derivatives.append(found)
             if rules.worst(found) < settings.derivative_tolerance:
-                lost = check(Paths(depth, depth))
+                lost = check(dataclasses.replace(paths, derivative=depth))
                 if lost <= rules.LOST:
                     paths = dataclasses.replace(paths, derivative=depth)
                     break
@@ -325,15 +331,19 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
     if settings.caustics is None and surfaces and clear(problem):
         caustics = probe.caustics()
         if caustics and rules.worst(caustics) < settings.tolerance:
-            lost = check(dataclasses.replace(plan.paths, caustics=False))
+            lost = check(dataclasses.replace(paths, caustics=False))
             caustics = dataclasses.replace(caustics, lost=lost)
+            paths = dataclasses.replace(paths, caustics=lost > rules.LOST)
     if settings.max_depth is None:
         for depth in reversed(ladder):
             found = probe.cut(depth, derivative=False)
             if found is None:
                 break
+            if rules.worst(found) < settings.tolerance and depth < paths.derivative:
+                lost = check(dataclasses.replace(paths, depth=depth, derivative=depth))
+                found = dataclasses.replace(found, lost=lost)
             cuts.insert(0, found)
-            if not rules.worst(found) < settings.tolerance:
+            if not (rules.worst(found) < settings.tolerance and found.lost <= rules.LOST):
                 break
     return dataclasses.replace(
         plan,

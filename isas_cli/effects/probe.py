@@ -2,10 +2,10 @@
 
 All at the start values, with uniform pixels. **Depth**: one kernel traces paths of any length; with
 the same random numbers a longer path begins as the shorter one, so the difference of two gradients
-is what the longer paths add, free of the noise that both share. **Caustics**: likewise. **Light
-samples**: how the noise of a gradient and the time of a step change with their number. The residual
-that a run is left with in the end is noise, so the residual here is the difference of two
-renderings of the same pixels.
+is what the longer paths add, free of the noise that both share. **Caustics**: the same with and
+without them. **Light samples**: how the noise of a gradient and the time of a step change with
+their number. The residual that a run is left with in the end is noise, so the residual here is the
+difference of two renderings of the same pixels.
 """
 
 from __future__ import annotations
@@ -86,6 +86,9 @@ class Probe:
         self.pixels = PixelDistribution.uniform(Tiles.over(problem.views))
         self.lanes = min(_LANES, problem.views.total)
         self.seconds = 0.0
+        integrator = problem.integrator
+        whole = integrator.max_depth
+        self._all = Paths(whole, whole, caustics=integrator.paths.caustics)
         self._clear = bool(structure.clear(problem))
         self._any = self._kernel(None, True)
         self._whole = None
@@ -140,18 +143,17 @@ class Probe:
     def cut(self, depth: int, derivative: bool) -> Cut | None:
         """What is lost where paths (``derivative``: what is differentiated of them) have at most
         ``depth`` edges; None where measuring would take too long."""
-        whole = self.problem.integrator.max_depth
-        return self._without(Paths(whole if derivative else depth, depth))
+        own = dataclasses.replace(self._all, derivative=depth)
+        return self._with(own if derivative else dataclasses.replace(own, depth=depth))
 
     def caustics(self) -> Cut | None:
         """What is lost without caustics; None where measuring would take too long."""
-        whole = self.problem.integrator.max_depth
-        return self._without(Paths(whole, whole, caustics=False))
+        return self._with(dataclasses.replace(self._all, caustics=False))
 
-    def _without(self, paths: Paths) -> Cut | None:
-        whole = self.problem.integrator.max_depth
+    def _with(self, paths: Paths) -> Cut | None:
+        """What is lost with ``paths`` instead of all."""
         if self._whole is None:
-            self._whole = self._repeated(self._any, Paths(whole, whole))
+            self._whole = self._repeated(self._any, self._all)
         own = self._whole and self._repeated(self._any, paths)
         self.problem.unknowns.write(self.values)
         if not own:
@@ -163,7 +165,7 @@ class Probe:
         for key, every in gradients[1].items():
             every, some = every[:count], gradients[0][key][:count]
             shares[key] = gradient_share(every - some, every)
-        alike = paths.depth == whole and paths.caustics
+        alike = dataclasses.replace(paths, derivative=self._all.derivative) == self._all
         image = None if alike else _image_share(images[1] - images[0], images[1])
         return Cut(paths.derivative, image, shares, own[2] / self._whole[2])
 

@@ -21,7 +21,9 @@ def depth(cuts: Sequence[Cut], tolerance: float, whole: int) -> tuple[int, str]:
     for each in reversed(cuts):
         bound = worst(each)
         told = f"longer ones are up to {bound:.2%} of a gradient (95 % bound)"
-        if not bound < tolerance:
+        if bound < tolerance and each.lost > LOST:
+            told = f"up to {each.lost:.0%} of the entries may be met by longer ones only"
+        if not bound < tolerance or each.lost > LOST:
             return chosen, why if chosen != whole else told
         chosen, why = each.depth, told
     return chosen, why
@@ -41,8 +43,8 @@ def derivative(cuts: Sequence[Cut], tolerance: float, whole: int) -> tuple[int, 
 def lights(samples: Sequence[Lights]) -> tuple[tuple[int, int], str]:
     """The number with the least noise × time. Of those that are as good within their errors, the
     most: noise is what the residual is at a run's end, and earlier the derivative's own noise
-    counts for more. No number loses anything, so that none has to be surely better."""
-    if not samples:
+    counts for more. No number adds bias, so that none has to be surely better."""
+    if len(samples) < 2:
         return (1, 1), "not measured"
     least = min(samples, key=lambda s: s.noise * s.time)
     if least.noise * least.time >= 1:
@@ -56,5 +58,5 @@ def caustics(without: Cut, tolerance: float) -> tuple[bool, str]:
     """Whether they are simulated."""
     bound = worst(without)
     if bound < tolerance and without.lost > LOST:
-        return True, f"up to {without.lost:.0%} of the entries may be met by it alone"
+        return True, f"up to {without.lost:.0%} of the entries may be met by them alone"
     return not bound < tolerance, f"up to {bound:.2%} of a gradient (95 % bound)"

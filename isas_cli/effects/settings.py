@@ -16,8 +16,8 @@ class Effects:
     ``derivative_depth``: of the longest that is differentiated. ``light_samples``: of emitters at
     the first hit, for the residual and for the derivative. None: as the probe finds best, else all
     that the scene has and one sample. ``roulette``: vertices after which Russian roulette ends
-    paths; None: as the scene has it. ``caustics``: whether surfaces get light by way of mirrors
-    and clear glass; None: as the probe finds, else they do. ``tolerance``,
+    paths; None: as the scene has it. ``caustics``: whether surfaces get light straight from
+    mirrors or through clear glass; None: as the probe finds, else they do. ``tolerance``,
     ``derivative_tolerance``: share of an unknown's gradient, see ``plan``. ``finish``: the last
     share of the budget with all effects.
 
@@ -39,8 +39,8 @@ class Effects:
     @property
     def cuts(self) -> bool:
         """Whether paths are set to be others than the scene's."""
-        names = "max_depth", "derivative_depth", "light_samples", "roulette", "caustics"
-        return any(getattr(self, name) is not None for name in names)
+        own = self.max_depth, self.derivative_depth, self.light_samples, self.roulette
+        return self.caustics is False or any(each is not None for each in own)
 
     def __post_init__(self) -> None:
         for name in ("max_depth", "derivative_depth"):

@@ -75,26 +75,32 @@ def _scatterings(depth: int) -> str:
 
 
 def clear(problem: "Problem") -> list[str]:
-    """The shapes that mirror or pass light in one direction alone."""
-    return _with(problem.scene.shapes(), mi.BSDFFlags.Delta)
+    """The shapes that mirror or bend light in one direction alone, where paths are long enough for
+    light to come by way of them to a surface that scatters."""
+    integrator = problem.integrator
+    if not integrator.samples_lights or integrator.max_depth < 3:
+        return []
+    return _with(problem.scene.shapes(), "DeltaReflection", "DeltaTransmission")
 
 
-def _with(shapes: list, flag: mi.BSDFFlags) -> list[str]:
+def _with(shapes: list, *flags: str) -> list[str]:
+    """The names of shapes whose BSDF has one of ``flags``."""
+    wanted = [getattr(mi.BSDFFlags, flag) for flag in flags]
     bsdfs = ((shape.id(), shape.bsdf()) for shape in shapes)
-    return [name for name, bsdf in bsdfs if bsdf is not None and mi.has_flag(bsdf.flags(), flag)]
+    bsdfs = ((name, bsdf.flags()) for name, bsdf in bsdfs if bsdf is not None)
+    return [name for name, own in bsdfs if any(mi.has_flag(own, flag) for flag in wanted)]
 
 
 def _caustics(problem: "Problem") -> str:
     if not clear(problem):
-        return "not met: nothing mirrors or passes light in one direction alone"
-    if problem.integrator.paths.caustics:
-        return f"simulated: light that surfaces get by way of {', '.join(clear(problem))}"
-    return f"left out: light that surfaces get by way of {', '.join(clear(problem))}"
+        return "not met: by way of no mirror and no clear glass"
+    done = "simulated" if problem.integrator.paths.caustics else "left out"
+    return f"{done}: light that surfaces get by way of {', '.join(clear(problem))}"
 
 
 def _transmission(shapes: list) -> str:
     """Whether light passes through any surface."""
-    if through := _with(shapes, mi.BSDFFlags.Transmission):
+    if through := _with(shapes, "Transmission"):
         return f"simulated: light passes through {', '.join(through)}"
     return "not met: no surface lets light through"
 

@@ -39,7 +39,8 @@ class Settings(Estimator):
     for as many as ``edges`` where there are lamps, and 0 under a sky alone, whose shadows are soft:
     there they bring more noise than they tell (where what stands still can shade
     what moves, as many again for its shadows); ``reflections``: samples of silhouettes that other
-    surfaces show, in reflections and scattered light; ``lamps``: points of lamps that shadows are
+    surfaces show, in reflections and scattered light (and as many again of meshes that stand
+    still); ``lamps``: points of lamps that shadows are
     found for; ``paths``: of each sample's pixel, for its residual; ``freeze``: record kernels once
     instead of tracing every iteration."""
 
@@ -110,6 +111,8 @@ class Settings(Estimator):
         told = f"{Attached.derivatives}, and {count or 'none'} a step of the edges of shadows"
         if self.reflected(problem):
             told += f", {self.reflections} of silhouettes that other surfaces show"
+            if meshes_of(problem, mi.traverse(problem.scene)):
+                told += " and as many of what stands still"
         mirrors = [
             shape.id()
             for shape in problem.scene.shapes()

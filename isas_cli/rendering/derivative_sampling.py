@@ -48,7 +48,7 @@ from ..config.schema import ROUGHNESSES, roughness_of
 from ..runtime.errors import InputError
 from ..unknowns.unknowns import Unknowns
 from .integrators import InOneGo, Integrator
-from .light import mis_weight
+from .light import by_chance, mis_weight
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
@@ -247,7 +247,9 @@ class DerivativeSampling(InOneGo):
             at_once = dr.select(first & active, emission, at_once)
             pdf_light = dr.select(first & active, by_light, pdf_light)
             mis = mis_weight(pdf, by_light)
-            L += dr.select(active & ~first, β * mis * emission, 0)
+            # The chosen vertex scatters.
+            met = active & ~first & (mi.Bool(self.paths.caustics) | ~by_chance(active, delta))
+            L += dr.select(met, β * mis * emission, 0)
 
             active &= si.is_valid() & (depth + 1 < self.paths.derivative)
             lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)

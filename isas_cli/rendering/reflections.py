@@ -48,6 +48,7 @@ class Reflections(Border):
     ):  # fmt: skip
         super().__init__(problem, topologies, samples, paths + 3)
         (shape,) = [each for each in problem.scene.shapes() if each.id() == id]
+        still = id not in problem.unknowns.moved
         integrator, differences = problem.integrator, without_film(problem.integrator)
         views = len(problem.film_sizes)
         moved = [each for each in problem.scene.shapes() if each.id() in problem.unknowns.moved]
@@ -69,6 +70,11 @@ class Reflections(Border):
                 valid = drawn.probability > 0
                 si = scene.ray_intersect(backward_ray(found), valid)
                 valid &= si.is_valid()
+                # What stands still shows no motion of its own.
+                own = mi.Bool(False)
+                for each in moved:
+                    own |= si.shape == mi.ShapePtr(each)
+                valid = valid & own if still else valid
 
                 frame = mi.Frame3f(si.n)
                 crossing, eye, valid = shown(
@@ -84,10 +90,6 @@ class Reflections(Border):
                 step, _ = differences.sample_radiance_difference(
                     scene, found, mi.UInt32(1), random, mi.Color0f(), valid
                 )
-                # What stands still shows no motion of its own.
-                own = mi.Bool(False)
-                for each in moved:
-                    own |= si.shape == mi.ShapePtr(each)
                 own &= valid
                 ray = found.spawn_ray()
                 behind, _, _, _ = differences.sample(

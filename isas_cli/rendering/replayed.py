@@ -7,6 +7,8 @@ import mitsuba as mi
 
 from .light import by_chance, gathered, mis_weight
 
+_ONCE = dr.ADFlag.ClearEdges | dr.ADFlag.ClearInterior
+
 
 def handles(integrator) -> bool:
     """Whether ``trace`` estimates what this one does: surface paths with visible emitters."""
@@ -78,7 +80,8 @@ def trace(
                     if dr.grad_enabled(total):
                         dr.backward_from(adjoint * total)
                 elif dr.grad_enabled(total):
-                    found = found + dr.forward_to(total)
+                    # Tangents stay where they are: other vertices are traced after this one.
+                    found = found + dr.forward_to(total, flags=_ONCE)
 
         β = β * weight
         η = η * sample.eta

@@ -66,6 +66,9 @@ def test_depths_can_be_set_and_no_light_samples():
     shown = plan.on(p).integrator
     assert (shown.max_depth, shown.paths.derivative) == (3, 2)
     assert decided(p).paths == Paths(8, 8), "without a budget in seconds nothing is left out"
+    assert plan.statements["caustics"].startswith("not met")
+    with pytest.raises(InputError, match="caustics=false: no mirror or glass lights a"):
+        decided(p, caustics=False)
     with pytest.raises(InputError, match="light_samples=.*no light is sampled in a medium"):
         decided(p, light_samples=[4, 4])
     with pytest.raises(InputError, match=f"max_depth=1: no path of so few edges meets '{ALBEDO}'"):

@@ -123,20 +123,25 @@ def test_the_only_way_to_an_unknown_stays(build, least):
     "build, kept", [(in_a_caustic, True), (behind_glass, True), (a_bead, False)]
 )
 def test_caustics_go_where_they_are_little_and_stay_where_they_are_the_light(build, kept):
-    plan = decided(problem(build), 60.0)
+    plan = decided(problem(build), 60.0, max_depth=DEPTH)
     print(plan.statements["caustics"], plan.caustics)
     assert plan.paths.caustics is plan.record()["caustics"] is kept
     assert ("simulated" if kept else "left out") in plan.statements["caustics"]
 
 
 def test_caustics_can_be_set():
-    kept = decided(problem(a_bead), 60.0, caustics=True)
+    kept = decided(problem(a_bead), 60.0, caustics=True, max_depth=DEPTH)
     assert kept.paths.caustics and "as set" in kept.statements["caustics"]
     assert kept.caustics is None
     with pytest.raises(InputError, match=f"effects.caustics=false: .*'{KEY}'"):
         decided(problem(in_a_caustic), caustics=False)
     plan = decided(problem(alone), 60.0)
     assert plan.caustics is None and "not met" in plan.statements["caustics"]
+    short = decided(problem(a_bead), max_depth=2)
+    assert "not met" in short.statements["caustics"]
+    ended = decided(problem(a_bead), caustics=False, finish=0.5)
+    assert not ended.paths.caustics and "50%" in ended.statements["finish"]
+    assert ended.on(problem(a_bead), finish=True).integrator.paths.caustics
 
 
 def test_the_share_of_a_caustic_is_what_it_brings():
