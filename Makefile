@@ -21,7 +21,7 @@ setup: $(STAMP) ## make .venv with pinned packages and .venv/bin/isas
 demo: setup ## recover a pottery texture in about two minutes and write a report
 	@$(VENV)/bin/isas run scene=pottery sampler=ours size=default budget.seconds=60
 
-test: setup ## run the tests, a worker a core: about ten minutes on two
+test: setup ## run the tests, a worker a core: about twenty minutes on two
 	@$(VENV)/bin/python -m pytest $(WORKERS)
 
 test-all: setup ## run the slow tests as well

@@ -11,7 +11,7 @@ import mitsuba as mi
 def mis_weight(a: mi.Float, b: mi.Float) -> mi.Float:
     """Balance heuristic (Veach 1995) of two densities, each times the number of its samples.
 
-    Mitsuba has the power heuristic, which is noisier on most textured scenes
+    Mitsuba has the power heuristic, which is noisier on five of nine textured scenes
     (benchmarks/sharing.py)."""
     w = a / (a + b)
     return dr.select(dr.isfinite(w), w, 0)
