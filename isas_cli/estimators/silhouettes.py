@@ -37,12 +37,11 @@ class Settings(Estimator):
     """``ByShape``. ``edges``: samples of silhouettes a step; ``adaptive``: drawn by the residuals
     around them; ``shadows``: samples of the edges of shadows a step, 0 to leave these out, None
     for as many as ``edges`` where there are lamps, and 0 under a sky alone, whose shadows are soft:
-    there they bring more noise than they tell (where what stands still can shade
-    what moves, as many again for its shadows); ``reflections``: samples of silhouettes that other
-    surfaces show, in reflections and scattered light (and as many again of meshes that stand
-    still); ``lamps``: points of lamps that shadows are
-    found for; ``paths``: of each sample's pixel, for its residual; ``freeze``: record kernels once
-    instead of tracing every iteration."""
+    there they bring more noise than they tell (where what stands still can shade what moves, as
+    many again for its shadows); ``reflections``: samples of silhouettes that other surfaces show,
+    in reflections and scattered light (and as many again of meshes that stand still); ``lamps``:
+    points of lamps that shadows are found for; ``paths``: of each sample's pixel, for its residual;
+    ``freeze``: record kernels once instead of tracing every iteration."""
 
     name: ClassVar[str] = "silhouettes"
     plannable: ClassVar[bool] = False
@@ -135,8 +134,8 @@ class ByShape:
     still; of what stands still (``standing.others``), on moving ones. In direct light, seen
     directly; the rest is the bias of ``Shadows``. Of silhouettes that other surfaces show, those by
     way of one, from ``reflections`` samples (``Reflections``), and as many again of meshes that
-    stand still, as what moves shows them. Bias: that of all parts. Traced once
-    and frozen, but for ``params.update()``.
+    stand still, as what moves shows them. Bias: that of all parts. Traced once and frozen, but for
+    ``params.update()``.
     """
 
     def __init__(self, problem: "Problem", loss, chosen: Settings):

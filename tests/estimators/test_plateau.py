@@ -26,7 +26,7 @@ from isas_cli.samplers.sampler import Stage1Settings
 from isas_cli.unknowns import blur, smoothing
 from isas_cli.unknowns.blur import Blur
 
-COUNT = 900  # of estimates
+COUNT = 1080  # of estimates
 
 
 @pytest.fixture(scope="module")

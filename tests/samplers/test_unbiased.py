@@ -19,6 +19,7 @@ from gradient_estimates import (
 )
 from hard_scenes import SCENES, hard_problem
 from montecarlo import welch
+from weights import as_mitsuba
 
 from isas_cli.config.compose import pixel_samplers
 from isas_cli.rendering import rays
@@ -128,9 +129,10 @@ def test_reference_is_the_derivative_of_the_loss(bench, seed):
 
 
 @pytest.mark.parametrize("bench", some([*SCENES], ("mirror", "glass")), indirect=True)
-def test_short_paths_differentiate_like_replayed_ones(bench):
+def test_short_paths_differentiate_like_replayed_ones(bench, monkeypatch):
     """Both ways to differentiate the same paths of at most seven edges, through glass, mirrors and
     all, some of which end by roulette."""
+    as_mitsuba(monkeypatch)
     p = hard_problem(bench.name, depth=7)
     assert isinstance(p.integrator, Unrolled)
     starts, found = p.unknowns.starts(), []
