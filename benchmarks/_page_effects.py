@@ -29,8 +29,8 @@ def facts(results: Path) -> dict:
         "median": float(pandas.Series(times).median()),
         "verdicts": {"auto": _verdicts(scenes, "auto"), "staged": _verdicts(ladder, "staged")},
         "never": [s["name"] for s in scenes if not math.isfinite(s["auto"]["time_to_full"])],
-        # Tables of before have no such column.
-        "before": "caustics" not in ladder[0]["full"],
+        # Rows of before caustics were planned do not say whether they are.
+        "before": [s["name"] for s in ladder if pandas.isna(s["full"].get("caustics", math.nan))],
     } | _sharing(pandas.read_csv(results / "sharing.csv"))
 
 

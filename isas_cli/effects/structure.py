@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import mitsuba as mi
 
+from ..rendering.light import shapes_with
+
 if TYPE_CHECKING:
     from ..scene.problem import Problem
 
@@ -27,7 +29,7 @@ def statements(problem: "Problem", derivatives: str) -> dict[str, str]:
     told = {
         "light": _counted([e.class_name() for e in problem.scene.emitters()]),
         "paths": (_depth if problem.integrator.samples_lights else _scatterings)(depth),
-        "refraction": _transmission(shapes),
+        "refraction": _transmission(problem.scene),
         "caustics": _caustics(problem),
         "media": _media(shapes, problem.integrator.simulates),
         "moving silhouettes": _moving(problem.unknowns.moving),
@@ -80,15 +82,7 @@ def clear(problem: "Problem") -> list[str]:
     integrator = problem.integrator
     if not integrator.samples_lights or integrator.max_depth < 3:
         return []
-    return _with(problem.scene.shapes(), "DeltaReflection", "DeltaTransmission")
-
-
-def _with(shapes: list, *flags: str) -> list[str]:
-    """The names of shapes whose BSDF has one of ``flags``."""
-    wanted = [getattr(mi.BSDFFlags, flag) for flag in flags]
-    bsdfs = ((shape.id(), shape.bsdf()) for shape in shapes)
-    bsdfs = ((name, bsdf.flags()) for name, bsdf in bsdfs if bsdf is not None)
-    return [name for name, own in bsdfs if any(mi.has_flag(own, flag) for flag in wanted)]
+    return shapes_with(problem.scene, "DeltaReflection", "DeltaTransmission")
 
 
 def _caustics(problem: "Problem") -> str:
@@ -98,9 +92,9 @@ def _caustics(problem: "Problem") -> str:
     return f"{done}: light that surfaces get by way of {', '.join(clear(problem))}"
 
 
-def _transmission(shapes: list) -> str:
+def _transmission(scene: mi.Scene) -> str:
     """Whether light passes through any surface."""
-    if through := _with(shapes, "Transmission"):
+    if through := shapes_with(scene, "Transmission"):
         return f"simulated: light passes through {', '.join(through)}"
     return "not met: no surface lets light through"
 

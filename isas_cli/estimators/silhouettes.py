@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..rendering.light import shapes_with
 from ..rendering.pixels import PixelDistribution
 from ..rendering.projective import Attached
 from ..rendering.reflections import Reflections
@@ -112,12 +113,7 @@ class Settings(Estimator):
             told += f", {self.reflections} of silhouettes that other surfaces show"
             if meshes_of(problem, mi.traverse(problem.scene)):
                 told += " and as many of what stands still"
-        mirrors = [
-            shape.id()
-            for shape in problem.scene.shapes()
-            if shape.bsdf() is not None and mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Delta)
-        ]
-        if mirrors:
+        if mirrors := shapes_with(problem.scene, "Delta"):
             told += f"; silhouettes that are seen by way of {', '.join(mirrors)} are left out"
         return told
 

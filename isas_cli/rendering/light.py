@@ -11,10 +11,17 @@ import mitsuba as mi
 def mis_weight(a: mi.Float, b: mi.Float) -> mi.Float:
     """Balance heuristic (Veach 1995) of two densities, each times the number of its samples.
 
-    Mitsuba has the power heuristic, which is noisier on five of nine textured scenes
-    (benchmarks/sharing.py)."""
+    Mitsuba has the power heuristic; benchmarks/sharing.py compares them."""
     w = a / (a + b)
     return dr.select(dr.isfinite(w), w, 0)
+
+
+def shapes_with(scene: mi.Scene, *flags: str) -> list[str]:
+    """The names of shapes whose BSDF has one of ``flags``, names of ``mi.BSDFFlags``."""
+    wanted = [getattr(mi.BSDFFlags, flag) for flag in flags]
+    bsdfs = ((shape.id(), shape.bsdf()) for shape in scene.shapes())
+    own = ((name, bsdf.flags()) for name, bsdf in bsdfs if bsdf is not None)
+    return [name for name, found in own if any(mi.has_flag(found, flag) for flag in wanted)]
 
 
 def by_chance(scattered: mi.Bool, delta: mi.Bool) -> mi.Bool:

@@ -87,9 +87,11 @@ class Reflections(Border):
                 value *= dr.norm(dr.cross(way, dr.normalize(end - start)))
                 value *= measure / dr.abs(dr.dot(way, si.n))
 
-                step, _ = differences.sample_radiance_difference(
-                    scene, found, mi.UInt32(1), random, mi.Color0f(), valid
-                )
+                step = mi.Color3f(0)  # moves nothing where the edges stand still
+                if not still:
+                    step, _ = differences.sample_radiance_difference(
+                        scene, found, mi.UInt32(1), random, mi.Color0f(), valid
+                    )
                 own &= valid
                 ray = found.spawn_ray()
                 behind, _, _, _ = differences.sample(
