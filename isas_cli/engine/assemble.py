@@ -12,13 +12,14 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import SceneConfig, TargetConfig
-from ..rendering import coverage, integrators, targets
+from ..rendering import coverage, integrators, light, targets
 from ..runtime import backend
 from ..runtime.errors import InputError
 from ..scene import built, flat, mesh_checks, scene_file
 from ..scene.photos import building, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
+from ..unknowns.parameters import owner
 from ..unknowns.specs import narrow_blurs, parse
 from ..unknowns.unknowns import Unknown, Unknowns
 
@@ -65,7 +66,10 @@ def problem(
         of_views = building.of_views(taken, views)
     truth_known = taken is None and scene.targets is None
     found = parse(params, wanted, truth_known, scene.poses, of_views)
-    single = flat.reduce(mi.traverse(loaded), {k for u in found for k in u.kind.writes})
+    written = {key for each in found for key in each.kind.writes}
+    single = flat.reduce(mi.traverse(loaded), written)
+    if not any(isinstance(owner(params, key), mi.Emitter) for key in written):
+        light.prepare(loaded)
     unknowns = Unknowns(mi.traverse(loaded), found)
     result = Problem(
         scene.name,

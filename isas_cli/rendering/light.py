@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 import drjit as dr
 import mitsuba as mi
+
+from .sky import Sky, of_map
+
+# Directions that each of several light samples is picked from, and how often that goes by what they
+# bring instead of by chance alone.
+_EACH, _SURE = 4, 0.9
 
 
 def mis_weight(a: mi.Float, b: mi.Float) -> mi.Float:
@@ -30,12 +34,67 @@ def by_chance(scattered: mi.Bool, delta: mi.Bool) -> mi.Bool:
     return scattered & delta
 
 
-def stratum(point: mi.Point2f, index: int, count: int) -> mi.Point2f:
-    """A uniform ``point`` of the unit square, moved into one of ``count`` equal parts of it, which
-    are as nearly square as rows of equal length allow. Traced."""
-    rows = max(d for d in range(1, math.isqrt(count) + 1) if count % d == 0)
-    columns = count // rows
-    return mi.Point2f((index % columns + point.x) / columns, (index // columns + point.y) / rows)
+def toward(
+    scene: mi.Scene,
+    sampler: mi.Sampler,
+    si: mi.SurfaceInteraction3f,
+    active: mi.Bool,
+    part: tuple[int, int] = (0, 1),
+    within: tuple[int, int] = (0, 1),
+) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
+    """A direction from ``si`` to an emitter, and its radiance over its density, whatever is in its
+    way. Uniform over a part of all that can be drawn, ``(number, count)`` of equal ones, and within
+    that over a part of it. Traced."""
+    point, sky = sampler.next_2d(), _sky(scene)
+    x, y = ((number + each) / count for each, (number, count) in zip(point, (part, within)))
+    if sky is None:
+        # The first number chooses between emitters.
+        return scene.sample_emitter_direction(si, mi.Point2f(x, y), False, active)
+    ds = dr.zeros(mi.DirectionSample3f)
+    x = (part[0] + (within[0] + point.x) / within[1]) / part[1]
+    ds.d, ds.pdf = sky.draw(mi.Point2f(x, point.y))
+    there = dr.zeros(mi.SurfaceInteraction3f)
+    there.wi = -ds.d
+    return ds, scene.environment().eval(there, active) / ds.pdf
+
+
+def hidden(
+    scene: mi.Scene, si: mi.SurfaceInteraction3f, ds: mi.DirectionSample3f, active: mi.Bool
+) -> mi.Bool:
+    """Whether something is in the way of a direction that ``toward`` gave. Traced."""
+    ray = si.spawn_ray_to(ds.p) if _sky(scene) is None else si.spawn_ray(ds.d)
+    return scene.ray_test(ray, active)
+
+
+def density(
+    scene: mi.Scene,
+    previous: mi.SurfaceInteraction3f,
+    ds: mi.DirectionSample3f,
+    active: mi.Bool,
+) -> mi.Float:
+    """Of ``toward`` at ``previous``, by solid angle, for what a path met. Traced."""
+    sky = _sky(scene)
+    if sky is None:
+        return scene.pdf_emitter_direction(previous, ds, active)
+    return sky.pdf(ds.d, active)
+
+
+def prepare(scene: mi.Scene) -> None:
+    """Let directions to the map of ``scene``'s sky be drawn as ``sky`` does it: for a map that
+    stays as it is."""
+    if scene.integrator() is not None:
+        # Kept there as Dr.Jit takes what it finds from the scene on as inputs of frozen kernels,
+        # and Mitsuba's own classes hold no attributes.
+        scene.integrator().sky = of_map(scene)
+
+
+def _sky(scene: mi.Scene) -> Sky | None:
+    return getattr(scene.integrator(), "sky", None)
+
+
+def drawn(count: int) -> int:
+    """Directions that are drawn for ``count`` light samples, see ``gathered``."""
+    return count if count == 1 else _EACH * count
 
 
 def gathered(
@@ -48,25 +107,71 @@ def gathered(
     attach: bool,
 ) -> mi.Spectrum:
     """BSDF × radiance at ``si``, from ``count`` samples of emitters that share the work with one
-    sample of the BSDF: a direction counts by ``mis_weight(count p_emitter, p_BSDF)`` / ``count``.
+    sample of the BSDF: a direction counts by ``mis_weight(n p_emitter, p_BSDF)`` / n, where n is
+    ``drawn(count)``.
 
-    The samples are stratified: each is uniform over a part of its own, so that their mean is
-    unbiased whatever ``count``. ``attach``: with the derivatives of BSDF and emitters (on, as by
-    ``dr.resume_grad``); directions are detached. Traced.
+    The directions are stratified: each is uniform over a part of its own, equal to the others, so
+    that their mean is unbiased whatever n. A shadow ray costs more than a direction, so that one
+    sample of several draws some and traces one of them, see ``_picked``. ``attach``: with the
+    derivatives of BSDF and emitters (on, as by ``dr.resume_grad``); directions are detached.
+    Traced.
     """
     total = mi.Spectrum(0)
     context = mi.BSDFContext()
     smooth = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
     for index in range(count):
         with dr.suspend_grad():
-            point = stratum(sampler.next_2d(), index, count)
-            ds, emitted = scene.sample_emitter_direction(si, point, True, smooth)
-            lit = smooth & (ds.pdf != 0)
+            if count == 1:
+                ds, emitted = toward(scene, sampler, si, smooth)
+                lit, weight = smooth & (ds.pdf != 0), None
+                lit &= ~hidden(scene, si, ds, lit)
+            else:
+                ds, emitted, weight = _picked(scene, sampler, si, bsdf, smooth, index, count)
+                lit = weight != 0
             wo = si.to_local(ds.d)
-        if attach:
+        if attach and _sky(scene) is None:
             again = scene.eval_emitter_direction(si, ds, lit)
             emitted = dr.replace_grad(emitted, again * dr.select(lit, dr.rcp(ds.pdf), 0))
         value, pdf = bsdf.eval_pdf(context, si, wo, lit)
-        weight = dr.select(ds.delta, 1, mis_weight(count * ds.pdf, dr.detach(pdf)))
+        if weight is None:
+            weight = dr.select(ds.delta, 1, mis_weight(ds.pdf, dr.detach(pdf)))
         total += dr.select(lit, weight * value * emitted, 0)
-    return total * (1 / count) if count > 1 else total
+    return total * (1 / drawn(count)) if count > 1 else total
+
+
+def _picked(
+    scene: mi.Scene,
+    sampler: mi.Sampler,
+    si: mi.SurfaceInteraction3f,
+    bsdf: mi.BSDFPtr,
+    active: mi.Bool,
+    index: int,
+    count: int,
+) -> tuple[mi.DirectionSample3f, mi.Spectrum, mi.Float]:
+    """One of several directions to emitters, its radiance over its density, and what it counts: its
+    ``mis_weight`` over the probability that it is picked, which estimates the sum over all of them;
+    0 where something is in its way.
+
+    Picked in proportion to what each would bring if nothing were in its way (resampled importance
+    sampling: Talbot et al. 2005), now and then by chance alone: what brings nothing may have a
+    derivative, as a black texel has."""
+    found, brings = [], []
+    for each in range(_EACH):
+        ds, emitted = toward(scene, sampler, si, active, (index, count), (each, _EACH))
+        lit = active & (ds.pdf != 0)
+        value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, si.to_local(ds.d), lit)
+        weight = dr.select(ds.delta, 1, mis_weight(drawn(count) * ds.pdf, pdf))
+        found.append((ds, emitted, dr.select(lit, weight, 0)))
+        brings.append(dr.select(lit, dr.mean(weight * value * emitted), 0))
+    sure = _SURE * dr.rcp(sum(brings))
+    sure = dr.select(dr.isfinite(sure), sure, 0)
+    by_chance = dr.select(sure > 0, 1 - _SURE, 1) / _EACH
+    number, end, picked, share = sampler.next_1d(), mi.Float(0), found[0], mi.Float(1)
+    for each, brought in zip(found, brings):
+        own = sure * brought + by_chance
+        here = number >= end
+        picked = tuple(dr.select(here, b, a) for a, b in zip(picked, each))
+        share, end = dr.select(here, own, share), end + own
+    ds, emitted, weight = picked
+    weight /= share
+    return ds, emitted, dr.select(hidden(scene, si, ds, weight != 0), 0, weight)

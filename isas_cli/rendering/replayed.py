@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from .light import by_chance, gathered, mis_weight
+from .light import by_chance, density, drawn, gathered, mis_weight
 
 _ONCE = dr.ADFlag.ClearEdges | dr.ADFlag.ClearInterior
 
@@ -53,13 +53,13 @@ def trace(
     def vertex(
         L, found, β, η, depth, active, hit, ray, previous, pdf, delta, spread, sampler, count, here
     ):
-        """One vertex: what it emits and reflects. ``count``: light samples at the one before;
-        ``here``: at this one."""
+        """One vertex: what it emits and reflects. ``count``: directions drawn to lights at the
+        one before; ``here``: light samples at this one."""
         si = hit.compute_surface_interaction(ray, ray_flags=mi.RayFlags.All, active=active)
         bsdf = si.bsdf(ray)
         ds = mi.DirectionSample3f(scene, si=si, ref=previous)
         # The camera's vertex, and what a mirror shows, no light sample could have found.
-        mis = mis_weight(pdf, count * scene.pdf_emitter_direction(previous, ds, ~delta))
+        mis = mis_weight(pdf, count * density(scene, previous, ds, ~delta))
         on = active & si.is_valid() & (depth + 1 < max_depth)
         with dr.resume_grad(when=not primal):
             emitted = β * mis * ds.emitter.eval(si, active)
@@ -117,7 +117,7 @@ def trace(
     if lights > 1:
         # Once outside the loop, where the number of light samples is another.
         state = vertex(*state, count, lights)
-        count = mi.Float(lights)
+        count = mi.Float(drawn(lights))
     *state, _ = dr.while_loop(
         (*state, count),
         lambda *s: s[5],

@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from gradient_estimates import Gradients
-from hard_scenes import hard_problem
+from hard_scenes import SCENES, assemble, hard_problem
 from montecarlo import welch
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 from weights import as_mitsuba
@@ -129,26 +129,17 @@ def test_paths_without_caustics_are_those_with_them_but_for_their_light(lights):
             assert np.allclose(ours, other, rtol=5e-3, atol=1e-4 * np.abs(other).max())
 
 
-def test_parts_of_the_square_are_equal_and_disjoint():
-    points = mi.Point2f(np.random.default_rng(0).random((2, 4000)).astype(np.float32))
-    for count, shape in ((1, (1, 1)), (3, (3, 1)), (4, (2, 2)), (6, (3, 2)), (8, (4, 2))):
-        parts = set()
-        for index in range(count):
-            x, y = np.array(light.stratum(points, index, count))
-            cells = np.floor(x * shape[0]).astype(int), np.floor(y * shape[1]).astype(int)
-            (part,) = set(zip(*(cell.tolist() for cell in cells)))
-            parts.add(part)
-            assert np.ptp(x) > 0.99 / shape[0] and np.ptp(y) > 0.99 / shape[1]
-        assert len(parts) == count
-
-
 class Bench:
-    """A scene of `hard_scenes` at a depth that is unrolled or replayed; gradients of an L2 loss."""
+    """A scene of `hard_scenes` at a depth that is unrolled or replayed; gradients of an L2 loss.
+    ``unknowns``: instead of its own; ``sky``: with directions drawn by its map as it was loaded."""
 
-    def __init__(self, name: str, depth: int):
-        self.problem = hard_problem(name, depth=depth)
+    def __init__(self, name: str, depth: int, unknowns: dict | None = None, sky: bool = False):
+        own = SCENES[name]
+        self.problem = assemble(own.build(depth), unknowns or own.unknowns)
         self.one = Gradients(self.problem, L2(), 4096)
         self.reference = self.one.uniform(300, 99)
+        if sky:
+            light.prepare(self.problem.scene)
 
     def outcome(self, lights: tuple[int, int], seed: int):
         whole = self.problem.integrator
@@ -163,18 +154,57 @@ class Bench:
         )
 
 
-CASES = [("sun", 3, (4, 4)), ("glass", 9, (3, 2))]
+STANDING = {
+    "unknowns": {"floor.bsdf.base_color.data": 0.5, "ball.bsdf.roughness.value": 0.7},
+    "sky": True,
+}
+CASES = [
+    ("sun", 3, (4, 4), {}),
+    ("sun", 3, (4, 4), STANDING),
+    ("sun", 3, (1, 1), STANDING),
+    ("glass", 9, (3, 2), {}),
+]
 
 
-@pytest.mark.parametrize("name, depth, lights", CASES)
-def test_several_light_samples_are_unbiased(name, depth, lights, seed):
+@pytest.mark.parametrize("name, depth, lights, how", CASES)
+def test_several_light_samples_are_unbiased(name, depth, lights, how, seed):
     """A sun and a sky, unrolled; glass, replayed. In the residual as in the derivative."""
-    bench = Bench(name, depth)
+    bench = Bench(name, depth, **how)
     assert isinstance(bench.problem.integrator, Unrolled if depth < 9 else Replayed)
     rows, outcome = bench.outcome(lights, seed)
     print(outcome)
     assert outcome.p_value > LEVEL, str(outcome)
     assert outcome.always_visible < 0.15, str(outcome)
+
+
+@pytest.mark.parametrize("sure, honest", [(0.9, True), (1.0, False)])
+def test_a_direction_that_brings_nothing_counts_as_well(sure, honest, seed, monkeypatch):
+    """One of four is picked and stands for the sum over all. It may come from a lamp that is off,
+    which has a derivative."""
+    count, off = 1 << 18, (1, 2)
+    loaded = mi.load_dict({"type": "scene", "sky": {"type": "constant"}})
+    si = dr.zeros(mi.SurfaceInteraction3f, count)
+    si.sh_frame = mi.Frame3f(mi.Normal3f(0, 0, 1))
+    si.wi = mi.Vector3f(0, 0, 1)
+    stream = rays.stream(mi.UInt32(seed), count)
+
+    def toward(scene, sampler, si, active, part, within):
+        ds = dr.zeros(mi.DirectionSample3f, count)
+        ds.d, ds.pdf = mi.warp.square_to_uniform_hemisphere(sampler.next_2d()), mi.Float(0.2)
+        ds.time = mi.Float(within[0])  # which one it is
+        return ds, mi.Spectrum(0.0 if within[0] in off else 1.0 + within[0])
+
+    monkeypatch.setattr(light, "toward", toward)
+    monkeypatch.setattr(light, "hidden", lambda *arguments: mi.Bool(False))
+    monkeypatch.setattr(light, "mis_weight", lambda a, b: mi.Float(1))
+    monkeypatch.setattr(light, "_SURE", sure)
+    bsdf = mi.load_dict({"type": "diffuse"})
+    ds, _, weight = light._picked(loaded, stream, si, bsdf, mi.Bool(True), 0, 3)
+    which, weight = np.array(ds.time), np.array(weight, np.float64)
+    found = np.array([np.mean(weight * (which == n)) for n in range(4)])
+    errors = np.array([np.std(weight * (which == n)) for n in range(4)]) / count**0.5
+    assert np.all(np.abs(found - 1) < 5 * errors) == honest
+    assert errors.max() < 0.02
 
 
 def test_weights_that_ignore_their_number_are_noticed(seed, monkeypatch):

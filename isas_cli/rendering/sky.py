@@ -1,0 +1,172 @@
+"""Directions to the map of a sky, drawn and weighed by one lookup each.
+
+Mitsuba finds a bright texel by a search through ten levels of means, each a lookup that waits for
+the one before. Here the map is cut into rectangles, small where it varies, each of which holds some
+of a fixed number of tickets, in proportion to its light: a random ticket names a rectangle, and the
+direction is uniform in it. That is not quite in proportion to the radiance, as Mitsuba's are, but
+what is drawn and what it is weighed by agree whatever the map, so that nothing is biased.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..unknowns.parameters import own
+
+_RECTANGLES, _TICKETS = 1 << 14, 1 << 17
+# Of a mean texel, what a black one is taken for: a lamp that the cells overlook is found all the
+# same.
+_FLOOR = 1e-3
+_LEAST_CELLS, _MOST_CELLS = 1 << 19, 1 << 21
+_LANES = 1 << 22
+
+
+@dataclass
+class Sky:
+    """Over (u, v), longitude and polar angle about z, each in [0, 1].
+
+    ``ticket``: rectangle of each ticket; ``rectangle``: u, v, width and height of each, flat;
+    ``inside``: density of a rectangle; ``density``: of each of ``rows`` × ``columns`` cells; both
+    by area of (u, v). A plain dataclass, so that Dr.Jit sees the arrays when a kernel is frozen.
+    """
+
+    ticket: mi.UInt32
+    rectangle: mi.Float
+    inside: mi.Float
+    density: mi.Float
+    rows: int
+    columns: int
+
+    def draw(self, point: mi.Point2f) -> tuple[mi.Vector3f, mi.Float]:
+        """A direction from the world to the sky, and its density by solid angle, from a uniform
+        ``point`` of the unit square, whose x runs through neighbours. Traced."""
+        at = point.x * _TICKETS
+        ticket = dr.minimum(mi.UInt32(at), _TICKETS - 1)
+        index = dr.gather(mi.UInt32, self.ticket, ticket)
+        corner = dr.gather(mi.Vector4f, self.rectangle, index)
+        u, v = corner.x + (at - mi.Float(ticket)) * corner.z, corner.y + point.y * corner.w
+        direction, sine = _direction(u, v)
+        return direction, dr.gather(mi.Float, self.inside, index) * _by_solid_angle(sine)
+
+    def pdf(self, direction: mi.Vector3f, active: mi.Bool) -> mi.Float:
+        """Density of ``draw`` by solid angle. Traced."""
+        u = dr.atan2(direction.y, direction.x) * dr.inv_two_pi
+        u = dr.select(u < 0, u + 1, u)
+        v = dr.safe_acos(direction.z) * dr.inv_pi
+        row, column = (
+            dr.minimum(mi.UInt32(x * n), n - 1) for x, n in ((v, self.rows), (u, self.columns))
+        )
+        found = dr.gather(mi.Float, self.density, row * self.columns + column, active)
+        sine = dr.safe_sqrt(1 - dr.square(direction.z))
+        return dr.select(active, found * _by_solid_angle(sine), 0)
+
+
+def _by_solid_angle(sine: mi.Float) -> mi.Float:
+    return dr.rcp(2 * dr.pi**2 * dr.maximum(sine, 1e-6))
+
+
+def _direction(u: mi.Float, v: mi.Float) -> tuple[mi.Vector3f, mi.Float]:
+    """And the sine of the polar angle."""
+    (sine, z), (y, x) = dr.sincos(v * dr.pi), dr.sincos(u * dr.two_pi)
+    return mi.Vector3f(sine * x, sine * y, z), sine
+
+
+def of_map(scene: mi.Scene) -> Sky | None:
+    """For a scene that has a map of a sky and no other light."""
+    sky = scene.environment()
+    if sky is None or len(scene.emitters()) != 1 or sky.class_name() != "EnvironmentMapEmitter":
+        return None
+    (texels,) = (value for key, value in mi.traverse(sky) if key == "data")
+    size = texels.shape[0] * texels.shape[1]
+    # Its texels may lie across the cells, and a lamp's light then falls on parts of some.
+    finer, coarser = (
+        max(1, math.ceil(ratio**0.5)) for ratio in (_LEAST_CELLS / size, size / _MOST_CELLS)
+    )
+    rows, columns = (max(1, n * finer // coarser) for n in texels.shape[:2])
+    means, squares = _moments(sky, rows, columns, 2 * coarser)
+    found = _rectangles(means, squares)
+    light = np.array([means[a:c, b:d].sum() for a, b, c, d in found])
+    tickets = _tickets(light)
+    areas = np.array([(c - a) * (d - b) for a, b, c, d in found]) / (rows * columns)
+    inside = (tickets / _TICKETS / areas).astype(np.float32)
+    density = np.empty((rows, columns), np.float32)
+    for (a, b, c, d), each in zip(found, inside):
+        density[a:c, b:d] = each
+    scaled = [(b / columns, a / rows, (d - b) / columns, (c - a) / rows) for a, b, c, d in found]
+    return Sky(
+        own(mi.UInt32, np.repeat(np.arange(len(found), dtype=np.uint32), tickets)),
+        own(mi.Float, np.array(scaled, np.float32).ravel()),
+        own(mi.Float, inside),
+        own(mi.Float, density.ravel()),
+        rows,
+        columns,
+    )
+
+
+def _moments(sky: mi.Emitter, rows: int, columns: int, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of the luminance times the sine of the polar angle, in each cell, mean and mean square, from
+    ``side``² points of it."""
+    width, band = columns * side, max(1, _LANES // (columns * side**2))
+    found = []
+    for row in range(0, rows, band):
+        count = min(band, rows - row)
+        index = dr.arange(mi.UInt32, count * side * width)
+        first = dr.opaque(mi.UInt32, row * side)
+        u = (mi.Float(index % width) + 0.5) / width
+        v = (mi.Float(index // width + first) + 0.5) / (rows * side)
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        direction, sine = _direction(u, v)
+        si.wi = -direction
+        values = np.array(mi.luminance(sky.eval(si)) * sine, np.float64)
+        values = values.reshape(count, side, columns, side)
+        found.append([(values**power).mean(axis=(1, 3)) for power in (1, 2)])
+    means, squares = (np.concatenate(parts) for parts in zip(*found))
+    least = _FLOOR * (means.mean() or 1)
+    return means + least, squares + 2 * least * means + least**2
+
+
+def _rectangles(means: np.ndarray, squares: np.ndarray) -> list[tuple[int, int, int, int]]:
+    """The cells cut into rectangles (first row, first column, last row, last column, the last ones
+    outside), neighbours after one another: again and again the one is halved in which a uniform
+    density is furthest from the light's, by what that adds to the variance of its estimate."""
+    sums = [np.pad(each.cumsum(0).cumsum(1), ((1, 0), (1, 0))) for each in (means, squares)]
+
+    def excess(box) -> float:
+        a, b, c, d = box
+        light, square = (s[c, d] - s[a, d] - s[c, b] + s[a, b] for s in sums)
+        return float((c - a) * (d - b) * square / light - light)
+
+    def halves(box):
+        a, b, c, d = box
+        row, column = (a + c) // 2, (b + d) // 2
+        ways = []
+        if c - a > 1:
+            ways.append(((a, b, row, d), (row, b, c, d)))
+        if d - b > 1:
+            ways.append(((a, b, c, column), (a, column, c, d)))
+        return min(ways, key=lambda two: sum(map(excess, two)), default=None)
+
+    whole = (0, 0, *means.shape)
+    waiting, done = [(-excess(whole), "", whole)], []
+    while waiting and len(waiting) + len(done) < _RECTANGLES:
+        _, place, box = heapq.heappop(waiting)
+        two = halves(box)
+        if two is None:
+            done.append((place, box))
+            continue
+        for side, half in zip("01", two):
+            heapq.heappush(waiting, (-excess(half), place + side, half))
+    return [box for _, box in sorted([*done, *((place, box) for _, place, box in waiting)])]
+
+
+def _tickets(light: np.ndarray) -> np.ndarray:
+    """Whole numbers in proportion to ``light``, at least one each, ``_TICKETS`` in all."""
+    free = _TICKETS - len(light)
+    ends = np.rint(np.cumsum(light) / light.sum() * free).astype(np.int64)
+    return 1 + np.diff(ends, prepend=0)
