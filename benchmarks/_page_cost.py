@@ -20,7 +20,6 @@ def facts(results: Path) -> dict:
         "gpu": gpu(read("gpu_steps"), read("gpu_race"), read("gpu_rates")),
         "floor": floor(read("step_floor")),
         "crossed": crossed(read("crossed_estimates"), read("crossed")),
-        "lookups": read("lookups").to_dict("records"),
         "stage1": {name: list(rows["share"]) for name, rows in shares.groupby("sampler")},
         "first_look": list(shares[shares["sampler"] == "progress"]["first_ms"] / 1000),
         "half": shares[shares["sampler"] == "progress"]["share_half"].max(),

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pandas
 
-# Pixels a step and learning rate of runs where nothing is said.
-DEFAULT = (65536, 0.02)
+# Pixels a step and factor on the rates of runs where nothing is said.
+DEFAULT = (65536, 1.0)
 
 
 def facts(results: Path) -> dict:
@@ -61,36 +61,59 @@ def _verdicts(scenes: list[dict], plan: str) -> dict[str, list[str]]:
 
 def _sharing(table: pandas.DataFrame) -> dict:
     """A row per scene, in words: noise by the power heuristic over the balance heuristic's, with
-    one light sample and with four; noise and time of four light samples, and of roulette, over one
-    and none of it. The scenes where one heuristic has surely less noise, and the range of noise ×
-    time of early roulette."""
-    rows, lower, higher, products = [], [], [], []
+    one light sample and with four; over one light sample, noise and time of four, of four that
+    trace what they draw, and of roulette; with Mitsuba's search in the sky's map over tickets. The
+    scenes where one heuristic has surely less noise; noise × time of early roulette, and of four
+    samples over that of four that trace what they draw."""
+    rows, lower, higher, early = [], [], [], []
     for scene, own in table.groupby("scene", sort=False):
-        of = own.fillna({"roulette": 0}).set_index(["heuristic", "lights", "roulette"])
+        of = {
+            side: group.iloc[0]
+            for side, group in own.fillna({"roulette": 0, "directions": 0}).groupby(
+                ["heuristic", "lights", "roulette", "directions", "search"]
+            )
+        }
+
+        def found(heuristic="balance", lights=1, roulette=0, directions=0, search="tickets", of=of):
+            return of.get((heuristic, lights, roulette, directions, search))
+
         powers = []
         for count in (1, 4):
-            one, other = (of.loc[(name, count, 0)] for name in ("power", "balance"))
-            ratio = one["noise"] / other["noise"]
-            error = ratio * math.hypot(*(e["error"] / e["noise"] for e in (one, other)))
+            ratio, error = _over(found("power", count), found(lights=count))
             powers.append(f"{ratio:.2f} ± {error:.2f}")
             if abs(ratio - 1) > 2 * error:
                 (lower if ratio > 1 else higher).append(scene)
-        early = of.loc[("balance", 1, 1)]
-        products.append(early["noise"] * early["time"])
+        many, each = found(lights=4), found(lights=4, directions=1)
+        early.append(found(roulette=1)["noise"] * found(roulette=1)["time"])
+        searched = [found(lights=n, search="mitsuba") for n in (1, 4)]
         rows.append(
             {
                 "scene": scene,
                 "power": powers,
-                "many": _told(of.loc[("balance", 4, 0)]),
-                "roulette": [_told(of.loc[("balance", 1, n)]) for n in (1, 2)],
+                "many": _told(many),
+                "each": _told(each),
+                "saved": many["noise"] * many["time"] / (each["noise"] * each["time"]),
+                "searched": [
+                    [f"{_over(one, usual)[0]:.2f}", f"{one['time'] / usual['time']:.2f}"]
+                    for one, usual in zip(searched, (found(), many))
+                    if one is not None
+                ],
+                "roulette": [_told(found(roulette=n)) for n in (1, 2)],
             }
         )
     return {
         "sharing": rows,
         "lower": list(dict.fromkeys(lower)),
         "higher": list(dict.fromkeys(higher)),
-        "roulette": (min(products), max(products)),
+        "roulette": (min(early), max(early)),
+        "picked": [row["saved"] for row in rows],
     }
+
+
+def _over(one: pandas.Series, other: pandas.Series) -> tuple[float, float]:
+    """Ratio of two noises, and its standard error."""
+    ratio = one["noise"] / other["noise"]
+    return ratio, ratio * math.hypot(*(e["error"] / e["noise"] for e in (one, other)))
 
 
 def _told(row: pandas.Series) -> list[str]:
@@ -98,12 +121,25 @@ def _told(row: pandas.Series) -> list[str]:
     return [f"{row['noise']:.2f} ± {row['error']:.2f}", f"{row['time']:.2f}"]
 
 
+def over_default(table: pandas.DataFrame) -> pandas.DataFrame:
+    """Runs of steps_or_paths.py, each with the ``share`` that its parameter error is of that with
+    the default's batch and rates, on the same scene with the same budget."""
+    usual = (table["batch"] == DEFAULT[0]) & (table["factor"] == DEFAULT[1])
+    of_default = table[usual].set_index(["scene", "seconds"])["parameter_rmse"]
+    key = pandas.MultiIndex.from_frame(table[["scene", "seconds"]])
+    return table.assign(share=table["parameter_rmse"].to_numpy() / of_default.loc[key].to_numpy())
+
+
 def _spending(table: pandas.DataFrame) -> list[dict]:
-    """Rows of steps_or_paths.csv, each with its error over that of the scene's default."""
-    usual = (table["batch"] == DEFAULT[0]) & (table["rate"] == DEFAULT[1])
-    of_default = table[usual].set_index("scene")["parameter_rmse"]
-    share = table["parameter_rmse"] / table["scene"].map(of_default)
-    return table.assign(share=share).to_dict("records")
+    """By budget, batch and factor: the geometric mean over scenes, and how many are better."""
+    rows = []
+    ways = over_default(table).groupby(["seconds", "batch", "factor"])
+    for (seconds, batch, factor), own in ways:
+        row = {"seconds": seconds, "batch": batch, "factor": factor, "scenes": len(own)}
+        row |= {"mean": math.exp(own["share"].map(math.log).mean())}
+        row |= {"least": own["share"].min(), "most": own["share"].max()}
+        rows.append(row | {"better": int((own["share"] < 1).sum())})
+    return rows
 
 
 def _row(row: dict, full: dict) -> dict:

@@ -3,9 +3,11 @@
 On the scenes of `effects.py`, at the start, all effects: the gradient's noise (`effects/probe.py`:
 of each entry, the geometric mean of the ratio of its mean squares, ± one standard error) and the
 time of an estimate, with the power heuristic's weights instead of the balance heuristic's, with
-four light samples at the first hit (each of both heuristics), and with Russian roulette from the
-first or second vertex on; over one light sample, balance heuristic, and the scene's roulette. Sides
-take turns; times are medians of the turns' ratios. Writes results/sharing.csv.
+four light samples at the first hit (each of both heuristics), with Russian roulette from the first
+or second vertex on, with light samples that trace every direction they draw instead of one of four,
+and with Mitsuba's search in the map of the sky instead of tickets; over one light sample, balance
+heuristic, and the scene's roulette. Sides take turns; times are medians of the turns' ratios.
+Writes results/sharing.csv.
 
     .venv/bin/python benchmarks/sharing.py
 """
@@ -24,6 +26,18 @@ from effects import SCENES
 from reproduce import RESULTS
 
 BATCHES, TURNS = 64, 5
+
+
+@dataclasses.dataclass(frozen=True)
+class Side:
+    """``directions``: that each of several light samples is picked from, None: as runs do it;
+    ``search``: in the sky's map."""
+
+    heuristic: str = "balance"
+    lights: int = 1
+    roulette: int | None = None
+    directions: int | None = None
+    search: str = "tickets"
 
 
 def measure(scene: str) -> None:
@@ -46,33 +60,32 @@ def measure(scene: str) -> None:
         return balance(dr.square(a), dr.square(b))
 
     problem, _ = problem_of([f"scene={scene}", "target.spp=16"])
-    depth = problem.integrator.max_depth
-    usual = Paths(depth, depth)
-    many = dataclasses.replace(usual, lights=(4, 4))
-    sides = {
-        ("balance", 1, None): usual,
-        ("power", 1, None): usual,
-        ("balance", 4, None): many,
-        ("power", 4, None): many,
-    }
-    sides |= {("balance", 1, n): dataclasses.replace(usual, roulette=n) for n in (1, 2)}
+    depth, holder = problem.integrator.max_depth, problem.scene.integrator()
+    tickets, directions = getattr(holder, "sky", None), light._EACH
+    usual = Side()
+    sides = [Side(h, n) for n in (1, 4) for h in ("balance", "power")]
+    sides += [Side(roulette=n) for n in (1, 2)] + [Side(lights=4, directions=1)]
+    if tickets is not None:
+        sides += [Side(lights=n, search="mitsuba") for n in (1, 4)]
+    paths = {side: Paths(depth, depth, (side.lights, side.lights), side.roulette) for side in sides}
     measured = probe.Probe(problem, losses.L2(), 3)
     kernels = {
-        side: measured._kernel(problem.integrator.cut(p), False) for side, p in sides.items()
+        side: measured._kernel(problem.integrator.cut(own), False) for side, own in paths.items()
     }
     squares, seconds = {}, {side: [] for side in sides}
     for _ in range(TURNS):
-        for side, paths in sides.items():
+        for side, own in paths.items():
             for module in (attached, light, replayed):  # read where a kernel is traced
-                module.mis_weight = balance if side[0] == "balance" else power
-            _, gradients, spent = measured._repeated(kernels[side], paths, fixed=True)
+                module.mis_weight = balance if side.heuristic == "balance" else power
+            light._EACH = side.directions or directions
+            holder.sky = tickets if side.search == "tickets" else None
+            _, gradients, spent = measured._repeated(kernels[side], own, fixed=True)
             seconds[side].append(spent)
             squares[side] = {key: rows.astype(np.float64) ** 2 for key, rows in gradients.items()}
-    first = next(iter(sides))
     for side in sides:
-        noise, error = probe.noise_ratio(squares[side], squares[first])
-        time = statistics.median(a / b for a, b in zip(seconds[side], seconds[first]))
-        row = dict(zip(("scene", "heuristic", "lights", "roulette"), (scene, *side)))
+        noise, error = probe.noise_ratio(squares[side], squares[usual])
+        time = statistics.median(a / b for a, b in zip(seconds[side], seconds[usual]))
+        row = {"scene": scene} | dataclasses.asdict(side)
         _rows.emit(row | {"noise": noise, "error": error, "time": time})
 
 

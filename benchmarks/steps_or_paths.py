@@ -1,9 +1,10 @@
 """How to spend a budget: many steps of few paths, or few steps of many; and at which rate.
 
-Everything as `isas run` has it by default but for batch and rate: 60 billed seconds,
-`sampler=progress`, `effects=auto`. Contestants take turns; one seed. Writes
-results/steps_or_paths.csv (a row per run) and steps_or_paths.png (final parameter error against
-the batch, over that of the default's batch and rate). Scenes that are not named keep their rows.
+Everything as `isas run` has it by default (`sampler=progress`, `effects=auto`), but for the budget,
+the pixels a step, a factor on the rates, and targets of 64 paths a pixel. Contestants take turns;
+one seed. Writes results/steps_or_paths.csv (a row per run) and steps_or_paths.png (final parameter
+error over that with the default's batch and rates, a line per scene). What is not raced again keeps
+its rows.
 
     .venv/bin/python benchmarks/steps_or_paths.py pottery bowl
 """
@@ -19,23 +20,25 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pages
 import pandas
-from _page_effects import DEFAULT
+from _page_effects import over_default
+from effects import SCENES
 
 from isas_cli import records
 
 RESULTS = Path(__file__).parent / "results"
-BATCHES, RATES = (16384, 65536, 262144), (0.005, 0.01, 0.02)
+# Pixels a step, factor on the rates.
+WAYS = ((16384, 0.5), (16384, 1.0), (65536, 1.0), (65536, 2.0))
 SETTINGS = ["evaluation.count=24", "frames.views=0", "frames.snapshots=0", "report=false"]
+SETTINGS += ["target.spp=64"]
 
 
-def measured(scene: str, folder: Path) -> pandas.DataFrame:
+def measured(scene: str, folder: Path, seconds: float) -> pandas.DataFrame:
     listed = ",".join(
-        f"{{sampler:progress,estimator.batch:{batch},optimizer.lr:{rate}}}"
-        for batch in BATCHES
-        for rate in RATES
+        f"{{sampler:progress,estimator.batch:{batch},optimizer.factor:{factor}}}"
+        for batch, factor in WAYS
     )
     command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *SETTINGS, "seed=[1]"]
-    command += [f"contestants=[{listed}]", f"hydra.run.dir={folder}"]
+    command += [f"budget.seconds={seconds}", f"contestants=[{listed}]", f"hydra.run.dir={folder}"]
     subprocess.run(command, check=True)
     rows = []
     for path in sorted(folder.rglob("summary.json")):
@@ -44,33 +47,33 @@ def measured(scene: str, folder: Path) -> pandas.DataFrame:
         rows.append(
             {
                 "scene": scene,
+                "seconds": seconds,
                 "batch": run.config["estimator"]["batch"],
-                "rate": run.config["optimizer"]["lr"],
+                "factor": run.config["optimizer"]["factor"],
                 "seed": run.config["seed"],
                 "iterations": int(last["iteration"]),
                 "parameter_rmse": last["parameter_rmse"],
                 "image_rmse": last["image_rmse"],
             }
         )
-    return pandas.DataFrame(rows).sort_values(["batch", "rate"])
+    return pandas.DataFrame(rows).sort_values(["batch", "factor"])
 
 
 def draw(table: pandas.DataFrame) -> None:
-    scenes = list(table["scene"].unique())
+    table = over_default(table)
+    budgets = sorted(table["seconds"].unique())
     figure, axes = plt.subplots(
-        1, len(scenes), figsize=(3.2 * len(scenes), 3), sharey=True, layout="constrained"
+        1, len(budgets), figsize=(4 * len(budgets), 3.4), sharey=True, layout="constrained"
     )
-    for ax, scene in zip([axes] if len(scenes) == 1 else axes, scenes):
-        own = table[table["scene"] == scene]
-        usual = own[(own["batch"] == DEFAULT[0]) & (own["rate"] == DEFAULT[1])]["parameter_rmse"]
-        for rate, line in own.groupby("rate"):
-            share = line["parameter_rmse"] / usual.iloc[0]
-            ax.plot(line["batch"], share, "o-", label=f"rate {rate:g}")
-        ax.set(title=scene, xscale="log", xlabel="pixels a step")
-        ax.set_xticks(BATCHES, [f"{batch // 1024} k" for batch in BATCHES], minor=False)
-        ax.minorticks_off()
+    ticks = [f"{batch // 1024} k, × {factor:g}" for batch, factor in WAYS]
+    for ax, seconds in zip([axes] if len(budgets) == 1 else axes, budgets):
+        for scene, own in table[table["seconds"] == seconds].groupby("scene", sort=False):
+            at = [WAYS.index(way) for way in zip(own["batch"], own["factor"])]
+            ax.plot(at, own["share"], "o-", lw=0.8, ms=3, label=scene)
         ax.axhline(1, color="0.7", lw=0.8, zorder=0)
-    ax.legend(fontsize=8)
+        ax.set(title=f"{seconds:g} s", yscale="log", xlabel="pixels a step, factor on the rates")
+        ax.set_xticks(range(len(WAYS)), ticks, fontsize=7)
+        ax.legend(fontsize=6)
     figure.supylabel("parameter error at the end, over the default's", fontsize=9)
     figure.savefig(RESULTS / "steps_or_paths.png", dpi=90)
     plt.close(figure)
@@ -78,15 +81,17 @@ def draw(table: pandas.DataFrame) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenes", nargs="+")
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}")
+    parser.add_argument("--seconds", type=float, default=20.0)
     chosen = parser.parse_args()
     path = RESULTS / "steps_or_paths.csv"
     with tempfile.TemporaryDirectory(prefix="isas-steps-") as root:
-        for scene in chosen.scenes:
-            found = measured(scene, Path(root) / scene)
+        for scene in chosen.scenes or SCENES:
+            found = measured(scene, Path(root) / scene, chosen.seconds)
             if path.exists():
                 earlier = pandas.read_csv(path)
-                found = pandas.concat([earlier[earlier["scene"] != scene], found])
+                same = (earlier["scene"] == scene) & (earlier["seconds"] == chosen.seconds)
+                found = pandas.concat([earlier[~same], found])
             # After each scene: what is measured survives what follows.
             found.to_csv(path, index=False, float_format="%.4g")
             draw(found)
