@@ -67,15 +67,12 @@ def _sharing(table: pandas.DataFrame) -> dict:
     samples over that of four that trace what they draw."""
     rows, lower, higher, early = [], [], [], []
     for scene, own in table.groupby("scene", sort=False):
-        of = {
-            side: group.iloc[0]
-            for side, group in own.fillna({"roulette": 0, "directions": 0}).groupby(
-                ["heuristic", "lights", "roulette", "directions", "search"]
-            )
-        }
+        sides = ["search", "heuristic", "lights", "roulette", "directions"]
+        of = own.fillna({"roulette": 0, "directions": 0}).set_index(sides)
+        usual = own["search"].iloc[0]
 
-        def found(heuristic="balance", lights=1, roulette=0, directions=0, search="tickets", of=of):
-            return of.get((heuristic, lights, roulette, directions, search))
+        def found(heuristic="balance", lights=1, roulette=0, directions=0, search=usual, of=of):
+            return of.loc[(search, heuristic, lights, roulette, directions)]
 
         powers = []
         for count in (1, 4):
@@ -85,7 +82,7 @@ def _sharing(table: pandas.DataFrame) -> dict:
                 (lower if ratio > 1 else higher).append(scene)
         many, each = found(lights=4), found(lights=4, directions=1)
         early.append(found(roulette=1)["noise"] * found(roulette=1)["time"])
-        searched = [found(lights=n, search="mitsuba") for n in (1, 4)]
+        searched = [(found(lights=n, search="mitsuba"), found(lights=n)) for n in (1, 4)]
         rows.append(
             {
                 "scene": scene,
@@ -93,10 +90,13 @@ def _sharing(table: pandas.DataFrame) -> dict:
                 "many": _told(many),
                 "each": _told(each),
                 "saved": many["noise"] * many["time"] / (each["noise"] * each["time"]),
-                "searched": [
-                    [f"{_over(one, usual)[0]:.2f}", f"{one['time'] / usual['time']:.2f}"]
-                    for one, usual in zip(searched, (found(), many))
-                    if one is not None
+                "searched": usual == "tickets"
+                and [
+                    [
+                        "{:.2f} ± {:.2f}".format(*_over(*pair)),
+                        f"{pair[0]['time'] / pair[1]['time']:.2f}",
+                    ]
+                    for pair in searched
                 ],
                 "roulette": [_told(found(roulette=n)) for n in (1, 2)],
             }

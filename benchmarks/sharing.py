@@ -30,14 +30,14 @@ BATCHES, TURNS = 64, 5
 
 @dataclasses.dataclass(frozen=True)
 class Side:
-    """``directions``: that each of several light samples is picked from, None: as runs do it;
-    ``search``: in the sky's map."""
+    """``search``: how directions to lights are found, by ``mitsuba`` or by ``tickets``;
+    ``directions``: that each of several light samples is picked from, None: as runs do it."""
 
+    search: str
     heuristic: str = "balance"
     lights: int = 1
     roulette: int | None = None
     directions: int | None = None
-    search: str = "tickets"
 
 
 def measure(scene: str) -> None:
@@ -62,11 +62,12 @@ def measure(scene: str) -> None:
     problem, _ = problem_of([f"scene={scene}", "target.spp=16"])
     depth, holder = problem.integrator.max_depth, problem.scene.integrator()
     tickets, directions = getattr(holder, "sky", None), light._EACH
-    usual = Side()
-    sides = [Side(h, n) for n in (1, 4) for h in ("balance", "power")]
-    sides += [Side(roulette=n) for n in (1, 2)] + [Side(lights=4, directions=1)]
+    search = "mitsuba" if tickets is None else "tickets"
+    usual = Side(search)
+    sides = [Side(search, h, n) for n in (1, 4) for h in ("balance", "power")]
+    sides += [Side(search, roulette=n) for n in (1, 2)] + [Side(search, lights=4, directions=1)]
     if tickets is not None:
-        sides += [Side(lights=n, search="mitsuba") for n in (1, 4)]
+        sides += [Side("mitsuba", lights=n) for n in (1, 4)]
     paths = {side: Paths(depth, depth, (side.lights, side.lights), side.roulette) for side in sides}
     measured = probe.Probe(problem, losses.L2(), 3)
     kernels = {

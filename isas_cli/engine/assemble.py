@@ -68,13 +68,14 @@ def problem(
     found = parse(params, wanted, truth_known, scene.poses, of_views)
     written = {key for each in found for key in each.kind.writes}
     single = flat.reduce(mi.traverse(loaded), written)
-    if not any(isinstance(owner(params, key), mi.Emitter) for key in written):
-        light.prepare(loaded)
+    adapted = integrators.adapt(integrator, _where(scene), loaded)
+    lights_stay = not any(isinstance(owner(params, key), mi.Emitter) for key in written)
+    light.prepare(loaded, adapted.cuts and adapted.samples_lights and lights_stay)
     unknowns = Unknowns(mi.traverse(loaded), found)
     result = Problem(
         scene.name,
         loaded,
-        integrators.adapt(integrator, _where(scene), loaded),
+        adapted,
         dr.gather(mi.SensorPtr, loaded.sensors_dr(), dr.arange(mi.UInt32, len(sizes))),
         sizes,
         views,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from .light import by_chance, density, drawn, gathered, mis_weight
+from .light import by_chance, density_toward, drawn, gathered, mis_weight
 
 # Paths up to this many edges are unrolled. Longer ones would cost compile time.
 LONGEST = 8
@@ -61,7 +61,7 @@ def radiance(
             ds = mi.DirectionSample3f(scene, si=si, ref=previous)
             mis = mi.Float(1)  # nothing else could have sampled what the camera sees
             if depth > 0:
-                of_light = density(scene, previous, ds, ~delta)
+                of_light = density_toward(scene, previous, ds, ~delta)
                 mis = mis_weight(pdf, count * of_light)
         with dr.suspend_grad(when=depth + 1 > differentiated):
             emitted = β * mis * ds.emitter.eval(si, active)

@@ -48,7 +48,7 @@ from ..config.schema import ROUGHNESSES, roughness_of
 from ..runtime.errors import InputError
 from ..unknowns.unknowns import Unknowns
 from .integrators import InOneGo, Integrator
-from .light import by_chance, density, hidden, mis_weight, toward
+from .light import by_chance, density_toward, mis_weight, seen
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
@@ -137,7 +137,7 @@ class DerivativeSampling(InOneGo):
 
             lost, gained = _pair(si.wi, α, sampler.next_2d())
             sample, _ = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), active)
-            ds, emitted = toward(scene, sampler, si, active)
+            ds, emitted, lit = seen(scene, sampler, si, active)
             other = ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta) & (sample.pdf > 0)
 
             def density(wo, valid):
@@ -157,8 +157,6 @@ class DerivativeSampling(InOneGo):
                 terms.append((wo, valid, carried))
 
             wo = si.to_local(ds.d)
-            lit = active & (ds.pdf != 0)
-            lit &= ~hidden(scene, si, ds, lit)
             share = dr.select(ds.delta, 1, ds.pdf / (ds.pdf + density(wo, lit)))
             terms.append((wo, lit, emitted * share))
 
@@ -244,7 +242,7 @@ class DerivativeSampling(InOneGo):
             bsdf = si.bsdf(ray)
             ds = mi.DirectionSample3f(scene, si=si, ref=previous)
             emission = ds.emitter.eval(si, active)
-            by_light = density(scene, previous, ds, active & ~delta)
+            by_light = density_toward(scene, previous, ds, active & ~delta)
             at_once = dr.select(first & active, emission, at_once)
             pdf_light = dr.select(first & active, by_light, pdf_light)
             mis = mis_weight(pdf, by_light)
@@ -254,9 +252,7 @@ class DerivativeSampling(InOneGo):
 
             active &= si.is_valid() & (depth + 1 < self.paths.derivative)
             lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-            ds, emitted = toward(scene, sampler, si, lit)
-            lit &= ds.pdf != 0
-            lit &= ~hidden(scene, si, ds, lit)
+            ds, emitted, lit = seen(scene, sampler, si, lit)
             value, value_pdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), lit)
             mis = dr.select(ds.delta, 1, mis_weight(ds.pdf, value_pdf))
             L += dr.select(lit, β * mis * value * emitted, 0)

@@ -58,15 +58,28 @@ def toward(
     return ds, scene.environment().eval(there, active) / ds.pdf
 
 
-def hidden(
+def _hidden(
     scene: mi.Scene, si: mi.SurfaceInteraction3f, ds: mi.DirectionSample3f, active: mi.Bool
 ) -> mi.Bool:
-    """Whether something is in the way of a direction that ``toward`` gave. Traced."""
+    """Whether something is in the way of a direction that ``toward`` gave."""
     ray = si.spawn_ray_to(ds.p) if _sky(scene) is None else si.spawn_ray(ds.d)
     return scene.ray_test(ray, active)
 
 
-def density(
+def seen(
+    scene: mi.Scene,
+    sampler: mi.Sampler,
+    si: mi.SurfaceInteraction3f,
+    active: mi.Bool,
+    part: tuple[int, int] = (0, 1),
+) -> tuple[mi.DirectionSample3f, mi.Spectrum, mi.Bool]:
+    """What ``toward`` gives, and whether nothing is in its way. Traced."""
+    ds, emitted = toward(scene, sampler, si, active, part)
+    active = active & (ds.pdf != 0)
+    return ds, emitted, active & ~_hidden(scene, si, ds, active)
+
+
+def density_toward(
     scene: mi.Scene,
     previous: mi.SurfaceInteraction3f,
     ds: mi.DirectionSample3f,
@@ -79,13 +92,13 @@ def density(
     return sky.pdf(ds.d, active)
 
 
-def prepare(scene: mi.Scene) -> None:
-    """Let directions to the map of ``scene``'s sky be drawn as ``sky`` does it: for a map that
-    stays as it is."""
+def prepare(scene: mi.Scene, stays: bool) -> None:
+    """Let directions to the map of ``scene``'s sky be drawn as ``sky`` does it, where it is the
+    only light; ``stays``: whether the light is as it was loaded."""
     if scene.integrator() is not None:
-        # Kept there as Dr.Jit takes what it finds from the scene on as inputs of frozen kernels,
-        # and Mitsuba's own classes hold no attributes.
-        scene.integrator().sky = of_map(scene)
+        # It lies with the integrator: frozen kernels take what hangs on the scene as inputs, and
+        # Mitsuba's C++ objects cannot hold it.
+        scene.integrator().sky = of_map(scene) if stays else None
 
 
 def _sky(scene: mi.Scene) -> Sky | None:
@@ -119,12 +132,11 @@ def gathered(
     total = mi.Spectrum(0)
     context = mi.BSDFContext()
     smooth = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+    directions = drawn(count)
     for index in range(count):
         with dr.suspend_grad():
-            if count == 1:
-                ds, emitted = toward(scene, sampler, si, smooth)
-                lit, weight = smooth & (ds.pdf != 0), None
-                lit &= ~hidden(scene, si, ds, lit)
+            if directions == count:
+                ds, emitted, lit = seen(scene, sampler, si, smooth, (index, count))
             else:
                 ds, emitted, weight = _picked(scene, sampler, si, bsdf, smooth, index, count)
                 lit = weight != 0
@@ -133,10 +145,10 @@ def gathered(
             again = scene.eval_emitter_direction(si, ds, lit)
             emitted = dr.replace_grad(emitted, again * dr.select(lit, dr.rcp(ds.pdf), 0))
         value, pdf = bsdf.eval_pdf(context, si, wo, lit)
-        if weight is None:
-            weight = dr.select(ds.delta, 1, mis_weight(ds.pdf, dr.detach(pdf)))
+        if directions == count:
+            weight = dr.select(ds.delta, 1, mis_weight(count * ds.pdf, dr.detach(pdf)))
         total += dr.select(lit, weight * value * emitted, 0)
-    return total * (1 / drawn(count)) if count > 1 else total
+    return total * (1 / directions) if directions > 1 else total
 
 
 def _picked(
@@ -148,16 +160,16 @@ def _picked(
     index: int,
     count: int,
 ) -> tuple[mi.DirectionSample3f, mi.Spectrum, mi.Float]:
-    """One of several directions to emitters, its radiance over its density, and what it counts: its
-    ``mis_weight`` over the probability that it is picked, which estimates the sum over all of them;
-    0 where something is in its way.
+    """One of several directions to emitters, its radiance over its density, and what it counts.
+    That is its ``mis_weight`` over the probability that it is picked, so that it stands for the sum
+    over all of them; 0 where something is in its way.
 
     Picked in proportion to what each would bring if nothing were in its way (resampled importance
     sampling: Talbot et al. 2005), now and then by chance alone: what brings nothing may have a
-    derivative, as a black texel has."""
+    derivative, as a lamp that is off has."""
     found, brings = [], []
-    for each in range(_EACH):
-        ds, emitted = toward(scene, sampler, si, active, (index, count), (each, _EACH))
+    for number in range(_EACH):
+        ds, emitted = toward(scene, sampler, si, active, (index, count), (number, _EACH))
         lit = active & (ds.pdf != 0)
         value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, si.to_local(ds.d), lit)
         weight = dr.select(ds.delta, 1, mis_weight(drawn(count) * ds.pdf, pdf))
@@ -165,13 +177,13 @@ def _picked(
         brings.append(dr.select(lit, dr.mean(weight * value * emitted), 0))
     sure = _SURE * dr.rcp(sum(brings))
     sure = dr.select(dr.isfinite(sure), sure, 0)
-    by_chance = dr.select(sure > 0, 1 - _SURE, 1) / _EACH
-    number, end, picked, share = sampler.next_1d(), mi.Float(0), found[0], mi.Float(1)
+    least = dr.select(sure > 0, 1 - _SURE, 1) / _EACH
+    point, end, picked, share = sampler.next_1d(), mi.Float(0), found[0], mi.Float(1)
     for each, brought in zip(found, brings):
-        own = sure * brought + by_chance
-        here = number >= end
+        own = sure * brought + least
+        here = point >= end
         picked = tuple(dr.select(here, b, a) for a, b in zip(picked, each))
         share, end = dr.select(here, own, share), end + own
     ds, emitted, weight = picked
     weight /= share
-    return ds, emitted, dr.select(hidden(scene, si, ds, weight != 0), 0, weight)
+    return ds, emitted, dr.select(_hidden(scene, si, ds, weight != 0), 0, weight)

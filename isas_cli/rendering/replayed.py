@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from .light import by_chance, density, drawn, gathered, mis_weight
+from .light import by_chance, density_toward, drawn, gathered, mis_weight
 
 _ONCE = dr.ADFlag.ClearEdges | dr.ADFlag.ClearInterior
 
@@ -59,7 +59,7 @@ def trace(
         bsdf = si.bsdf(ray)
         ds = mi.DirectionSample3f(scene, si=si, ref=previous)
         # The camera's vertex, and what a mirror shows, no light sample could have found.
-        mis = mis_weight(pdf, count * density(scene, previous, ds, ~delta))
+        mis = mis_weight(pdf, count * density_toward(scene, previous, ds, ~delta))
         on = active & si.is_valid() & (depth + 1 < max_depth)
         with dr.resume_grad(when=not primal):
             emitted = β * mis * ds.emitter.eval(si, active)

@@ -1,10 +1,10 @@
 """Directions to the map of a sky, drawn and weighed by one lookup each.
 
 Mitsuba finds a bright texel by a search through ten levels of means, each a lookup that waits for
-the one before. Here the map is cut into rectangles, small where it varies, each of which holds some
-of a fixed number of tickets, in proportion to its light: a random ticket names a rectangle, and the
-direction is uniform in it. That is not quite in proportion to the radiance, as Mitsuba's are, but
-what is drawn and what it is weighed by agree whatever the map, so that nothing is biased.
+the one before. Here the map is cut into rectangles, small where it varies. Each holds some of a
+fixed number of tickets, in proportion to its light. A random ticket names a rectangle, and the
+direction is uniform in it. That is not quite in proportion to the radiance, as Mitsuba's are; but
+what is drawn and what it is weighed by agree, whatever the map.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ import numpy as np
 from ..unknowns.parameters import own
 
 _RECTANGLES, _TICKETS = 1 << 14, 1 << 17
-# Of a mean texel, what a black one is taken for: a lamp that the cells overlook is found all the
-# same.
+# A black texel counts as this share of a mean one: a lamp that the cells overlook is still found.
 _FLOOR = 1e-3
 _LEAST_CELLS, _MOST_CELLS = 1 << 19, 1 << 21
 _LANES = 1 << 22
@@ -31,7 +30,7 @@ _LANES = 1 << 22
 class Sky:
     """Over (u, v), longitude and polar angle about z, each in [0, 1].
 
-    ``ticket``: rectangle of each ticket; ``rectangle``: u, v, width and height of each, flat;
+    ``ticket``: the rectangle that each ticket names; ``rectangle``: u, v, width and height of each;
     ``inside``: density of a rectangle; ``density``: of each of ``rows`` × ``columns`` cells; both
     by area of (u, v). A plain dataclass, so that Dr.Jit sees the arrays when a kernel is frozen.
     """
@@ -46,24 +45,26 @@ class Sky:
     def draw(self, point: mi.Point2f) -> tuple[mi.Vector3f, mi.Float]:
         """A direction from the world to the sky, and its density by solid angle, from a uniform
         ``point`` of the unit square, whose x runs through neighbours. Traced."""
-        at = point.x * _TICKETS
-        ticket = dr.minimum(mi.UInt32(at), _TICKETS - 1)
+        ticket = dr.minimum(mi.UInt32(point.x * _TICKETS), _TICKETS - 1)
         index = dr.gather(mi.UInt32, self.ticket, ticket)
         corner = dr.gather(mi.Vector4f, self.rectangle, index)
-        u, v = corner.x + (at - mi.Float(ticket)) * corner.z, corner.y + point.y * corner.w
+        # A float has 23 random bits. The ticket leaves too few of x: the last ones of y are as
+        # good, within a rectangle.
+        last = point.y * (1 << 12)
+        u, v = corner.x + (last - dr.floor(last)) * corner.z, corner.y + point.y * corner.w
         direction, sine = _direction(u, v)
         return direction, dr.gather(mi.Float, self.inside, index) * _by_solid_angle(sine)
 
     def pdf(self, direction: mi.Vector3f, active: mi.Bool) -> mi.Float:
         """Density of ``draw`` by solid angle. Traced."""
+        sine = dr.sqrt(dr.square(direction.x) + dr.square(direction.y))
         u = dr.atan2(direction.y, direction.x) * dr.inv_two_pi
         u = dr.select(u < 0, u + 1, u)
-        v = dr.safe_acos(direction.z) * dr.inv_pi
+        v = dr.atan2(sine, direction.z) * dr.inv_pi
         row, column = (
             dr.minimum(mi.UInt32(x * n), n - 1) for x, n in ((v, self.rows), (u, self.columns))
         )
         found = dr.gather(mi.Float, self.density, row * self.columns + column, active)
-        sine = dr.safe_sqrt(1 - dr.square(direction.z))
         return dr.select(active, found * _by_solid_angle(sine), 0)
 
 
@@ -89,7 +90,7 @@ def of_map(scene: mi.Scene) -> Sky | None:
         max(1, math.ceil(ratio**0.5)) for ratio in (_LEAST_CELLS / size, size / _MOST_CELLS)
     )
     rows, columns = (max(1, n * finer // coarser) for n in texels.shape[:2])
-    means, squares = _moments(sky, rows, columns, 2 * coarser)
+    means, squares = _moments(sky, rows, columns, max(2, coarser))
     found = _rectangles(means, squares)
     light = np.array([means[a:c, b:d].sum() for a, b, c, d in found])
     tickets = _tickets(light)
@@ -124,6 +125,7 @@ def _moments(sky: mi.Emitter, rows: int, columns: int, side: int) -> tuple[np.nd
         direction, sine = _direction(u, v)
         si.wi = -direction
         values = np.array(mi.luminance(sky.eval(si)) * sine, np.float64)
+        values = np.maximum(np.nan_to_num(values, posinf=0), 0)
         values = values.reshape(count, side, columns, side)
         found.append([(values**power).mean(axis=(1, 3)) for power in (1, 2)])
     means, squares = (np.concatenate(parts) for parts in zip(*found))

@@ -41,15 +41,18 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str
     """
     with _said(path):
         settings, state = parse(path)
-        integrator = _integrator(state, path, max_depth)
+        described = _integrator(state, path, max_depth)
         description = "".join(str(node.props) for node in state.nodes)
+        for node in state.nodes:
+            if node.type == mi.ObjectType.Integrator:
+                node.props = _properties(described)
         mi.parser.transform_all(settings, state)
         loaded = mi.parser.instantiate(settings, state)
     loaded = loaded[0] if isinstance(loaded, (list, tuple)) else loaded
     if not isinstance(loaded, mi.Scene):
         raise InputError(f"scene.path={path}: holds no <scene>")
     name_all(loaded)
-    return loaded, integrator, description
+    return loaded, loaded.integrator() or mi.load_dict(described), description
 
 
 def parse(path: str) -> tuple[mi.parser.ParserConfig, mi.parser.ParserState]:
@@ -93,7 +96,16 @@ def name_all(scene: mi.Scene) -> None:
                 thing.set_id(name)
 
 
-def _integrator(state, path: str, max_depth: int | None) -> mi.Integrator:
+def _properties(described: dict) -> mi.Properties:
+    found = mi.Properties(described["type"])
+    for name, value in described.items():
+        if name != "type":
+            found[name] = value
+    return found
+
+
+def _integrator(state, path: str, max_depth: int | None) -> dict:
+    """Described as for ``mi.load_dict``."""
     described = {"type": "prb"}
     for node in state.nodes:
         if node.type != mi.ObjectType.Integrator:
@@ -119,4 +131,4 @@ def _integrator(state, path: str, max_depth: int | None) -> mi.Integrator:
         described["max_depth"] = max_depth
     elif described["type"] != "emission":  # whose paths have no depth
         described.setdefault("max_depth", -1)
-    return mi.load_dict(described)
+    return described

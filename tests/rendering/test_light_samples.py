@@ -14,7 +14,7 @@ from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 from weights import as_mitsuba
 
 from isas_cli.losses import L2
-from isas_cli.rendering import light, rays
+from isas_cli.rendering import light, rays, sky
 from isas_cli.rendering.integrators import Integrator, Mixed, Paths, Replayed, Unrolled
 from isas_cli.unknowns.parameters import flat
 
@@ -139,7 +139,8 @@ class Bench:
         self.one = Gradients(self.problem, L2(), 4096)
         self.reference = self.one.uniform(300, 99)
         if sky:
-            light.prepare(self.problem.scene)
+            light.prepare(self.problem.scene, stays=True)
+            assert light._sky(self.problem.scene) is not None
 
     def outcome(self, lights: tuple[int, int], seed: int):
         whole = self.problem.integrator
@@ -161,7 +162,7 @@ STANDING = {
 CASES = [
     ("sun", 3, (4, 4), {}),
     ("sun", 3, (4, 4), STANDING),
-    ("sun", 3, (1, 1), STANDING),
+    ("sun", 9, (1, 1), STANDING),
     ("glass", 9, (3, 2), {}),
 ]
 
@@ -195,7 +196,7 @@ def test_a_direction_that_brings_nothing_counts_as_well(sure, honest, seed, monk
         return ds, mi.Spectrum(0.0 if within[0] in off else 1.0 + within[0])
 
     monkeypatch.setattr(light, "toward", toward)
-    monkeypatch.setattr(light, "hidden", lambda *arguments: mi.Bool(False))
+    monkeypatch.setattr(light, "_hidden", lambda *arguments: mi.Bool(False))
     monkeypatch.setattr(light, "mis_weight", lambda a, b: mi.Float(1))
     monkeypatch.setattr(light, "_SURE", sure)
     bsdf = mi.load_dict({"type": "diffuse"})
@@ -205,6 +206,14 @@ def test_a_direction_that_brings_nothing_counts_as_well(sure, honest, seed, monk
     errors = np.array([np.std(weight * (which == n)) for n in range(4)]) / count**0.5
     assert np.all(np.abs(found - 1) < 5 * errors) == honest
     assert errors.max() < 0.02
+
+
+def test_a_density_of_the_sky_that_is_not_its_own_is_noticed(seed, monkeypatch):
+    bench = Bench("sun", 3, **STANDING)
+    honest = sky.Sky.pdf
+    monkeypatch.setattr(sky.Sky, "pdf", lambda *arguments: 2 * honest(*arguments))
+    _, outcome = bench.outcome((4, 4), seed)
+    assert outcome.p_value < LEVEL
 
 
 def test_weights_that_ignore_their_number_are_noticed(seed, monkeypatch):

@@ -7,6 +7,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from isas_cli.config.compose import compose
+from isas_cli.config.schema import UnknownConfig
 from isas_cli.engine import assemble
 from isas_cli.rendering import light, sky
 
@@ -72,6 +73,14 @@ def test_what_is_drawn_and_what_it_is_weighed_by_agree(size, seed, monkeypatch):
     assert own < 0.3 * mean(radiance(loaded, uniform) * (4 * dr.pi))[1]
 
 
+@pytest.mark.parametrize("strange", [np.nan, np.inf, -1e6])
+def test_a_map_with_a_strange_texel_is_drawn_all_the_same(strange, seed):
+    pixels = texels((7, 13))
+    pixels[20, 3] = strange
+    density = np.array(sky.of_map(scene(pixels)).draw(points(seed))[1])
+    assert np.all(np.isfinite(density)) and np.all(density > 0)
+
+
 def test_light_is_found_where_the_map_that_was_read_had_none(seed):
     """As after a change of the map: nothing is biased, there only is more noise."""
     above = texels((7, 13))
@@ -98,7 +107,7 @@ def test_large_maps_are_read_in_coarser_cells(monkeypatch):
     assert abs(found - by_mitsuba(scene(texels((7, 13))), 3)[0]) < 5 * error < 0.1 * found
 
 
-def test_only_a_map_that_is_all_light_and_stays_is_read():
+def test_only_a_map_that_is_the_only_light_is_read():
     lamp = {"type": "point", "position": [0, 2, 0], "intensity": 1.0}
     assert sky.of_map(scene(texels((7, 13)))) is not None
     assert sky.of_map(scene(texels((7, 13)), bulb=lamp)) is None
@@ -109,5 +118,24 @@ def test_only_a_map_that_is_all_light_and_stays_is_read():
 @pytest.mark.parametrize("name, read", [("pottery", True), ("object_joint", False)])
 def test_runs_read_the_map_unless_it_is_unknown(name, read):
     cfg = OmegaConf.to_object(compose([f"scene={name}", "size=tiny", "target.spp=1"]))
+    made = assemble.problem(cfg.scene, cfg.target, lambda done, total: None)
+    assert (light._sky(made.scene) is not None) == read
+
+
+@pytest.mark.parametrize("integrator, read", [('<integrator type="path"/>', True), ("", False)])
+def test_files_read_it_where_they_name_an_integrator(integrator, read, tmp_path):
+    """Without one, there is nothing in the scene that could hold it."""
+    mi.Bitmap(texels((7, 13))).write(str(tmp_path / "sky.exr"))
+    text = f"""<scene version="3.0.0">{integrator}
+      <emitter type="envmap"><string name="filename" value="sky.exr"/></emitter>
+      <shape type="sphere" id="ball"><bsdf type="diffuse" id="white"/></shape>
+      <sensor type="perspective"><transform name="to_world">
+        <lookat origin="0,0,5" target="0,0,0" up="0,1,0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="8"/>
+        <integer name="height" value="8"/></film></sensor></scene>"""
+    (tmp_path / "scene.xml").write_text(text, encoding="utf-8")
+    settings = ["scene=file", f"scene.path={tmp_path / 'scene.xml'}", "target.spp=1"]
+    cfg = OmegaConf.to_object(compose(settings))
+    cfg.scene.unknowns = {"ball.bsdf.reflectance.value": UnknownConfig(start=0.3)}
     made = assemble.problem(cfg.scene, cfg.target, lambda done, total: None)
     assert (light._sky(made.scene) is not None) == read
