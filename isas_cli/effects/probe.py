@@ -39,7 +39,7 @@ _FAR = (1 << 27) - (1 << 18)
 _WARM_UP = 4  # recordings are steady from the fourth call on
 _BLOCKS, _MOST_ENTRIES = 8, 1 << 16
 # One-sided, 95 %.
-_Z = 1.645
+Z = 1.645
 
 
 @dataclass(frozen=True)
@@ -314,7 +314,7 @@ def gradient_share(part: np.ndarray, whole: np.ndarray) -> Share:
         return Share(float("nan"), float("inf"))
     left = np.array([squared(np.delete(every, i)) for i in every])
     errors = np.sqrt((n - 1) / n * np.sum((left - left.mean(axis=0)) ** 2, axis=0))
-    most, least = max(own[0], 0.0) + _Z * errors[0], own[1] - _Z * errors[1]
+    most, least = max(own[0], 0.0) + Z * errors[0], own[1] - Z * errors[1]
     bound = np.sqrt(most / least) if least > 0 else float("inf")
     return Share(float(np.sqrt(max(own[0], 0.0) / own[1])), float(bound))
 
@@ -323,7 +323,7 @@ def _image_share(part: np.ndarray, whole: np.ndarray) -> Share:
     if whole.mean() <= 0:
         return Share(float("nan"), float("inf"))
     value, error = part.mean() / whole.mean(), part.std(ddof=1) / len(part) ** 0.5 / whole.mean()
-    return Share(float(value), float(abs(value) + _Z * error))
+    return Share(float(value), float(abs(value) + Z * error))
 
 
 def noise_ratio(squares: dict, usual: dict) -> tuple[float, float]:

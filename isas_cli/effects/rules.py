@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .probe import Cut, Lights
+from .probe import Cut, Lights, Z
 
 # Of the entries that any view sees, the share that may lose all of their derivative.
 LOST = 0.01
@@ -41,15 +41,18 @@ def derivative(cuts: Sequence[Cut], tolerance: float, whole: int) -> tuple[int, 
 
 
 def lights(samples: Sequence[Lights]) -> tuple[tuple[int, int], str]:
-    """The number with the least noise × time. Of those that are as good within their errors, the
-    most: noise is what the residual is at a run's end, and earlier the derivative's own noise
-    counts for more. No number adds bias, so that none has to be surely better."""
+    """The number with the least noise × time of those that are surely (95 %) better than one each:
+    more samples make fewer steps, and a run needs steps as well. Of those that are as good within
+    their errors, the most: noise is what the residual is at a run's end, and earlier the
+    derivative's own noise counts for more."""
     if len(samples) < 2:
         return (1, 1), "not measured"
-    least = min(samples, key=lambda s: s.noise * s.time)
-    if least.noise * least.time >= 1:
-        return (1, 1), "more would not pay"
-    alike = [s for s in samples if (s.noise - s.error) * s.time <= least.noise * least.time]
+    sure = [s for s in samples[1:] if (s.noise + Z * s.error) * s.time < 1]
+    if not sure:
+        least = min(s.noise * s.time for s in samples[1:])
+        return (1, 1), f"more would not surely pay, noise × time {least:.2f} of that with one each"
+    least = min(s.noise * s.time for s in sure)
+    alike = [s for s in sure if (s.noise - s.error) * s.time <= least]
     best = max(alike, key=lambda s: sum(s.samples))
     return best.samples, f"noise × time {best.noise * best.time:.2f} of that with one each"
 

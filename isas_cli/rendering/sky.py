@@ -9,8 +9,8 @@ what is drawn and what it is weighed by agree, whatever the map.
 
 from __future__ import annotations
 
-import heapq
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import drjit as dr
@@ -92,17 +92,17 @@ def of_map(scene: mi.Scene) -> Sky | None:
     rows, columns = (max(1, n * finer // coarser) for n in texels.shape[:2])
     means, squares = _moments(sky, rows, columns, max(2, coarser))
     found = _rectangles(means, squares)
-    light = np.array([means[a:c, b:d].sum() for a, b, c, d in found])
-    tickets = _tickets(light)
-    areas = np.array([(c - a) * (d - b) for a, b, c, d in found]) / (rows * columns)
-    inside = (tickets / _TICKETS / areas).astype(np.float32)
+    first, last = found[:, :2], found[:, 2:]
+    tickets = _tickets(_summed(means)(found))
+    sizes = (last - first) / (rows, columns)
+    inside = (tickets / _TICKETS / sizes.prod(axis=1)).astype(np.float32)
     density = np.empty((rows, columns), np.float32)
     for (a, b, c, d), each in zip(found, inside):
         density[a:c, b:d] = each
-    scaled = [(b / columns, a / rows, (d - b) / columns, (c - a) / rows) for a, b, c, d in found]
+    corners = np.hstack([(first / (rows, columns))[:, ::-1], sizes[:, ::-1]])
     return Sky(
         own(mi.UInt32, np.repeat(np.arange(len(found), dtype=np.uint32), tickets)),
-        own(mi.Float, np.array(scaled, np.float32).ravel()),
+        own(mi.Float, corners.astype(np.float32).ravel()),
         own(mi.Float, inside),
         own(mi.Float, density.ravel()),
         rows,
@@ -133,38 +133,56 @@ def _moments(sky: mi.Emitter, rows: int, columns: int, side: int) -> tuple[np.nd
     return means + least, squares + 2 * least * means + least**2
 
 
-def _rectangles(means: np.ndarray, squares: np.ndarray) -> list[tuple[int, int, int, int]]:
+def _rectangles(means: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """The cells cut into rectangles (first row, first column, last row, last column, the last ones
-    outside), neighbours after one another: again and again the one is halved in which a uniform
+    outside), neighbours after one another. Those are halved, again and again, in which a uniform
     density is furthest from the light's, by what that adds to the variance of its estimate."""
-    sums = [np.pad(each.cumsum(0).cumsum(1), ((1, 0), (1, 0))) for each in (means, squares)]
+    light, square = (_summed(each) for each in (means, squares))
 
-    def excess(box) -> float:
-        a, b, c, d = box
-        light, square = (s[c, d] - s[a, d] - s[c, b] + s[a, b] for s in sums)
-        return float((c - a) * (d - b) * square / light - light)
+    def excess(boxes) -> np.ndarray:
+        own = light(boxes)
+        with np.errstate(divide="ignore", invalid="ignore"):  # the empty half of a single cell
+            return (boxes[:, 2:] - boxes[:, :2]).prod(axis=1) * square(boxes) / own - own
 
-    def halves(box):
-        a, b, c, d = box
-        row, column = (a + c) // 2, (b + d) // 2
+    def halves(boxes) -> np.ndarray:
+        """Of each the better two, ``(n, 2, 4)``."""
         ways = []
-        if c - a > 1:
-            ways.append(((a, b, row, d), (row, b, c, d)))
-        if d - b > 1:
-            ways.append(((a, b, c, column), (a, column, c, d)))
-        return min(ways, key=lambda two: sum(map(excess, two)), default=None)
+        for axis in (0, 1):
+            middle = (boxes[:, axis] + boxes[:, axis + 2]) // 2
+            two = np.stack([boxes, boxes], axis=1)
+            two[:, 0, axis + 2] = two[:, 1, axis] = middle
+            cost = sum(excess(two[:, side]) for side in (0, 1))
+            ways.append((two, np.where(middle > boxes[:, axis], cost, np.inf)))
+        (rows, of_rows), (columns, of_columns) = ways
+        return np.where((of_rows <= of_columns)[:, None, None], rows, columns)
 
-    whole = (0, 0, *means.shape)
-    waiting, done = [(-excess(whole), "", whole)], []
-    while waiting and len(waiting) + len(done) < _RECTANGLES:
-        _, place, box = heapq.heappop(waiting)
-        two = halves(box)
-        if two is None:
-            done.append((place, box))
-            continue
-        for side, half in zip("01", two):
-            heapq.heappush(waiting, (-excess(half), place + side, half))
-    return [box for _, box in sorted([*done, *((place, box) for _, place, box in waiting)])]
+    boxes = np.array([[0, 0, *means.shape]])
+    while len(boxes) < _RECTANGLES:
+        cells = (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
+        worst = np.argsort(np.where(cells > 1, -excess(boxes), np.inf))
+        some = worst[: max(1, min(len(boxes) // 4, _RECTANGLES - len(boxes)))]
+        some = some[cells[some] > 1]
+        if not len(some):
+            break
+        counts = np.ones(len(boxes), np.int64)
+        counts[some] = 2
+        first = np.cumsum(counts) - counts
+        found = np.repeat(boxes, counts, axis=0)
+        two = halves(boxes[some])
+        found[first[some]], found[first[some] + 1] = two[:, 0], two[:, 1]
+        boxes = found
+    return boxes
+
+
+def _summed(cells: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """What gives the sum of ``cells`` in each of some rectangles."""
+    sums = np.pad(cells.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+
+    def of(boxes: np.ndarray) -> np.ndarray:
+        a, b, c, d = boxes.T
+        return sums[c, d] - sums[a, d] - sums[c, b] + sums[a, b]
+
+    return of
 
 
 def _tickets(light: np.ndarray) -> np.ndarray:

@@ -160,6 +160,8 @@ def test_light_samples_are_more_only_where_that_pays():
     one = Lights((1, 1), 1.0, 0.05, 1.0)
     assert rules.lights([one, Lights((4, 4), 0.3, 0.02, 1.6)])[0] == (4, 4)
     assert rules.lights([one, Lights((4, 4), 0.6, 0.02, 1.8)])[0] == (1, 1)
+    unsure = Lights((4, 4), 0.5, 0.2, 1.3)
+    assert rules.lights([one, unsure])[0] == (1, 1), "better, but not surely"
     few, many = Lights((4, 1), 0.33, 0.03, 1.23), Lights((4, 4), 0.29, 0.03, 1.47)
     assert rules.lights([one, few, many])[0] == (4, 4), "as good within the errors"
     assert rules.lights([one, few, Lights((4, 4), 0.4, 0.03, 1.47)])[0] == (4, 1)
