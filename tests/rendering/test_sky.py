@@ -10,6 +10,7 @@ from isas_cli.config.compose import compose
 from isas_cli.config.schema import UnknownConfig
 from isas_cli.engine import assemble
 from isas_cli.rendering import light, sky
+from isas_cli.runtime import images
 
 COUNT = 1 << 20
 
@@ -125,7 +126,7 @@ def test_runs_read_the_map_unless_it_is_unknown(name, read):
 @pytest.mark.parametrize("integrator, read", [('<integrator type="path"/>', True), ("", False)])
 def test_files_read_it_where_they_name_an_integrator(integrator, read, tmp_path):
     """Without one, there is nothing in the scene that could hold it."""
-    mi.Bitmap(texels((7, 13))).write(str(tmp_path / "sky.exr"))
+    images.write_exr(tmp_path / "sky.exr", texels((7, 13)), [*"RGB"], {})
     text = f"""<scene version="3.0.0">{integrator}
       <emitter type="envmap"><string name="filename" value="sky.exr"/></emitter>
       <shape type="sphere" id="ball"><bsdf type="diffuse" id="white"/></shape>
