@@ -45,14 +45,14 @@ def toward(
     """A direction from ``si`` to an emitter, and its radiance over its density, whatever is in its
     way. Uniform over a part of all that can be drawn, ``(number, count)`` of equal ones, and within
     that over a part of it. Traced."""
-    point, sky = sampler.next_2d(), _sky(scene)
-    x, y = ((number + each) / count for each, (number, count) in zip(point, (part, within)))
+    point, sky, (number, parts), (inner, count) = sampler.next_2d(), _sky(scene), part, within
     if sky is None:
-        # The first number chooses between emitters.
-        return scene.sample_emitter_direction(si, mi.Point2f(x, y), False, active)
+        # The first number chooses between emitters: each part is of few of them.
+        point = mi.Point2f((number + point.x) / parts, (inner + point.y) / count)
+        return scene.sample_emitter_direction(si, point, False, active)
     ds = dr.zeros(mi.DirectionSample3f)
-    x = (part[0] + (within[0] + point.x) / within[1]) / part[1]
-    ds.d, ds.pdf = sky.draw(mi.Point2f(x, point.y))
+    # The first number runs through neighbours, the second is one's place in a rectangle.
+    ds.d, ds.pdf = sky.draw(mi.Point2f((number + (inner + point.x) / count) / parts, point.y))
     there = dr.zeros(mi.SurfaceInteraction3f)
     there.wi = -ds.d
     return ds, scene.environment().eval(there, active) / ds.pdf
