@@ -64,8 +64,9 @@ def _sharing(table: pandas.DataFrame) -> dict:
     one light sample and with four; over one light sample, noise and time of four, of four that
     trace what they draw, and of roulette; with Mitsuba's search in the sky's map over tickets. The
     scenes where one heuristic has surely less noise; noise × time of early roulette, and of four
-    samples over that of four that trace what they draw."""
-    rows, lower, higher, early = [], [], [], []
+    samples over that of four that trace what they draw; ``gains``: with one sample, of that search
+    over tickets, where it is the better one."""
+    rows, lower, higher, early, gains = [], [], [], [], {}
     for scene, own in table.groupby("scene", sort=False):
         sides = ["search", "heuristic", "lights", "roulette", "directions"]
         of = own.fillna({"roulette": 0, "directions": 0}).set_index(sides)
@@ -82,7 +83,13 @@ def _sharing(table: pandas.DataFrame) -> dict:
                 (lower if ratio > 1 else higher).append(scene)
         many, each = found(lights=4), found(lights=4, directions=1)
         early.append(found(roulette=1)["noise"] * found(roulette=1)["time"])
-        searched = [(found(lights=n, search="mitsuba"), found(lights=n)) for n in (1, 4)]
+        searched = usual == "tickets" and [
+            (found(lights=n, search="mitsuba"), found(lights=n)) for n in (1, 4)
+        ]
+        one, other = searched[0] if usual == "tickets" else (found(), found())
+        gain = one["noise"] * one["time"] / (other["noise"] * other["time"])
+        if gain < 1:
+            gains[scene] = gain
         rows.append(
             {
                 "scene": scene,
@@ -90,13 +97,9 @@ def _sharing(table: pandas.DataFrame) -> dict:
                 "many": _told(many),
                 "each": _told(each),
                 "saved": many["noise"] * many["time"] / (each["noise"] * each["time"]),
-                "searched": usual == "tickets"
-                and [
-                    [
-                        "{:.2f} ± {:.2f}".format(*_over(*pair)),
-                        f"{pair[0]['time'] / pair[1]['time']:.2f}",
-                    ]
-                    for pair in searched
+                "searched": [
+                    ["{:.2f} ± {:.2f}".format(*_over(a, b)), f"{a['time'] / b['time']:.2f}"]
+                    for a, b in searched or ()
                 ],
                 "roulette": [_told(found(roulette=n)) for n in (1, 2)],
             }
@@ -107,6 +110,7 @@ def _sharing(table: pandas.DataFrame) -> dict:
         "higher": list(dict.fromkeys(higher)),
         "roulette": (min(early), max(early)),
         "picked": [row["saved"] for row in rows],
+        "gains": gains,
     }
 
 
