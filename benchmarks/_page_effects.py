@@ -82,24 +82,22 @@ def _sharing(table: pandas.DataFrame) -> dict:
             if abs(ratio - 1) > 2 * error:
                 (lower if ratio > 1 else higher).append(scene)
         many, each = found(lights=4), found(lights=4, directions=1)
-        early.append(found(roulette=1)["noise"] * found(roulette=1)["time"])
-        searched = usual == "tickets" and [
-            (found(lights=n, search="mitsuba"), found(lights=n)) for n in (1, 4)
-        ]
-        one, other = searched[0] if usual == "tickets" else (found(), found())
-        gain = one["noise"] * one["time"] / (other["noise"] * other["time"])
-        if gain < 1:
-            gains[scene] = gain
+        early.append(_product(found(roulette=1)))
+        searched = []
+        if usual == "tickets":
+            searched = [(found(lights=n, search="mitsuba"), found(lights=n)) for n in (1, 4)]
+            gain = _product(searched[0][0]) / _product(searched[0][1])
+            gains |= {scene: gain} if gain < 1 else {}
         rows.append(
             {
                 "scene": scene,
                 "power": powers,
                 "many": _told(many),
                 "each": _told(each),
-                "saved": many["noise"] * many["time"] / (each["noise"] * each["time"]),
+                "saved": _product(many) / _product(each),
                 "searched": [
                     ["{:.2f} ± {:.2f}".format(*_over(a, b)), f"{a['time'] / b['time']:.2f}"]
-                    for a, b in searched or ()
+                    for a, b in searched
                 ],
                 "roulette": [_told(found(roulette=n)) for n in (1, 2)],
             }
@@ -118,6 +116,11 @@ def _over(one: pandas.Series, other: pandas.Series) -> tuple[float, float]:
     """Ratio of two noises, and its standard error."""
     ratio = one["noise"] / other["noise"]
     return ratio, ratio * math.hypot(*(e["error"] / e["noise"] for e in (one, other)))
+
+
+def _product(row: pandas.Series) -> float:
+    """Noise × time."""
+    return row["noise"] * row["time"]
 
 
 def _told(row: pandas.Series) -> list[str]:

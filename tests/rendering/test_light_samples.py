@@ -162,7 +162,7 @@ STANDING = {
 CASES = [
     ("sun", 3, (4, 4), {}),
     ("sun", 3, (4, 4), STANDING),
-    ("sun", 9, (1, 1), STANDING),
+    ("sun", 9, (4, 4), STANDING),
     ("glass", 9, (3, 2), {}),
 ]
 
