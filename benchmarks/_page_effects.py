@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pandas
 
 # Pixels a step and factor on the rates of runs where nothing is said.
@@ -62,18 +63,17 @@ def _verdicts(scenes: list[dict], plan: str) -> dict[str, list[str]]:
 def _sharing(table: pandas.DataFrame) -> dict:
     """A row per scene, in words: noise by the power heuristic over the balance heuristic's, with
     one light sample and with four; over one light sample, noise and time of four, of four that
-    trace what they draw, and of roulette; with Mitsuba's search in the sky's map over tickets. The
-    scenes where one heuristic has surely less noise; noise × time of early roulette, and of four
-    samples over that of four that trace what they draw; ``gains``: with one sample, of that search
-    over tickets, where it is the better one."""
-    rows, lower, higher, early, gains = [], [], [], [], {}
+    trace what they draw, and of roulette; with directions found the other way. The scenes where one
+    heuristic has surely less noise; noise × time of early roulette, and of four samples over that
+    of four that trace what they draw; ``other``: of directions found the other way, with one sample
+    and with four."""
+    rows, lower, higher, early, other = [], [], [], [], [[], []]
     for scene, own in table.groupby("scene", sort=False):
-        sides = ["search", "heuristic", "lights", "roulette", "directions"]
+        sides = ["heuristic", "lights", "roulette", "directions", "other"]
         of = own.fillna({"roulette": 0, "directions": 0}).set_index(sides)
-        usual = own["search"].iloc[0]
 
-        def found(heuristic="balance", lights=1, roulette=0, directions=0, search=usual, of=of):
-            return of.loc[(search, heuristic, lights, roulette, directions)]
+        def found(heuristic="balance", lights=1, roulette=0, directions=0, other=False, of=of):
+            return of.loc[(heuristic, lights, roulette, directions, other)]
 
         powers = []
         for count in (1, 4):
@@ -83,11 +83,11 @@ def _sharing(table: pandas.DataFrame) -> dict:
                 (lower if ratio > 1 else higher).append(scene)
         many, each = found(lights=4), found(lights=4, directions=1)
         early.append(_product(found(roulette=1)))
-        searched = []
-        if usual == "tickets":
-            searched = [(found(lights=n, search="mitsuba"), found(lights=n)) for n in (1, 4)]
-            gain = _product(searched[0][0]) / _product(searched[0][1])
-            gains |= {scene: gain} if gain < 1 else {}
+        pairs = []
+        if own["other"].any():
+            pairs = [(found(lights=n, other=True), found(lights=n)) for n in (1, 4)]
+            for shares, (a, b) in zip(other, pairs):
+                shares.append(_product(a) / _product(b))
         rows.append(
             {
                 "scene": scene,
@@ -95,9 +95,9 @@ def _sharing(table: pandas.DataFrame) -> dict:
                 "many": _told(many),
                 "each": _told(each),
                 "saved": _product(many) / _product(each),
-                "searched": [
+                "other": [
                     ["{:.2f} ± {:.2f}".format(*_over(a, b)), f"{a['time'] / b['time']:.2f}"]
-                    for a, b in searched
+                    for a, b in pairs
                 ],
                 "roulette": [_told(found(roulette=n)) for n in (1, 2)],
             }
@@ -108,7 +108,7 @@ def _sharing(table: pandas.DataFrame) -> dict:
         "higher": list(dict.fromkeys(higher)),
         "roulette": (min(early), max(early)),
         "picked": [row["saved"] for row in rows],
-        "gains": gains,
+        "other": other,
     }
 
 
@@ -128,22 +128,25 @@ def _told(row: pandas.Series) -> list[str]:
     return [f"{row['noise']:.2f} ± {row['error']:.2f}", f"{row['time']:.2f}"]
 
 
-def over_default(table: pandas.DataFrame) -> pandas.DataFrame:
-    """Runs of steps_or_paths.py, each with the ``share`` that its parameter error is of that with
-    the default's batch and rates, on the same scene with the same budget."""
+def by_scene(table: pandas.DataFrame) -> pandas.DataFrame:
+    """Runs of steps_or_paths.py, by scene and what was set: ``share`` that the parameter error is
+    of that with the default's batch and rates, with the same seed, their geometric mean."""
     usual = (table["batch"] == DEFAULT[0]) & (table["factor"] == DEFAULT[1])
-    of_default = table[usual].set_index(["scene", "seconds"])["parameter_rmse"]
-    key = pandas.MultiIndex.from_frame(table[["scene", "seconds"]])
-    return table.assign(share=table["parameter_rmse"].to_numpy() / of_default.loc[key].to_numpy())
+    of_default = table[usual].set_index(["scene", "seconds", "seed"])["parameter_rmse"]
+    key = pandas.MultiIndex.from_frame(table[["scene", "seconds", "seed"]])
+    share = np.log(table["parameter_rmse"].to_numpy() / of_default.loc[key].to_numpy())
+    ways = table.assign(share=share).groupby(["scene", "seconds", "batch", "factor"], sort=False)
+    found = ways.agg(share=("share", "mean"), seeds=("seed", "size")).reset_index()
+    return found.assign(share=np.exp(found["share"]))
 
 
 def _spending(table: pandas.DataFrame) -> list[dict]:
     """By budget, batch and factor: the geometric mean over scenes, and how many are better."""
     rows = []
-    ways = over_default(table).groupby(["seconds", "batch", "factor"])
-    for (seconds, batch, factor), own in ways:
+    for (seconds, batch, factor), own in by_scene(table).groupby(["seconds", "batch", "factor"]):
         row = {"seconds": seconds, "batch": batch, "factor": factor, "scenes": len(own)}
-        row |= {"mean": math.exp(own["share"].map(math.log).mean())}
+        row |= {"seeds": (own["seeds"].min(), own["seeds"].max())}
+        row |= {"mean": math.exp(np.log(own["share"]).mean())}
         row |= {"least": own["share"].min(), "most": own["share"].max()}
         rows.append(row | {"better": int((own["share"] < 1).sum())})
     return rows

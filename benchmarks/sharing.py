@@ -5,8 +5,9 @@ of each entry, the geometric mean of the ratio of its mean squares, ± one stand
 time of an estimate, with the power heuristic's weights instead of the balance heuristic's, with
 four light samples at the first hit (each of both heuristics), with Russian roulette from the first
 or second vertex on, with light samples that trace every direction they draw instead of one of four,
-and with Mitsuba's search in the map of the sky instead of tickets; over one light sample, balance
-heuristic, and the scene's roulette. Sides take turns; times are medians of the turns' ratios.
+and with directions found the other way: by tickets at one sample, by Mitsuba's search in the map of
+the sky at four; over one light sample, balance heuristic, and the scene's roulette. Sides take
+turns; times are medians of the turns' ratios.
 Writes results/sharing.csv.
 
     .venv/bin/python benchmarks/sharing.py
@@ -30,14 +31,14 @@ BATCHES, TURNS = 64, 5
 
 @dataclasses.dataclass(frozen=True)
 class Side:
-    """``search``: how directions to lights are found, by ``mitsuba`` or by ``tickets``;
+    """``other``: with directions to the sky found the other way than in runs;
     ``directions``: that each of several light samples is picked from, None: as runs do it."""
 
-    search: str
     heuristic: str = "balance"
     lights: int = 1
     roulette: int | None = None
     directions: int | None = None
+    other: bool = False
 
 
 def measure(scene: str) -> None:
@@ -60,14 +61,12 @@ def measure(scene: str) -> None:
         return balance(dr.square(a), dr.square(b))
 
     problem, _ = problem_of([f"scene={scene}", "target.spp=16"])
-    depth, holder = problem.integrator.max_depth, problem.scene.integrator()
-    tickets, directions = getattr(holder, "sky", None), light._EACH
-    search = "mitsuba" if tickets is None else "tickets"
-    usual = Side(search)
-    sides = [Side(search, h, n) for n in (1, 4) for h in ("balance", "power")]
-    sides += [Side(search, roulette=n) for n in (1, 2)] + [Side(search, lights=4, directions=1)]
+    depth, directions, sky_for = problem.integrator.max_depth, light._EACH, light.sky_for
+    tickets, usual = sky_for(problem.scene, 4), Side()
+    sides = [Side(h, n) for n in (1, 4) for h in ("balance", "power")]
+    sides += [Side(roulette=n) for n in (1, 2)] + [Side(lights=4, directions=1)]
     if tickets is not None:
-        sides += [Side("mitsuba", lights=n) for n in (1, 4)]
+        sides += [Side(lights=n, other=True) for n in (1, 4)]
     paths = {side: Paths(depth, depth, (side.lights, side.lights), side.roulette) for side in sides}
     measured = probe.Probe(problem, losses.L2(), 3)
     kernels = {
@@ -78,8 +77,10 @@ def measure(scene: str) -> None:
         for side, own in paths.items():
             for module in (attached, light, replayed):  # read where a kernel is traced
                 module.mis_weight = balance if side.heuristic == "balance" else power
+                module.sky_for = sky_for
+                if side.other:
+                    module.sky_for = lambda *_, lights=side.lights: None if lights > 1 else tickets
             light._EACH = side.directions or directions
-            holder.sky = tickets if side.search == "tickets" else None
             _, gradients, spent = measured._repeated(kernels[side], own, fixed=True)
             seconds[side].append(spent)
             squares[side] = {key: rows.astype(np.float64) ** 2 for key, rows in gradients.items()}

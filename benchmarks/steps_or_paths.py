@@ -1,12 +1,13 @@
 """How to spend a budget: many steps of few paths, or few steps of many; and at which rate.
 
 Everything as `isas run` has it by default (`sampler=progress`, `effects=auto`), but for the budget,
-the pixels a step, a factor on the rates, and targets of 64 paths a pixel. Contestants take turns;
-one seed. Writes results/steps_or_paths.csv (a row per run) and steps_or_paths.png (final parameter
-error over that with the default's batch and rates, a line per scene). What is not raced again keeps
-its rows.
+the pixels a step, a factor on the rates, and targets of 64 paths a pixel. Contestants take turns.
+Writes results/steps_or_paths.csv (a row per run) and steps_or_paths.png (final parameter error over
+that with the default's batch and rates and the same seed, the seeds' geometric mean, a line per
+scene). What is not raced again keeps its rows.
 
     .venv/bin/python benchmarks/steps_or_paths.py pottery bowl
+    .venv/bin/python benchmarks/steps_or_paths.py --ways 1 2 --seeds 2 3
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pages
 import pandas
-from _page_effects import over_default
+from _page_effects import by_scene
 from effects import SCENES
 
 from isas_cli import records
@@ -32,13 +33,17 @@ SETTINGS = ["evaluation.count=24", "frames.views=0", "frames.snapshots=0", "repo
 SETTINGS += ["target.spp=64"]
 
 
-def measured(scene: str, folder: Path, seconds: float) -> pandas.DataFrame:
+def measured(
+    scene: str, folder: Path, seconds: float, seeds: list[int], ways: list[int]
+) -> pandas.DataFrame:
+    """``ways``: numbers of ``WAYS``."""
     listed = ",".join(
         f"{{sampler:progress,estimator.batch:{batch},optimizer.factor:{factor}}}"
-        for batch, factor in WAYS
+        for batch, factor in (WAYS[way] for way in ways)
     )
-    command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *SETTINGS, "seed=[1]"]
-    command += [f"budget.seconds={seconds}", f"contestants=[{listed}]", f"hydra.run.dir={folder}"]
+    command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *SETTINGS]
+    command += [f"seed=[{','.join(map(str, seeds))}]", f"budget.seconds={seconds}"]
+    command += [f"contestants=[{listed}]", f"hydra.run.dir={folder}"]
     subprocess.run(command, check=True)
     rows = []
     for path in sorted(folder.rglob("summary.json")):
@@ -56,11 +61,11 @@ def measured(scene: str, folder: Path, seconds: float) -> pandas.DataFrame:
                 "image_rmse": last["image_rmse"],
             }
         )
-    return pandas.DataFrame(rows).sort_values(["batch", "factor"])
+    return pandas.DataFrame(rows)
 
 
 def draw(table: pandas.DataFrame) -> None:
-    table = over_default(table)
+    table = by_scene(table)
     budgets = sorted(table["seconds"].unique())
     figure, axes = plt.subplots(
         1, len(budgets), figsize=(4 * len(budgets), 3.4), sharey=True, layout="constrained"
@@ -68,8 +73,8 @@ def draw(table: pandas.DataFrame) -> None:
     ticks = [f"{batch // 1024} k, × {factor:g}" for batch, factor in WAYS]
     for ax, seconds in zip([axes] if len(budgets) == 1 else axes, budgets):
         for scene, own in table[table["seconds"] == seconds].groupby("scene", sort=False):
-            at = [WAYS.index(way) for way in zip(own["batch"], own["factor"])]
-            ax.plot(at, own["share"], "o-", lw=0.8, ms=3, label=scene)
+            own = sorted(zip(map(WAYS.index, zip(own["batch"], own["factor"])), own["share"]))
+            ax.plot(*zip(*own), "o-", lw=0.8, ms=3, label=scene)
         ax.axhline(1, color="0.7", lw=0.8, zorder=0)
         ax.set(title=f"{seconds:g} s", yscale="log", xlabel="pixels a step, factor on the rates")
         ax.set_xticks(range(len(WAYS)), ticks, fontsize=7)
@@ -83,15 +88,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}")
     parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3])
+    parser.add_argument("--ways", nargs="+", type=int, default=range(len(WAYS)), metavar="N")
     chosen = parser.parse_args()
     path = RESULTS / "steps_or_paths.csv"
     with tempfile.TemporaryDirectory(prefix="isas-steps-") as root:
         for scene in chosen.scenes or SCENES:
-            found = measured(scene, Path(root) / scene, chosen.seconds)
+            named = scene, Path(root) / scene, chosen.seconds
+            found = measured(*named, chosen.seeds, list(chosen.ways))
             if path.exists():
-                earlier = pandas.read_csv(path)
-                same = (earlier["scene"] == scene) & (earlier["seconds"] == chosen.seconds)
-                found = pandas.concat([earlier[~same], found])
+                found = pandas.concat([pandas.read_csv(path), found])
+                run = ["scene", "seconds", "batch", "factor", "seed"]
+                found = found.drop_duplicates(run, keep="last").sort_values(run, kind="stable")
             # After each scene: what is measured survives what follows.
             found.to_csv(path, index=False, float_format="%.4g")
             draw(found)

@@ -32,7 +32,7 @@ _LIGHTS = ((1, 1), (4, 4), (4, 1))
 # A budget of so many seconds can pay for a probe, which takes at most this share of it and at most
 # so many seconds.
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
-_FORMAT = 14
+_FORMAT = 15
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from .light import by_chance, density_toward, drawn, gathered, mis_weight
+from .light import by_chance, density_toward, drawn, gathered, mis_weight, sky_for
 
 # Paths up to this many edges are unrolled. Longer ones would cost compile time.
 LONGEST = 8
@@ -44,6 +44,7 @@ def radiance(
     """
     context = mi.BSDFContext()
     L, β, η = mi.Spectrum(0), mi.Spectrum(1), mi.Float(1)
+    sky = sky_for(scene, lights)
     active, delta = mi.Bool(True), mi.Bool(True)
     scattered = mi.Bool(False)
     pdf, count = mi.Float(1), 1
@@ -61,7 +62,7 @@ def radiance(
             ds = mi.DirectionSample3f(scene, si=si, ref=previous)
             mis = mi.Float(1)  # nothing else could have sampled what the camera sees
             if depth > 0:
-                of_light = density_toward(scene, previous, ds, ~delta)
+                of_light = density_toward(scene, sky, previous, ds, ~delta)
                 mis = mis_weight(pdf, count * of_light)
         with dr.suspend_grad(when=depth + 1 > differentiated):
             emitted = β * mis * ds.emitter.eval(si, active)
@@ -76,7 +77,7 @@ def radiance(
         attach = depth + 2 <= differentiated
         β = β if attach else dr.detach(β)
         with dr.suspend_grad(when=not attach):
-            lit = β * gathered(scene, sampler, si, bsdf, active, samples, attach)
+            lit = β * gathered(scene, sky, sampler, si, bsdf, active, samples, attach)
         L += dr.select(active, lit, 0)
 
         # ------------------ Detached BSDF sampling -------------------

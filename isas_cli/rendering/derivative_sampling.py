@@ -48,7 +48,7 @@ from ..config.schema import ROUGHNESSES, roughness_of
 from ..runtime.errors import InputError
 from ..unknowns.unknowns import Unknowns
 from .integrators import InOneGo, Integrator
-from .light import by_chance, density_toward, mis_weight, seen
+from .light import by_chance, mis_weight
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
@@ -137,7 +137,8 @@ class DerivativeSampling(InOneGo):
 
             lost, gained = _pair(si.wi, α, sampler.next_2d())
             sample, _ = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), active)
-            ds, emitted, lit = seen(scene, sampler, si, active)
+            ds, emitted = scene.sample_emitter_direction(si, sampler.next_2d(), True, active)
+            lit = active & (ds.pdf != 0)
             other = ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta) & (sample.pdf > 0)
 
             def density(wo, valid):
@@ -242,7 +243,7 @@ class DerivativeSampling(InOneGo):
             bsdf = si.bsdf(ray)
             ds = mi.DirectionSample3f(scene, si=si, ref=previous)
             emission = ds.emitter.eval(si, active)
-            by_light = density_toward(scene, previous, ds, active & ~delta)
+            by_light = scene.pdf_emitter_direction(previous, ds, active & ~delta)
             at_once = dr.select(first & active, emission, at_once)
             pdf_light = dr.select(first & active, by_light, pdf_light)
             mis = mis_weight(pdf, by_light)
@@ -252,7 +253,8 @@ class DerivativeSampling(InOneGo):
 
             active &= si.is_valid() & (depth + 1 < self.paths.derivative)
             lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-            ds, emitted, lit = seen(scene, sampler, si, lit)
+            ds, emitted = scene.sample_emitter_direction(si, sampler.next_2d(), True, lit)
+            lit &= ds.pdf != 0
             value, value_pdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), lit)
             mis = dr.select(ds.delta, 1, mis_weight(ds.pdf, value_pdf))
             L += dr.select(lit, β * mis * value * emitted, 0)

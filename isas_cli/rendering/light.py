@@ -36,16 +36,17 @@ def by_chance(scattered: mi.Bool, delta: mi.Bool) -> mi.Bool:
 
 def toward(
     scene: mi.Scene,
+    sky: Sky | None,
     sampler: mi.Sampler,
     si: mi.SurfaceInteraction3f,
     active: mi.Bool,
-    part: tuple[int, int] = (0, 1),
+    part: tuple[int, int],
     within: tuple[int, int] = (0, 1),
 ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
     """A direction from ``si`` to an emitter, and its radiance over its density, whatever is in its
     way. Uniform over a part of all that can be drawn, ``(number, count)`` of equal ones, and within
-    that over a part of it. Traced."""
-    point, sky, (number, parts), (inner, count) = sampler.next_2d(), _sky(scene), part, within
+    that over a part of it. By ``sky``, if given, else as Mitsuba draws it. Traced."""
+    point, (number, parts), (inner, count) = sampler.next_2d(), part, within
     if sky is None:
         # The first number chooses between emitters: each part is of few of them.
         point = mi.Point2f((number + point.x) / parts, (inner + point.y) / count)
@@ -59,34 +60,25 @@ def toward(
 
 
 def _hidden(
-    scene: mi.Scene, si: mi.SurfaceInteraction3f, ds: mi.DirectionSample3f, active: mi.Bool
+    scene: mi.Scene,
+    sky: Sky | None,
+    si: mi.SurfaceInteraction3f,
+    ds: mi.DirectionSample3f,
+    active: mi.Bool,
 ) -> mi.Bool:
     """Whether something is in the way of a direction that ``toward`` gave."""
-    ray = si.spawn_ray_to(ds.p) if _sky(scene) is None else si.spawn_ray(ds.d)
+    ray = si.spawn_ray_to(ds.p) if sky is None else si.spawn_ray(ds.d)
     return scene.ray_test(ray, active)
-
-
-def seen(
-    scene: mi.Scene,
-    sampler: mi.Sampler,
-    si: mi.SurfaceInteraction3f,
-    active: mi.Bool,
-    part: tuple[int, int] = (0, 1),
-) -> tuple[mi.DirectionSample3f, mi.Spectrum, mi.Bool]:
-    """What ``toward`` gives, and whether nothing is in its way. Traced."""
-    ds, emitted = toward(scene, sampler, si, active, part)
-    active = active & (ds.pdf != 0)
-    return ds, emitted, active & ~_hidden(scene, si, ds, active)
 
 
 def density_toward(
     scene: mi.Scene,
+    sky: Sky | None,
     previous: mi.SurfaceInteraction3f,
     ds: mi.DirectionSample3f,
     active: mi.Bool,
 ) -> mi.Float:
     """Of ``toward`` at ``previous``, by solid angle, for what a path met. Traced."""
-    sky = _sky(scene)
     if sky is None:
         return scene.pdf_emitter_direction(previous, ds, active)
     return sky.pdf(ds.d, active)
@@ -94,15 +86,18 @@ def density_toward(
 
 def prepare(scene: mi.Scene, stays: bool) -> None:
     """Let directions to the map of ``scene``'s sky be drawn as ``sky`` does it, where it is the
-    only light; ``stays``: whether the light is as it was loaded."""
+    only light and ``sky_for`` says so; ``stays``: whether the light is as it was loaded."""
     if scene.integrator() is not None:
         # It lies with the integrator: frozen kernels take what hangs on the scene as inputs, and
         # Mitsuba's C++ objects cannot hold it.
         scene.integrator().sky = of_map(scene) if stays else None
 
 
-def _sky(scene: mi.Scene) -> Sky | None:
-    return getattr(scene.integrator(), "sky", None)
+def sky_for(scene: mi.Scene, count: int) -> Sky | None:
+    """By what directions to lights are drawn, if not as Mitsuba does it, on paths with ``count``
+    light samples at the first vertex. Where that is one, Mitsuba's way pays: it is slower, and
+    closer to the radiance (benchmarks/sharing.py)."""
+    return None if count == 1 else getattr(scene.integrator(), "sky", None)
 
 
 def drawn(count: int) -> int:
@@ -112,6 +107,7 @@ def drawn(count: int) -> int:
 
 def gathered(
     scene: mi.Scene,
+    sky: Sky | None,
     sampler: mi.Sampler,
     si: mi.SurfaceInteraction3f,
     bsdf: mi.BSDFPtr,
@@ -136,12 +132,14 @@ def gathered(
     for index in range(count):
         with dr.suspend_grad():
             if directions == count:
-                ds, emitted, lit = seen(scene, sampler, si, smooth, (index, count))
+                ds, emitted = toward(scene, sky, sampler, si, smooth, (index, count))
+                lit = smooth & (ds.pdf != 0)
+                lit &= ~_hidden(scene, sky, si, ds, lit)
             else:
-                ds, emitted, weight = _picked(scene, sampler, si, bsdf, smooth, index, count)
+                ds, emitted, weight = _picked(scene, sky, sampler, si, bsdf, smooth, index, count)
                 lit = weight != 0
             wo = si.to_local(ds.d)
-        if attach and _sky(scene) is None:
+        if attach and sky is None:
             again = scene.eval_emitter_direction(si, ds, lit)
             emitted = dr.replace_grad(emitted, again * dr.select(lit, dr.rcp(ds.pdf), 0))
         value, pdf = bsdf.eval_pdf(context, si, wo, lit)
@@ -153,6 +151,7 @@ def gathered(
 
 def _picked(
     scene: mi.Scene,
+    sky: Sky | None,
     sampler: mi.Sampler,
     si: mi.SurfaceInteraction3f,
     bsdf: mi.BSDFPtr,
@@ -169,7 +168,7 @@ def _picked(
     derivative, as a lamp that is off has."""
     found, brings = [], []
     for number in range(_EACH):
-        ds, emitted = toward(scene, sampler, si, active, (index, count), (number, _EACH))
+        ds, emitted = toward(scene, sky, sampler, si, active, (index, count), (number, _EACH))
         lit = active & (ds.pdf != 0)
         value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, si.to_local(ds.d), lit)
         weight = dr.select(ds.delta, 1, mis_weight(drawn(count) * ds.pdf, pdf))
@@ -186,4 +185,4 @@ def _picked(
         share, end = dr.select(here, own, share), end + own
     ds, emitted, weight = picked
     weight /= share
-    return ds, emitted, dr.select(_hidden(scene, si, ds, weight != 0), 0, weight)
+    return ds, emitted, dr.select(_hidden(scene, sky, si, ds, weight != 0), 0, weight)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from .light import by_chance, density_toward, drawn, gathered, mis_weight
+from .light import by_chance, density_toward, drawn, gathered, mis_weight, sky_for
 
 _ONCE = dr.ADFlag.ClearEdges | dr.ADFlag.ClearInterior
 
@@ -44,7 +44,7 @@ def trace(
     primal = mode == dr.ADMode.Primal
     context = mi.BSDFContext()
     max_depth = mi.UInt32(max_depth)
-    ray = mi.Ray3f(dr.detach(ray))
+    ray, sky = mi.Ray3f(dr.detach(ray)), sky_for(scene, lights)
     hit = scene.ray_intersect_preliminary(ray, coherent=True, reorder=False, active=True)
 
     # Whether the path met a surface that scatters; only where that counts, as it costs registers.
@@ -59,14 +59,14 @@ def trace(
         bsdf = si.bsdf(ray)
         ds = mi.DirectionSample3f(scene, si=si, ref=previous)
         # The camera's vertex, and what a mirror shows, no light sample could have found.
-        mis = mis_weight(pdf, count * density_toward(scene, previous, ds, ~delta))
+        mis = mis_weight(pdf, count * density_toward(scene, sky, previous, ds, ~delta))
         on = active & si.is_valid() & (depth + 1 < max_depth)
         with dr.resume_grad(when=not primal):
             emitted = β * mis * ds.emitter.eval(si, active)
             if spread:
                 left_out = by_chance(*spread, delta) & ~mi.Bool(caustics)
                 emitted = dr.select(left_out, 0, emitted)
-            reflected = gathered(scene, sampler, si, bsdf, on, here, not primal)
+            reflected = gathered(scene, sky, sampler, si, bsdf, on, here, not primal)
             own = emitted + dr.select(on, β * reflected, 0)
         L = L + own if primal else L - dr.detach(own)
 

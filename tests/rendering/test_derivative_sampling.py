@@ -14,7 +14,7 @@ from scipy import stats
 from isas_cli.config.compose import compose, pixel_samplers
 from isas_cli.engine.experiment import checked
 from isas_cli.losses import L2
-from isas_cli.rendering import derivative_sampling, light, rays
+from isas_cli.rendering import derivative_sampling, rays
 from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns.parameters import flat
 
@@ -80,7 +80,6 @@ class Pair:
         self.plain = Gradients(self.problem, L2(), BATCH)
         self.drawn = Gradients(derivative_sampling.sampled(self.problem), L2(), BATCH)
         self.reference = self.plain.uniform(3 * REPEATS, 99)
-        light.prepare(self.problem.scene, stays=True)
 
     def against_plain(self, rows: np.ndarray):
         components = self.plain.components

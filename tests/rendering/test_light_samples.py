@@ -129,6 +129,24 @@ def test_paths_without_caustics_are_those_with_them_but_for_their_light(lights):
             assert np.allclose(ours, other, rtol=5e-3, atol=1e-4 * np.abs(other).max())
 
 
+STANDING = {"floor.bsdf.base_color.data": 0.5, "ball.bsdf.roughness.value": 0.7}
+
+
+@pytest.mark.parametrize("what", [backward, forward, primal])
+def test_several_directions_to_a_known_map_are_drawn_otherwise(what):
+    """By one sample as Mitsuba draws them; by several in another way, in a replay as unrolled."""
+    p = assemble(SCENES["sun"].build(5), STANDING)
+    single, several = (p.integrator.cut(Paths(5, 5, (n, n))) for n in (1, 4))
+    before = [what(p, each) for each in (single, several)]
+    light.prepare(p.scene, stays=True)
+    after = [what(p, each) for each in (single, several)]
+    far = 1e-4 * np.abs(before[0]).max()
+    assert np.allclose(after[0], before[0], rtol=1e-3, atol=far)
+    assert not np.allclose(after[1], before[1], rtol=1e-3, atol=far)
+    replayed = what(p, Replayed(p.integrator.mitsuba, several.paths))
+    assert np.allclose(replayed, after[1], rtol=5e-3, atol=far)
+
+
 class Bench:
     """A scene of `hard_scenes` at a depth that is unrolled or replayed; gradients of an L2 loss.
     ``unknowns``: instead of its own; ``sky``: with directions drawn by its map as it was loaded."""
@@ -140,7 +158,7 @@ class Bench:
         self.reference = self.one.uniform(300, 99)
         if sky:
             light.prepare(self.problem.scene, stays=True)
-            assert light._sky(self.problem.scene) is not None
+            assert light.sky_for(self.problem.scene, 4) is not None
 
     def outcome(self, lights: tuple[int, int], seed: int):
         whole = self.problem.integrator
@@ -155,14 +173,11 @@ class Bench:
         )
 
 
-STANDING = {
-    "unknowns": {"floor.bsdf.base_color.data": 0.5, "ball.bsdf.roughness.value": 0.7},
-    "sky": True,
-}
+BY_MAP = {"unknowns": STANDING, "sky": True}
 CASES = [
     ("sun", 3, (4, 4), {}),
-    ("sun", 3, (4, 4), STANDING),
-    ("sun", 9, (4, 4), STANDING),
+    ("sun", 3, (4, 4), BY_MAP),
+    ("sun", 9, (4, 4), BY_MAP),
     ("glass", 9, (3, 2), {}),
 ]
 
@@ -189,7 +204,7 @@ def test_a_direction_that_brings_nothing_counts_as_well(sure, honest, seed, monk
     si.wi = mi.Vector3f(0, 0, 1)
     stream = rays.stream(mi.UInt32(seed), count)
 
-    def toward(scene, sampler, si, active, part, within):
+    def toward(scene, sky, sampler, si, active, part, within):
         ds = dr.zeros(mi.DirectionSample3f, count)
         ds.d, ds.pdf = mi.warp.square_to_uniform_hemisphere(sampler.next_2d()), mi.Float(0.2)
         ds.time = mi.Float(within[0])  # which one it is
@@ -200,7 +215,7 @@ def test_a_direction_that_brings_nothing_counts_as_well(sure, honest, seed, monk
     monkeypatch.setattr(light, "mis_weight", lambda a, b: mi.Float(1))
     monkeypatch.setattr(light, "_SURE", sure)
     bsdf = mi.load_dict({"type": "diffuse"})
-    ds, _, weight = light._picked(loaded, stream, si, bsdf, mi.Bool(True), 0, 3)
+    ds, _, weight = light._picked(loaded, None, stream, si, bsdf, mi.Bool(True), 0, 3)
     which, weight = np.array(ds.time), np.array(weight, np.float64)
     found = np.array([np.mean(weight * (which == n)) for n in range(4)])
     errors = np.array([np.std(weight * (which == n)) for n in range(4)]) / count**0.5
@@ -209,7 +224,7 @@ def test_a_direction_that_brings_nothing_counts_as_well(sure, honest, seed, monk
 
 
 def test_a_density_of_the_sky_that_is_not_its_own_is_noticed(seed, monkeypatch):
-    bench = Bench("sun", 3, **STANDING)
+    bench = Bench("sun", 3, **BY_MAP)
     honest = sky.Sky.pdf
     monkeypatch.setattr(sky.Sky, "pdf", lambda *arguments: 2 * honest(*arguments))
     _, outcome = bench.outcome((4, 4), seed)

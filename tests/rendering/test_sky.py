@@ -120,7 +120,7 @@ def test_only_a_map_that_is_the_only_light_is_read():
 def test_runs_read_the_map_unless_it_is_unknown(name, read):
     cfg = OmegaConf.to_object(compose([f"scene={name}", "size=tiny", "target.spp=1"]))
     made = assemble.problem(cfg.scene, cfg.target, lambda done, total: None)
-    assert (light._sky(made.scene) is not None) == read
+    assert (light.sky_for(made.scene, 4) is not None) == read
 
 
 @pytest.mark.parametrize("integrator, read", [('<integrator type="path"/>', True), ("", False)])
@@ -139,4 +139,4 @@ def test_files_read_it_where_they_name_an_integrator(integrator, read, tmp_path)
     cfg = OmegaConf.to_object(compose(settings))
     cfg.scene.unknowns = {"ball.bsdf.reflectance.value": UnknownConfig(start=0.3)}
     made = assemble.problem(cfg.scene, cfg.target, lambda done, total: None)
-    assert (light._sky(made.scene) is not None) == read
+    assert (light.sky_for(made.scene, 4) is not None) == read
