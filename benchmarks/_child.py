@@ -75,7 +75,8 @@ def isas(side: str, batch: int, overrides: list[str]):
     loss = losses.L2()
     if side in ("isas-auto", "isas-single"):
         settings = instantiate(chosen.effects, "effects")
-        settings.light_samples = [1, 1] if side == "isas-single" else None
+        if side == "isas-single":
+            settings.light_samples, settings.directions = [1, 1], 1
         made = instantiate(chosen.estimator, "estimator")
         plan = effects.decide(problem, settings, made, loss, 60.0)
         print(plan.paths)

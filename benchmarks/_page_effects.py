@@ -62,39 +62,39 @@ def _verdicts(scenes: list[dict], plan: str) -> dict[str, list[str]]:
 
 def _sharing(table: pandas.DataFrame) -> dict:
     """A row per scene, in words: noise by the power heuristic over the balance heuristic's, with
-    one light sample and with four; over one light sample, noise and time of four, of four that
-    trace what they draw, and of roulette; with directions found the other way. The scenes where one
-    heuristic has surely less noise; noise × time of early roulette, and of four samples over that
-    of four that trace what they draw; ``other``: of directions found the other way, with one sample
-    and with four."""
-    rows, lower, higher, early, other = [], [], [], [], [[], []]
+    one light sample and with four, each of four directions; over one light sample, noise and time
+    of one of four directions, of four, of four that trace what they draw, and of roulette; with
+    directions found the other way. The scenes where one heuristic has surely less noise; noise ×
+    time of early roulette, of one sample that picks over one that does not, and the same of four;
+    ``other``: of directions found the other way, with one sample and with four."""
+    rows, lower, higher, early, picked, other = [], [], [], [], [[], []], [[], []]
     for scene, own in table.groupby("scene", sort=False):
-        sides = ["heuristic", "lights", "roulette", "directions", "other"]
-        of = own.fillna({"roulette": 0, "directions": 0}).set_index(sides)
+        sides = ["heuristic", "lights", "directions", "roulette", "other"]
+        of = own.fillna({"roulette": 0}).set_index(sides)
 
-        def found(heuristic="balance", lights=1, roulette=0, directions=0, other=False, of=of):
-            return of.loc[(heuristic, lights, roulette, directions, other)]
+        def found(heuristic="balance", lights=1, directions=1, roulette=0, other=False, of=of):
+            return of.loc[(heuristic, lights, directions, roulette, other)]
 
         powers = []
         for count in (1, 4):
-            ratio, error = _over(found("power", count), found(lights=count))
+            ratio, error = _over(found("power", count, count), found("balance", count, count))
             powers.append(f"{ratio:.2f} ± {error:.2f}")
             if abs(ratio - 1) > 2 * error:
                 (lower if ratio > 1 else higher).append(scene)
-        many, each = found(lights=4), found(lights=4, directions=1)
+        one, many, each = found(directions=4), found(lights=4, directions=4), found(lights=4)
+        for shares, share in zip(picked, (_product(one), _product(many) / _product(each))):
+            shares.append(share)
         early.append(_product(found(roulette=1)))
         pairs = []
         if own["other"].any():
-            pairs = [(found(lights=n, other=True), found(lights=n)) for n in (1, 4)]
+            pairs = [[found("balance", n, n, 0, way) for way in (True, False)] for n in (1, 4)]
             for shares, (a, b) in zip(other, pairs):
                 shares.append(_product(a) / _product(b))
         rows.append(
             {
                 "scene": scene,
                 "power": powers,
-                "many": _told(many),
-                "each": _told(each),
-                "saved": _product(many) / _product(each),
+                "samples": [_told(side) for side in (one, many, each)],
                 "other": [
                     ["{:.2f} ± {:.2f}".format(*_over(a, b)), f"{a['time'] / b['time']:.2f}"]
                     for a, b in pairs
@@ -107,7 +107,7 @@ def _sharing(table: pandas.DataFrame) -> dict:
         "lower": list(dict.fromkeys(lower)),
         "higher": list(dict.fromkeys(higher)),
         "roulette": (min(early), max(early)),
-        "picked": [row["saved"] for row in rows],
+        "picked": picked,
         "other": other,
     }
 
@@ -159,8 +159,15 @@ def _row(row: dict, full: dict) -> dict:
         "share": row["parameter_rmse"] / full["parameter_rmse"],
         "time": _time(time) if row is not full else "–",
         "left": "–" if pandas.isna(row["left_out"]) else f"{row['left_out']:.2g}",
-        "lights": row["light_samples"].replace(" ", ", "),
+        "lights": _lights(row),
     }
+
+
+def _lights(row: dict) -> str:
+    told = row["light_samples"].replace(" ", ", ")
+    # Rows of before samples could be picked do not say from how many directions.
+    directions = row.get("directions", math.nan)
+    return told + (f" of {directions:g}" if directions > 1 else "")
 
 
 def _time(share: float) -> str:

@@ -31,7 +31,8 @@ from reproduce import reached
 from isas_cli import records
 
 RESULTS = Path(__file__).parent / "results"
-# Billed seconds (None: no runs), and light samples (None: none are drawn).
+# Billed seconds (None: no runs), and light samples (None: none are drawn), each of several picked
+# from four directions.
 SCENES = {
     "pottery": (6, 4),
     "jumpydumpy": (6, 4),
@@ -54,6 +55,7 @@ SETTINGS += ["evaluation.pixels=32768", "frames.views=0", "frames.snapshots=0", 
 def settings_of(scene: str) -> list[str]:
     lights = SCENES[scene][1]
     found = [] if lights is None else [f"effects.light_samples=[{lights},{lights}]"]
+    found += ["effects.directions=4"] if lights and lights > 1 else []
     textured = ("pottery", "jumpydumpy", "earth", "multires")
     return found + (["scene.arguments.texture=128"] if scene in textured else [])
 
@@ -78,7 +80,8 @@ def estimates(scene: str, count: int) -> None:
     plain = [each for each in settings_of(scene) if not each.startswith("effects")]
     problem, _ = problem_of([f"scene={scene}", "target.spp=64", *plain])
     whole = problem.integrator
-    paths = replace(whole.paths, lights=(lights, lights), crossed=False)
+    directions = 4 if lights > 1 else 1
+    paths = replace(whole.paths, lights=(lights, lights), directions=directions, crossed=False)
     sides = {"crossed": whole.cut(replace(paths, crossed=True)), "one way": whole.cut(paths)}
     sides["crossed"].crosses = True  # also where it does not pay
     if whole.samples_lights:

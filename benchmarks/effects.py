@@ -80,6 +80,7 @@ def measured(run: records.Run) -> dict:
         "depth": plan["max_depth"],
         "derivative": plan["derivative_depth"],
         "light_samples": " ".join(map(str, plan["light_samples"])),
+        "directions": plan["directions"],
         "caustics": plan["caustics"],
         "probe": plan["probe_seconds"],
         "threads": run.manifest["threads"],
@@ -92,8 +93,8 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     rows = []
     goal = found[found["method"] == FULL][MEASURE].median()
     for _, own in found.groupby("method", sort=False):
-        same = ["scene", "method", "factor", "depth", "derivative", "light_samples", "caustics"]
-        row = {key: own[key].iloc[0] for key in [*same, "probe", "threads"]}
+        same = ["scene", "method", "factor", "depth", "derivative", "light_samples", "directions"]
+        row = {key: own[key].iloc[0] for key in [*same, "caustics", "probe", "threads"]}
         row |= {"seeds": len(own), "seconds": seconds}
         for measure in (MEASURE, "image_rmse"):
             row |= reproduce._spread(measure, own[measure].tolist())

@@ -2,12 +2,12 @@
 
 On the scenes of `effects.py`, at the start, all effects: the gradient's noise (`effects/probe.py`:
 of each entry, the geometric mean of the ratio of its mean squares, ± one standard error) and the
-time of an estimate, with the power heuristic's weights instead of the balance heuristic's, with
-four light samples at the first hit (each of both heuristics), with Russian roulette from the first
-or second vertex on, with light samples that trace every direction they draw instead of one of four,
-and with directions found the other way: by tickets at one sample, by Mitsuba's search in the map of
-the sky at four; over one light sample, balance heuristic, and the scene's roulette. Sides take
-turns; times are medians of the turns' ratios.
+time of an estimate, with four light samples at the first hit, each picked from four directions,
+with one that is, and with four that are not; with the power heuristic's weights instead of the
+balance heuristic's (of one sample and of four); with Russian roulette from the first or second
+vertex on; and with directions found the other way: by tickets at one sample, by Mitsuba's search in
+the map of the sky at four of four; over one light sample of one direction, balance heuristic, and
+the scene's roulette. Sides take turns; times are medians of the turns' ratios.
 Writes results/sharing.csv.
 
     .venv/bin/python benchmarks/sharing.py
@@ -31,13 +31,13 @@ BATCHES, TURNS = 64, 5
 
 @dataclasses.dataclass(frozen=True)
 class Side:
-    """``other``: with directions to the sky found the other way than in runs;
-    ``directions``: that each of several light samples is picked from, None: as runs do it."""
+    """``directions``: that each light sample is picked from; ``other``: with directions to the sky
+    found the other way than in runs."""
 
     heuristic: str = "balance"
     lights: int = 1
+    directions: int = 1
     roulette: int | None = None
-    directions: int | None = None
     other: bool = False
 
 
@@ -61,13 +61,18 @@ def measure(scene: str) -> None:
         return balance(dr.square(a), dr.square(b))
 
     problem, _ = problem_of([f"scene={scene}", "target.spp=16"])
-    depth, directions, sky_for = problem.integrator.max_depth, light._EACH, light.sky_for
+    depth, sky_for = problem.integrator.max_depth, light.sky_for
     tickets, usual = sky_for(problem.scene, 4), Side()
-    sides = [Side(h, n) for n in (1, 4) for h in ("balance", "power")]
-    sides += [Side(roulette=n) for n in (1, 2)] + [Side(lights=4, directions=1)]
+    sides = [Side(h, n, n) for n in (1, 4) for h in ("balance", "power")]
+    sides += [Side(directions=4), Side(lights=4)] + [Side(roulette=n) for n in (1, 2)]
     if tickets is not None:
-        sides += [Side(lights=n, other=True) for n in (1, 4)]
-    paths = {side: Paths(depth, depth, (side.lights, side.lights), side.roulette) for side in sides}
+        sides += [Side(lights=n, directions=n, other=True) for n in (1, 4)]
+    paths = {
+        side: Paths(
+            *(depth, depth, (side.lights, side.lights), side.roulette), directions=side.directions
+        )
+        for side in sides
+    }
     measured = probe.Probe(problem, losses.L2(), 3)
     kernels = {
         side: measured._kernel(problem.integrator.cut(own), False) for side, own in paths.items()
@@ -80,7 +85,6 @@ def measure(scene: str) -> None:
                 module.sky_for = sky_for
                 if side.other:
                     module.sky_for = lambda *_, lights=side.lights: None if lights > 1 else tickets
-            light._EACH = side.directions or directions
             _, gradients, spent = measured._repeated(kernels[side], own, fixed=True)
             seconds[side].append(spent)
             squares[side] = {key: rows.astype(np.float64) ** 2 for key, rows in gradients.items()}

@@ -82,7 +82,7 @@ Nothing is optimised.
   isas effects scene=bowl effects.max_depth=2
 
 Settings: effects=auto (default), effects=full, effects.max_depth, effects.derivative_depth,
-effects.light_samples, effects.roulette, effects.caustics, effects.tolerance,
+effects.light_samples, effects.directions, effects.roulette, effects.caustics, effects.tolerance,
 effects.derivative_tolerance, effects.finish, effects.probe.
 Everything else is as in isas run --help.
 Status: 0 done, 2 bad configuration or input, 130 interrupted."""

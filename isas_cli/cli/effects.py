@@ -55,12 +55,14 @@ def show(plan: "Plan", console: Console) -> None:
         console.print(_cuts("what caustics are", {"none": plan.caustics}))
     if plan.samples:
         table = Table(
-            "light samples: residual, derivative", title="with one each = 1; ± one standard error"
+            "light samples: residual, derivative", title="the first = 1; ± one standard error"
         )
         for column in ("noise", "time of a step", "noise × time"):
             table.add_column(column, justify="right")
         for each in plan.samples:
             samples = ", ".join(map(str, each.samples))
+            if each.directions > 1:
+                samples += f", picked from {each.directions} directions"
             noise = f"{each.noise:.2f} ± {each.error:.2f}"
             table.add_row(samples, noise, f"{each.time:.2f}", f"{each.noise * each.time:.2f}")
         console.print(table)

@@ -62,6 +62,7 @@ _ALL_EFFECTS = {
     "max_depth": None,
     "derivative_depth": None,
     "light_samples": None,
+    "directions": 1,
     "roulette": None,
     "caustics": None,
     "tolerance": 0.005,

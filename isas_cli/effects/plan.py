@@ -16,6 +16,7 @@ from ..rendering import coverage
 from ..rendering.integrators import Paths
 from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
+from ..unknowns.motion import Motion
 from . import rules
 from .probe import Cut, Lights, Probe, Share
 from .settings import Effects
@@ -25,14 +26,15 @@ if TYPE_CHECKING:
     from ..estimators.estimator import Estimator
     from ..scene.problem import Problem
 
-# Depths that are compared, and numbers of light samples (residual, derivative). The last pair is
-# left out where one path gives both, by as many.
+# Depths that are compared, and numbers of light samples (residual, derivative) with the directions
+# that each is picked from. The last is left out where one path gives both, by as many.
 _LADDER = (2, 3, 4, 6, 8)
-_LIGHTS = ((1, 1), (4, 4), (4, 1))
+_PICKED = 4
+_LIGHTS = (((1, 1), 1), ((1, 1), _PICKED), ((4, 4), _PICKED), ((4, 1), _PICKED))
 # A budget of so many seconds can pay for a probe, which takes at most this share of it and at most
 # so many seconds.
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
-_FORMAT = 15
+_FORMAT = 16
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,8 @@ class Plan:
 
     def _finish(self, whole: Paths) -> Paths:
         """All that ``whole`` has, by as many samples as before."""
-        return dataclasses.replace(whole, lights=self.paths.lights, roulette=self.paths.roulette)
+        own = {key: getattr(self.paths, key) for key in ("lights", "directions", "roulette")}
+        return dataclasses.replace(whole, **own)
 
     def record(self) -> dict:
         """For the manifest."""
@@ -76,6 +79,7 @@ class Plan:
             "max_depth": _finite(self.paths.depth),
             "derivative_depth": _finite(self.paths.derivative),
             "light_samples": list(self.paths.lights),
+            "directions": self.paths.directions,
             "roulette": self.paths.roulette,
             "caustics": self.paths.caustics,
             "views": None if self.views is None else list(self.views),
@@ -128,11 +132,17 @@ def decide(
         depth = earlier["max_depth"] or UNLIMITED
         derivative = earlier.get("derivative_depth") or depth
         lights, roulette = tuple(earlier["light_samples"]), earlier.get("roulette")
-        paths = Paths(depth, derivative, lights, roulette, earlier.get("caustics", True))
+        caustics = earlier.get("caustics", True)
+        # Several samples were picked before one could be.
+        directions = earlier.get("directions", _PICKED if max(lights) > 1 else 1)
+        paths = Paths(depth, derivative, lights, roulette, caustics, directions=directions)
         kept = earlier.get("views")
         plan = Plan(paths, settings.finish, {}, kept and tuple(kept))
         plan, why = dataclasses.replace(plan, seconds=earlier["probe_seconds"]), {}
     elif follows:
+        # Renderings that are compared would differ by what they pick.
+        if settings.directions is None and (not estimator.replays or problem.unknowns.of(Motion)):
+            settings = dataclasses.replace(settings, directions=1)
         found = Plan(_as_set(problem, settings), settings.finish, {})
         carried = any(unknown.kind.carried for unknown in problem.unknowns)
         if settings.probe and carried and estimator.replays and (seconds or 0) >= _WORTH:
@@ -152,6 +162,8 @@ def decide(
     if plan.paths.roulette is not None:
         told["roulette"] = f"from vertex {plan.paths.roulette} on, as set"
     told["light samples"] = f"{lights[0]} for a residual, {lights[1]} for a derivative"
+    if plan.paths.directions > 1:
+        told["light samples"] += f", each picked from {plan.paths.directions} directions"
     if not whole.samples_lights:
         told["light samples"] = "none: a path finds its light by leaving the medium"
     for effect, reason in why.items():
@@ -163,19 +175,25 @@ def decide(
 
 
 def _as_set(problem: "Problem", settings: Effects) -> Paths:
-    """All that the scene has, but for what is set. Raises InputError for what it cannot have."""
+    """All that the scene has, but for what is set; light samples are picked. Raises InputError for
+    what it cannot have."""
     whole = problem.integrator
     depth = _at_most(whole.max_depth, settings.max_depth, "max_depth", "the scene's own paths have")
     derivative = _at_most(
         depth, settings.derivative_depth, "derivative_depth", "the paths to differentiate have"
     )
-    if settings.light_samples is not None and not whole.samples_lights:
+    picks = settings.directions not in (None, 1)
+    if (settings.light_samples is not None or picks) and not whole.samples_lights:
+        name = "directions" if picks else "light_samples"
         raise InputError(
-            f"effects.light_samples={list(settings.light_samples)}: no light is sampled in a "
-            "medium, a path finds it by leaving: leave it out"
+            f"effects.{name}={getattr(settings, name)}: no light is sampled in a medium, a path "
+            "finds it by leaving: leave it out"
         )
-    lights = tuple(settings.light_samples or (1, 1))
-    paths = Paths(depth, derivative, lights, settings.roulette, settings.caustics is not False)
+    paths = Paths(
+        *(depth, derivative, tuple(settings.light_samples or (1, 1)), settings.roulette),
+        caustics=settings.caustics is not False,
+        directions=settings.directions or (_PICKED if whole.samples_lights else 1),
+    )
     for name, edges in (("max_depth", depth), ("derivative_depth", derivative)):
         if getattr(settings, name) is not None and edges < whole.max_depth:
             if key := _unmet(problem, Paths(edges, edges, caustics=paths.caustics)):
@@ -227,11 +245,13 @@ def _chosen(problem: "Problem", settings: Effects, found: Plan) -> tuple[Plan, d
             found.derivatives, settings.derivative_tolerance, paths.derivative
         )
         paths = dataclasses.replace(paths, derivative=derivative)
-    if settings.light_samples is not None:
+    if settings.light_samples is not None and settings.directions is not None:
         why["light samples"] = "as set"
+    elif len(found.samples) > 1:
+        chosen, why["light samples"] = rules.lights(found.samples)
+        paths = dataclasses.replace(paths, lights=chosen.samples, directions=chosen.directions)
     elif found.seconds and problem.integrator.samples_lights:
-        lights, why["light samples"] = rules.lights(found.samples)
-        paths = dataclasses.replace(paths, lights=lights)
+        why["light samples"] = "not measured"
     if settings.caustics is not None:
         why["caustics"] = "as set"
     elif found.caustics is not None:
@@ -313,8 +333,12 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
         checks += seconds
         return max(shares.values(), default=0.0)
 
-    if settings.light_samples is None and surfaces and paths.depth > 1:
-        samples = probe.lights(paths, list(_LIGHTS[: 2 if problem.integrator.crosses else 3]))
+    if surfaces and paths.depth > 1:
+        ways = dict.fromkeys(
+            (tuple(settings.light_samples or lights), settings.directions or directions)
+            for lights, directions in _LIGHTS[: 3 if problem.integrator.crosses else 4]
+        )
+        samples = probe.lights(paths, list(ways)) if len(ways) > 1 else []
     ladder = [depth for depth in _LADDER if depth < paths.depth]
     if settings.derivative_depth is None:
         for depth in ladder:

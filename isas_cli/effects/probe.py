@@ -4,8 +4,8 @@ All at the start values, with uniform pixels. **Depth**: one kernel traces paths
 the same random numbers a longer path begins as the shorter one, so the difference of two gradients
 is what the longer paths add, free of the noise that both share. **Caustics**: the same with and
 without them. **Light samples**: how the noise of a gradient and the time of a step change with
-their number. The residual that a run is left with in the end is noise, so the residual here is the
-difference of two renderings of the same pixels.
+their number, and with picking them. The residual that a run is left with in the end is noise, so
+the residual here is the difference of two renderings of the same pixels.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from . import structure
 _LANES = 1 << 13
 # A kind of path is measured for so many seconds, or for its part of what is allowed (about as many
 # kinds as are usual), by estimates of the gradient between these numbers.
-_SECONDS, _PARTS = 0.25, 8
+_SECONDS, _PARTS = 0.25, 9
 _LEAST_BATCHES, _MOST_BATCHES = 8, 64
 _PATHS_A_VIEW = 1 << 12
 # Numbers of the probe's streams, which no iteration of a run reaches.
@@ -66,11 +66,12 @@ class Cut:
 
 @dataclass(frozen=True)
 class Lights:
-    """``noise``: variance of a gradient's entry with so many light samples (residual, derivative)
-    over that with one each, see ``noise_ratio``; ``error``: its standard error; ``time``: of a
-    step, likewise."""
+    """``noise``: variance of a gradient's entry with so many light samples (residual, derivative),
+    each picked from so many directions, over that of the first that was measured, see
+    ``noise_ratio``; ``error``: its standard error; ``time``: of a step, likewise."""
 
     samples: tuple[int, int]
+    directions: int
     noise: float
     error: float
     time: float
@@ -169,22 +170,22 @@ class Probe:
         image = None if alike else _image_share(images[1] - images[0], images[1])
         return Cut(paths.derivative, image, shares, own[2] / self._whole[2])
 
-    def lights(self, paths: Paths, candidates: list[tuple[int, int]]) -> list[Lights]:
-        """For each of ``candidates``, the first of which is (1, 1), on ``paths``; those for which
-        there is time."""
+    def lights(self, paths: Paths, candidates: list[tuple[tuple[int, int], int]]) -> list[Lights]:
+        """For each of ``candidates``, (samples, directions), on ``paths``; those for which there
+        is time."""
         found = []
-        for samples in candidates:
-            own = dataclasses.replace(paths, lights=samples)
+        for samples, directions in candidates:
+            own = dataclasses.replace(paths, lights=samples, directions=directions)
             kernel = self._kernel(self.problem.integrator.cut(own), False)
             measured = self._repeated(kernel, own, fixed=True)
             if not measured:
                 break
             squares = {key: g.astype(np.float64) ** 2 for key, g in measured[1].items()}
-            found.append((samples, squares, measured[2]))
+            found.append(((samples, directions), squares, measured[2]))
         self.problem.unknowns.write(self.values)
         return [
-            Lights(samples, *noise_ratio(squares, found[0][1]), seconds / found[0][2])
-            for samples, squares, seconds in found
+            Lights(*way, *noise_ratio(squares, found[0][1]), seconds / found[0][2])
+            for way, squares, seconds in found
         ]
 
     def _repeated(self, kernel, paths: Paths, fixed: bool = False):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from .probe import Cut, Lights, Z
@@ -40,21 +41,37 @@ def derivative(cuts: Sequence[Cut], tolerance: float, whole: int) -> tuple[int, 
     return whole, f"longer than {last.depth} are up to {worst(last):.0%} of a gradient"
 
 
-def lights(samples: Sequence[Lights]) -> tuple[tuple[int, int], str]:
-    """The number with the least noise × time of those that are surely (95 %) better than one each:
-    more samples make fewer steps, and a run needs steps as well. Of those that are as good within
-    their errors, the most: noise is what the residual is at a run's end, and earlier the
-    derivative's own noise counts for more."""
-    if len(samples) < 2:
-        return (1, 1), "not measured"
-    sure = [s for s in samples[1:] if (s.noise + Z * s.error) * s.time < 1]
-    if not sure:
-        least = min(s.noise * s.time for s in samples[1:])
-        return (1, 1), f"more would not surely pay, noise × time {least:.2f} of that with one each"
-    least = min(s.noise * s.time for s in sure)
-    alike = [s for s in sure if (s.noise - s.error) * s.time <= least]
-    best = max(alike, key=lambda s: sum(s.samples))
-    return best.samples, f"noise × time {best.noise * best.time:.2f} of that with one each"
+def lights(samples: Sequence[Lights]) -> tuple[Lights, str]:
+    """Of the fewest samples, what has the least noise × time; and more where that is surely (95 %)
+    better: more samples make fewer steps, and a run needs steps as well. Of those that are as good
+    within their errors, the most: noise is what the residual is at a run's end, and earlier the
+    derivative's own noise counts for more. The first is what others are compared with."""
+    plain = samples[0]
+    error = {id(s): s.error * s.time for s in samples} | {id(plain): 0.0}
+    fewest = [s for s in samples if s.samples == plain.samples]
+    single = min(fewest, key=_product)
+    sure = [
+        s
+        for s in samples
+        if s.samples != plain.samples
+        and _product(s) + Z * math.hypot(error[id(s)], error[id(single)]) < _product(single)
+    ]
+    best = single
+    if sure:
+        least = min(map(_product, sure))
+        alike = [s for s in sure if (s.noise - s.error) * s.time <= least]
+        best = max(alike, key=lambda s: sum(s.samples))
+    others = "; ".join(f"{_named(s)}: {_product(s):.2f}" for s in samples if s is not best)
+    return best, f"noise × time {_product(best):.2f} ({others})"
+
+
+def _product(lights: Lights) -> float:
+    return lights.noise * lights.time
+
+
+def _named(lights: Lights) -> str:
+    picked = f" picked from {lights.directions}" if lights.directions > 1 else ""
+    return f"{lights.samples[0]} and {lights.samples[1]}{picked}"
 
 
 def caustics(without: Cut, tolerance: float) -> tuple[bool, str]:

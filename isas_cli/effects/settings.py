@@ -7,19 +7,21 @@ from typing import List, Optional
 
 from ..runtime.errors import InputError
 
-_MOST_LIGHTS = 64
+# Each is unrolled in the kernel.
+_MOST_LIGHTS, _MOST_DIRECTIONS = 64, 256
 
 
 @dataclass
 class Effects:
     """``probe``: measure what structure cannot tell. ``max_depth``: edges of the longest path.
     ``derivative_depth``: of the longest that is differentiated. ``light_samples``: of emitters at
-    the first hit, for the residual and for the derivative. None: as the probe finds best, else all
-    that the scene has and one sample. ``roulette``: vertices after which Russian roulette ends
-    paths; None: as the scene has it. ``caustics``: whether surfaces get light straight from
-    mirrors or through clear glass; None: as the probe finds, else they do. ``tolerance``,
-    ``derivative_tolerance``: share of an unknown's gradient, see ``plan``. ``finish``: the last
-    share of the budget with all effects.
+    the first hit, for the residual and for the derivative. ``directions``: that each of these is
+    picked from. None: as the probe finds best; else all that the scene has, and one sample, picked
+    where nothing but derivatives of paths is asked for. ``roulette``: vertices after which Russian
+    roulette ends paths; None: as the scene has it. ``caustics``: whether surfaces get light
+    straight from mirrors or through clear glass; None: as the probe finds, else they do.
+    ``tolerance``, ``derivative_tolerance``: share of an unknown's gradient, see ``plan``.
+    ``finish``: the last share of the budget with all effects.
 
     What residuals lack, the result lacks: at the truth they are not zero on average. A derivative
     that lacks something only takes another way to where the residuals are zero. Hence two
@@ -30,6 +32,7 @@ class Effects:
     max_depth: Optional[int] = None
     derivative_depth: Optional[int] = None
     light_samples: Optional[List[int]] = None
+    directions: Optional[int] = None
     roulette: Optional[int] = None
     caustics: Optional[bool] = None
     tolerance: float = 0.005
@@ -40,7 +43,8 @@ class Effects:
     def cuts(self) -> bool:
         """Whether paths are set to be others than the scene's."""
         own = self.max_depth, self.derivative_depth, self.light_samples, self.roulette
-        return self.caustics is False or any(each is not None for each in own)
+        picks = self.directions not in (None, 1)
+        return picks or self.caustics is False or any(each is not None for each in own)
 
     def __post_init__(self) -> None:
         for name in ("max_depth", "derivative_depth"):
@@ -57,6 +61,12 @@ class Effects:
             raise InputError(
                 f"effects.light_samples=[{text}]: two numbers from 1 to {_MOST_LIGHTS}, for the "
                 "residual and for the derivative, such as [4,4]"
+            )
+        most = _MOST_DIRECTIONS // max(lights or [1])
+        if self.directions is not None and not 1 <= self.directions <= most:
+            raise InputError(
+                f"effects.directions={self.directions}: from 1 to {most}, that each light sample "
+                f"is picked from, {_MOST_DIRECTIONS} in all"
             )
         for name in ("tolerance", "derivative_tolerance"):
             if not 0 <= getattr(self, name) < 1:

@@ -359,10 +359,12 @@ class Loop:
     def left_out(self) -> float | None:
         """Root mean square of what the plan of effects leaves out of the images at the present
         values, in units of radiance; None where it leaves out nothing."""
-        integrator = self.problem.integrator
-        if integrator.max_depth == self.whole.integrator.max_depth:
+        whole, own = self.whole.integrator, self.problem.integrator.paths
+        # By the samples that the whole has: the same random numbers, so that noise is not left out.
+        lacking = replace(whole.paths, depth=own.depth, derivative=own.depth, caustics=own.caustics)
+        if lacking == whole.paths:
             return None
-        planned = replace(self.whole, integrator=integrator)
+        planned = replace(self.whole, integrator=whole.cut(lacking))
         with self.clock.unbilled("evaluation"):
             return self.evaluator.apart(planned, self.stepper.values)
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import drjit as dr
 import mitsuba as mi
 
-from .light import by_chance, density_toward, drawn, gathered, mis_weight, sky_for
+from .light import by_chance, density_toward, gathered, mis_weight, sky_for
 
 # Paths up to this many edges are unrolled. Longer ones would cost compile time.
 LONGEST = 8
@@ -22,7 +24,7 @@ def radiance(
     ray: mi.Ray3f,
     max_depth: int,
     rr_depth: int,
-    lights: int = 1,
+    draws: tuple[int, int] = (1, 1),
     caustics: bool = True,
     differentiated: int | None = None,
 ) -> mi.Spectrum:
@@ -34,8 +36,8 @@ def radiance(
     long path's graph is dear. Unrolled, a short path's graph lives in registers and every ray is
     traced once; values and derivatives agree with ``prb`` path by path, but for ``mis_weight``.
 
-    ``lights``: samples of emitters at the first vertex; at later ones it is one. ``caustics``: with
-    the light of ``light.by_chance``.
+    ``draws``: samples of emitters at the first vertex, and directions that each is picked from; at
+    later ones it is one. ``caustics``: with the light of ``light.by_chance``.
     ``differentiated``: edges of the longest paths whose derivatives are attached (None: all; 0: the
     radiance alone): call it with derivatives on (``dr.resume_grad``) and propagate from or to the
     result. Geometry is not differentiated. Traced.
@@ -44,7 +46,7 @@ def radiance(
     """
     context = mi.BSDFContext()
     L, β, η = mi.Spectrum(0), mi.Spectrum(1), mi.Float(1)
-    sky = sky_for(scene, lights)
+    sky = sky_for(scene, math.prod(draws))
     active, delta = mi.Bool(True), mi.Bool(True)
     scattered = mi.Bool(False)
     pdf, count = mi.Float(1), 1
@@ -72,12 +74,12 @@ def radiance(
             break
 
         # ---------------------- Emitter sampling ----------------------
-        samples = lights if depth == 0 else 1
-        count = drawn(samples)
+        samples = draws if depth == 0 else (1, 1)
+        count = math.prod(samples)
         attach = depth + 2 <= differentiated
         β = β if attach else dr.detach(β)
         with dr.suspend_grad(when=not attach):
-            lit = β * gathered(scene, sky, sampler, si, bsdf, active, samples, attach)
+            lit = β * gathered(scene, sky, sampler, si, bsdf, active, *samples, attach)
         L += dr.select(active, lit, 0)
 
         # ------------------ Detached BSDF sampling -------------------

@@ -187,7 +187,8 @@ class Paths:
     in a primal pass and in one that differentiates (one at later vertices); ``roulette``: vertices
     after which Russian roulette ends paths (None: as the scene's integrator has it);
     ``caustics``: with light that only chance finds (``light.by_chance``);
-    ``crossed``: whether a ``pair`` may differentiate both of its paths."""
+    ``crossed``: whether a ``pair`` may differentiate both of its paths; ``directions``: that each
+    of ``lights`` is picked from."""
 
     depth: int
     derivative: int
@@ -195,6 +196,11 @@ class Paths:
     roulette: int | None = None
     caustics: bool | mi.Bool = True
     crossed: bool = True
+    directions: int = 1
+
+    def draws(self, differentiated: bool) -> tuple[int, int]:
+        """Light samples at the first vertex, and directions that each is picked from."""
+        return self.lights[differentiated], self.directions
 
 
 class Surfaces(Integrator):
@@ -225,14 +231,14 @@ class Unrolled(Surfaces, InOneGo):
         self.crosses = paths.crossed and paths.lights[0] == paths.lights[1]
 
     def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, None]:
-        own = self.paths.depth, self.rr_depth, self.paths.lights[0], self.paths.caustics
+        own = self.paths.depth, self.rr_depth, self.paths.draws(False), self.paths.caustics
         return attached.radiance(scene, sampler, ray, *own, 0), None
 
     def pair(self, scene, samplers, rays, adjoints, mode=dr.ADMode.Backward) -> None:
         if not self.crosses:
             return super().pair(scene, samplers, rays, adjoints, mode)
         paths = self.paths
-        whole = paths.depth, self.rr_depth, paths.lights[0], paths.caustics, paths.derivative
+        whole = paths.depth, self.rr_depth, paths.draws(False), paths.caustics, paths.derivative
         with dr.resume_grad():
             found = [attached.radiance(scene, *path, *whole) for path in zip(samplers, rays)]
             with dr.suspend_grad():
@@ -244,7 +250,7 @@ class Unrolled(Surfaces, InOneGo):
                 dr.eval(dr.forward_to(total))
 
     def radiance(self, scene, sampler, ray) -> mi.Spectrum:
-        own = self.paths.derivative, self.rr_depth, self.paths.lights[1], self.paths.caustics
+        own = self.paths.derivative, self.rr_depth, self.paths.draws(True), self.paths.caustics
         return attached.radiance(scene, sampler, ray, *own)
 
 
@@ -278,7 +284,7 @@ class Replayed(Surfaces, Twice):
 
     def once(self, mode, scene, sampler, ray, differentiated, *more):
         depth = self.paths.derivative if differentiated else self.paths.depth
-        own = depth, self.rr_depth, self.paths.lights[differentiated], self.paths.caustics
+        own = depth, self.rr_depth, self.paths.draws(differentiated), self.paths.caustics
         return replayed.trace(mode, scene, sampler, ray, *own, *more)
 
 

@@ -7,9 +7,8 @@ import mitsuba as mi
 
 from .sky import Sky, of_map
 
-# Directions that each of several light samples is picked from, and how often that goes by what they
-# bring instead of by chance alone.
-_EACH, _SURE = 4, 0.9
+# How often one of several directions is picked by what they bring, instead of by chance alone.
+_SURE = 0.9
 
 
 def mis_weight(a: mi.Float, b: mi.Float) -> mi.Float:
@@ -93,16 +92,11 @@ def prepare(scene: mi.Scene, stays: bool) -> None:
         scene.integrator().sky = of_map(scene) if stays else None
 
 
-def sky_for(scene: mi.Scene, count: int) -> Sky | None:
-    """By what directions to lights are drawn, if not as Mitsuba does it, on paths with ``count``
-    light samples at the first vertex. Where that is one, Mitsuba's way pays: it is slower, and
-    closer to the radiance (benchmarks/sharing.py)."""
-    return None if count == 1 else getattr(scene.integrator(), "sky", None)
-
-
-def drawn(count: int) -> int:
-    """Directions that are drawn for ``count`` light samples, see ``gathered``."""
-    return count if count == 1 else _EACH * count
+def sky_for(scene: mi.Scene, drawn: int) -> Sky | None:
+    """By what directions to lights are drawn, if not as Mitsuba does it, on paths that draw so many
+    at the first vertex. Where that is one, Mitsuba's way pays: it is slower, and closer to the
+    radiance (benchmarks/sharing.py)."""
+    return None if drawn == 1 else getattr(scene.integrator(), "sky", None)
 
 
 def gathered(
@@ -113,40 +107,40 @@ def gathered(
     bsdf: mi.BSDFPtr,
     active: mi.Bool,
     count: int,
+    each: int,
     attach: bool,
 ) -> mi.Spectrum:
-    """BSDF × radiance at ``si``, from ``count`` samples of emitters that share the work with one
-    sample of the BSDF: a direction counts by ``mis_weight(n p_emitter, p_BSDF)`` / n, where n is
-    ``drawn(count)``.
+    """BSDF × radiance at ``si``, from ``count`` samples of emitters, each picked from ``each``
+    directions, that share the work with one sample of the BSDF: of the n directions in all each
+    counts by ``mis_weight(n p_emitter, p_BSDF)`` / n.
 
-    The directions are stratified: each is uniform over a part of its own, equal to the others, so
-    that their mean is unbiased whatever n. A shadow ray costs more than a direction, so that one
-    sample of several draws some and traces one of them, see ``_picked``. ``attach``: with the
-    derivatives of BSDF and emitters (on, as by ``dr.resume_grad``); directions are detached.
-    Traced.
+    They are stratified: each is uniform over a part of its own, equal to the others, so that their
+    mean is unbiased whatever n. A shadow ray costs more than a direction, so that a sample traces
+    one of those that it draws, see ``_picked``. ``attach``: with the derivatives of BSDF and
+    emitters (on, as by ``dr.resume_grad``); directions are detached. Traced.
     """
     total = mi.Spectrum(0)
     context = mi.BSDFContext()
     smooth = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-    directions = drawn(count)
     for index in range(count):
         with dr.suspend_grad():
-            if directions == count:
+            if each == 1:
                 ds, emitted = toward(scene, sky, sampler, si, smooth, (index, count))
                 lit = smooth & (ds.pdf != 0)
                 lit &= ~_hidden(scene, sky, si, ds, lit)
             else:
-                ds, emitted, weight = _picked(scene, sky, sampler, si, bsdf, smooth, index, count)
+                part = index, count
+                ds, emitted, weight = _picked(scene, sky, sampler, si, bsdf, smooth, part, each)
                 lit = weight != 0
             wo = si.to_local(ds.d)
         if attach and sky is None:
             again = scene.eval_emitter_direction(si, ds, lit)
             emitted = dr.replace_grad(emitted, again * dr.select(lit, dr.rcp(ds.pdf), 0))
         value, pdf = bsdf.eval_pdf(context, si, wo, lit)
-        if directions == count:
+        if each == 1:
             weight = dr.select(ds.delta, 1, mis_weight(count * ds.pdf, dr.detach(pdf)))
         total += dr.select(lit, weight * value * emitted, 0)
-    return total * (1 / directions) if directions > 1 else total
+    return total * (1 / (count * each)) if count * each > 1 else total
 
 
 def _picked(
@@ -156,10 +150,10 @@ def _picked(
     si: mi.SurfaceInteraction3f,
     bsdf: mi.BSDFPtr,
     active: mi.Bool,
-    index: int,
-    count: int,
+    part: tuple[int, int],
+    each: int,
 ) -> tuple[mi.DirectionSample3f, mi.Spectrum, mi.Float]:
-    """One of several directions to emitters, its radiance over its density, and what it counts.
+    """One of ``each`` directions to emitters, its radiance over its density, and what it counts.
     That is its ``mis_weight`` over the probability that it is picked, so that it stands for the sum
     over all of them; 0 where something is in its way.
 
@@ -167,21 +161,21 @@ def _picked(
     sampling: Talbot et al. 2005), now and then by chance alone: what brings nothing may have a
     derivative, as a lamp that is off has."""
     found, brings = [], []
-    for number in range(_EACH):
-        ds, emitted = toward(scene, sky, sampler, si, active, (index, count), (number, _EACH))
+    for number in range(each):
+        ds, emitted = toward(scene, sky, sampler, si, active, part, (number, each))
         lit = active & (ds.pdf != 0)
         value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, si.to_local(ds.d), lit)
-        weight = dr.select(ds.delta, 1, mis_weight(drawn(count) * ds.pdf, pdf))
+        weight = dr.select(ds.delta, 1, mis_weight(part[1] * each * ds.pdf, pdf))
         found.append((ds, emitted, dr.select(lit, weight, 0)))
         brings.append(dr.select(lit, dr.mean(weight * value * emitted), 0))
     sure = _SURE * dr.rcp(sum(brings))
     sure = dr.select(dr.isfinite(sure), sure, 0)
-    least = dr.select(sure > 0, 1 - _SURE, 1) / _EACH
+    least = dr.select(sure > 0, 1 - _SURE, 1) / each
     point, end, picked, share = sampler.next_1d(), mi.Float(0), found[0], mi.Float(1)
-    for each, brought in zip(found, brings):
+    for one, brought in zip(found, brings):
         own = sure * brought + least
         here = point >= end
-        picked = tuple(dr.select(here, b, a) for a, b in zip(picked, each))
+        picked = tuple(dr.select(here, b, a) for a, b in zip(picked, one))
         share, end = dr.select(here, own, share), end + own
     ds, emitted, weight = picked
     weight /= share

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import drjit as dr
 import mitsuba as mi
 
-from .light import by_chance, density_toward, drawn, gathered, mis_weight, sky_for
+from .light import by_chance, density_toward, gathered, mis_weight, sky_for
 
 _ONCE = dr.ADFlag.ClearEdges | dr.ADFlag.ClearInterior
 
@@ -22,7 +24,7 @@ def trace(
     ray: mi.Ray3f,
     max_depth: int | mi.UInt32,
     rr_depth: int,
-    lights: int = 1,
+    draws: tuple[int, int] = (1, 1),
     caustics: bool | mi.Bool = True,
     adjoint: mi.Spectrum | None = None,
     radiance: mi.Spectrum | None = None,
@@ -31,20 +33,21 @@ def trace(
 
     Mitsuba's ``prb`` also differentiates where vertices lie, which costs a second look at every
     surface and light; here materials and lights are all that is unknown. Values and derivatives
-    agree with ``prb``'s path by path where ``lights`` is 1, but for ``mis_weight``.
+    agree with ``prb``'s path by path where ``draws`` is one, but for ``mis_weight``.
 
     ``mode``: Primal, Backward (adds ⟨adjoint, dL/dθ⟩ to the gradients) or Forward. ``radiance``: of
-    the same paths, from a primal pass with the same random numbers. ``lights``: samples of emitters
-    at the first vertex; at later ones it is one. ``caustics``: with the light of
-    ``light.by_chance``. This and ``max_depth`` may be opaque, so that one kernel does for all.
-    Returns the radiance, or in forward mode its derivative, ``(3, N)``. Traced.
+    the same paths, from a primal pass with the same random numbers. ``draws``: samples of emitters
+    at the first vertex, and directions that each is picked from; at later ones it is one.
+    ``caustics``: with the light of ``light.by_chance``. This and ``max_depth`` may be opaque, so
+    that one kernel does for all. Returns the radiance, or in forward mode its derivative,
+    ``(3, N)``. Traced.
 
     L: radiance so far; in a replay, what the path still brings; β: throughput so far.
     """
     primal = mode == dr.ADMode.Primal
     context = mi.BSDFContext()
     max_depth = mi.UInt32(max_depth)
-    ray, sky = mi.Ray3f(dr.detach(ray)), sky_for(scene, lights)
+    ray, sky = mi.Ray3f(dr.detach(ray)), sky_for(scene, math.prod(draws))
     hit = scene.ray_intersect_preliminary(ray, coherent=True, reorder=False, active=True)
 
     # Whether the path met a surface that scatters; only where that counts, as it costs registers.
@@ -54,7 +57,7 @@ def trace(
         L, found, β, η, depth, active, hit, ray, previous, pdf, delta, spread, sampler, count, here
     ):
         """One vertex: what it emits and reflects. ``count``: directions drawn to lights at the
-        one before; ``here``: light samples at this one."""
+        one before; ``here``: ``draws`` of this one."""
         si = hit.compute_surface_interaction(ray, ray_flags=mi.RayFlags.All, active=active)
         bsdf = si.bsdf(ray)
         ds = mi.DirectionSample3f(scene, si=si, ref=previous)
@@ -66,7 +69,7 @@ def trace(
             if spread:
                 left_out = by_chance(*spread, delta) & ~mi.Bool(caustics)
                 emitted = dr.select(left_out, 0, emitted)
-            reflected = gathered(scene, sky, sampler, si, bsdf, on, here, not primal)
+            reflected = gathered(scene, sky, sampler, si, bsdf, on, *here, not primal)
             own = emitted + dr.select(on, β * reflected, 0)
         L = L + own if primal else L - dr.detach(own)
 
@@ -114,14 +117,14 @@ def trace(
         sampler,
     )
     count = mi.Float(1)
-    if lights > 1:
+    if math.prod(draws) > 1:
         # Once outside the loop, where the number of light samples is another.
-        state = vertex(*state, count, lights)
-        count = mi.Float(drawn(lights))
+        state = vertex(*state, count, draws)
+        count = mi.Float(math.prod(draws))
     *state, _ = dr.while_loop(
         (*state, count),
         lambda *s: s[5],
-        lambda *s: (*vertex(*s, 1), mi.Float(1)),
+        lambda *s: (*vertex(*s, (1, 1)), mi.Float(1)),
         label=f"paths ({mode.name})",
     )
     return state[1] if mode == dr.ADMode.Forward else state[0]

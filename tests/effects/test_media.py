@@ -71,6 +71,8 @@ def test_depths_can_be_set_and_no_light_samples():
         decided(p, caustics=False)
     with pytest.raises(InputError, match="light_samples=.*no light is sampled in a medium"):
         decided(p, light_samples=[4, 4])
+    with pytest.raises(InputError, match="directions=4: no light is sampled in a medium"):
+        decided(p, directions=4)
     with pytest.raises(InputError, match=f"max_depth=1: no path of so few edges meets '{ALBEDO}'"):
         decided(p, max_depth=1)
     p.unknowns.write(p.unknowns.starts())

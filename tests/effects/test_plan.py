@@ -22,6 +22,7 @@ from isas_cli.losses import L2
 from isas_cli.rendering import coverage
 from isas_cli.rendering.integrators import Paths
 from isas_cli.runtime.errors import InputError
+from isas_cli.unknowns.motion import Motion
 
 WALL = "wall.bsdf.reflectance.value"
 
@@ -157,22 +158,35 @@ def test_what_is_differentiated_is_the_least_that_loses_no_share_and_no_entry():
 
 
 def test_light_samples_are_more_only_where_that_pays():
-    one = Lights((1, 1), 1.0, 0.05, 1.0)
-    assert rules.lights([one, Lights((4, 4), 0.3, 0.02, 1.6)])[0] == (4, 4)
-    assert rules.lights([one, Lights((4, 4), 0.6, 0.02, 1.8)])[0] == (1, 1)
-    unsure = Lights((4, 4), 0.5, 0.2, 1.3)
-    assert rules.lights([one, unsure])[0] == (1, 1), "better, but not surely"
-    few, many = Lights((4, 1), 0.33, 0.03, 1.23), Lights((4, 4), 0.29, 0.03, 1.47)
-    assert rules.lights([one, few, many])[0] == (4, 4), "as good within the errors"
-    assert rules.lights([one, few, Lights((4, 4), 0.4, 0.03, 1.47)])[0] == (4, 1)
-    assert rules.lights([])[0] == (1, 1)
+    one = Lights((1, 1), 1, 1.0, 0.05, 1.0)
+    paying = Lights((4, 4), 4, 0.3, 0.02, 1.6)
+    assert rules.lights([one, paying])[0] is paying
+    assert rules.lights([one, Lights((4, 4), 4, 0.6, 0.02, 1.8)])[0] is one
+    assert rules.lights([one, Lights((4, 4), 4, 0.5, 0.2, 1.3)])[0] is one, "better, but not surely"
+    few, many = Lights((4, 1), 4, 0.33, 0.03, 1.23), Lights((4, 4), 4, 0.29, 0.03, 1.47)
+    assert rules.lights([one, few, many])[0] is many, "as good within the errors"
+    assert rules.lights([one, few, Lights((4, 4), 4, 0.4, 0.03, 1.47)])[0] is few
+    picked = Lights((1, 1), 4, 0.5, 0.02, 1.05)
+    assert rules.lights([one, picked])[0] is picked, "costs next to nothing"
+    assert rules.lights([one, picked, paying])[0] is picked, "not surely better than that"
+    surely = dataclasses.replace(paying, noise=0.2)
+    assert rules.lights([one, picked, surely])[0] is surely
+    dear = dataclasses.replace(picked, time=2.1)
+    assert rules.lights([one, dear, paying])[0] is paying
 
 
-def test_a_run_by_iterations_has_all_effects_and_no_probe():
-    """A clock's decision would make it another run on another machine."""
+def test_a_run_by_iterations_has_all_effects_and_no_probe(monkeypatch):
+    """A clock's decision would make it another run on another machine. Light samples are picked
+    but where renderings are compared."""
     p = problem({TEXTURE: 0.5}, depth=4)
     plan = decided(p)
-    assert plan.on(p) is p and plan.seconds == 0 and not plan.cuts
+    assert plan.paths == Paths(4, 4, directions=4) and plan.seconds == 0 and not plan.cuts
+    assert "each picked from 4 directions" in plan.statements["light samples"]
+    for how in ({"estimator": "plateau"}, {"directions": 1}):
+        assert decided(p, **how).on(p) is p
+    moved = p.unknowns[TEXTURE]
+    monkeypatch.setattr(type(p.unknowns), "of", lambda self, kind: kind is Motion and moved)
+    assert decided(p).on(p) is p, "a moving camera"
     assert "up to 4 edges" in plan.statements["paths"]
 
 
@@ -181,7 +195,7 @@ def test_a_timed_run_is_probed_once(monkeypatch, tmp_path):
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}, depth=4)
     settings = {"tolerance": 0.99, "derivative_tolerance": 0.99}
     first = decided(p, 60.0, **settings)
-    assert [each.depth for each in first.cuts] == [2, 3] and len(first.samples) == 2
+    assert [each.depth for each in first.cuts] == [2, 3] and len(first.samples) == 3
     assert [each.depth for each in first.derivatives] == [2]
     assert first.seconds > 0 and first.paths.depth == first.paths.derivative == 2
     assert first.cuts[0].gradient.keys() == {TEXTURE, ROUGHNESS}
@@ -190,15 +204,19 @@ def test_a_timed_run_is_probed_once(monkeypatch, tmp_path):
     monkeypatch.setattr(planning, "Probe", None)
     assert decided(p, 60.0, **settings) == first
     short = decided(p, 5.0)
-    assert short.seconds == 0 and short.on(p) is p
+    assert short.seconds == 0 and short.paths == Paths(4, 4, directions=4)
     again = effects.decide(
         p, Effects(), configured("estimator", "two_path"), L2(), 60.0, first.record()
     )
     assert again.paths == first.paths and again.seconds == first.seconds
     earlier = first.record()
-    del earlier["derivative_depth"], earlier["caustics"]
-    again = effects.decide(p, Effects(), configured("estimator", "two_path"), L2(), 60.0, earlier)
-    assert again.paths == first.paths
+    del earlier["derivative_depth"], earlier["caustics"], earlier["directions"]
+    for samples, directions in ([1, 1], 1), ([4, 4], 4):
+        earlier["light_samples"] = samples
+        again = effects.decide(
+            p, Effects(), configured("estimator", "two_path"), L2(), 60.0, earlier
+        )
+        assert again.paths == Paths(2, 2, tuple(samples), directions=directions)
 
 
 def test_a_probe_leaves_out_what_would_take_longer_than_its_share(monkeypatch, tmp_path):
@@ -206,7 +224,7 @@ def test_a_probe_leaves_out_what_would_take_longer_than_its_share(monkeypatch, t
     monkeypatch.setattr(planning, "_MOST", 1e-6)
     p = problem({TEXTURE: 0.5}, depth=4)
     plan = decided(p, 60.0)
-    assert plan.on(p) is p
+    assert plan.paths == Paths(4, 4, directions=4)
     assert not (plan.cuts or plan.derivatives or plan.samples)
 
 
@@ -226,13 +244,13 @@ def test_what_is_set_is_done():
     p = problem({TEXTURE: 0.5}, depth=4)
     plan = decided(p, max_depth=2, light_samples=[3, 2], finish=0.3)
     last = plan.on(p, finish=True).integrator
-    assert last.paths == Paths(4, 4, (3, 2)) and "30%" in plan.statements["finish"]
+    assert last.paths == Paths(4, 4, (3, 2), directions=4) and "30%" in plan.statements["finish"]
     assert "finish" not in decided(p, light_samples=[3, 2], finish=0.3).statements
-    assert plan.on(p).integrator.paths == Paths(2, 2, (3, 2))
-    assert decided(p, derivative_depth=2).on(p).integrator.paths == Paths(4, 2)
-    ended = decided(p, roulette=2, max_depth=3, finish=0.3)
-    assert ended.on(p).integrator.paths == Paths(3, 3, (1, 1), 2)
-    assert ended.on(p, finish=True).integrator.paths == Paths(4, 4, (1, 1), 2)
+    assert plan.on(p).integrator.paths == Paths(2, 2, (3, 2), directions=4)
+    assert decided(p, derivative_depth=2, directions=1).paths == Paths(4, 2)
+    ended = decided(p, roulette=2, max_depth=3, directions=3, finish=0.3)
+    assert ended.on(p).integrator.paths == Paths(3, 3, (1, 1), 2, directions=3)
+    assert ended.on(p, finish=True).integrator.paths == Paths(4, 4, (1, 1), 2, directions=3)
     assert "as set" in ended.statements["roulette"]
     again = Effects(roulette=2, max_depth=3)
     again = effects.decide(p, again, configured("estimator", "two_path"), L2(), 9, ended.record())
@@ -240,11 +258,24 @@ def test_what_is_set_is_done():
     assert (
         "as set" in plan.statements["paths"] and "4 edges in the scene" in plan.statements["paths"]
     )
-    assert decided(p, max_depth=4).on(p) is p
+    assert decided(p, max_depth=4, directions=1).on(p) is p
     with pytest.raises(InputError, match="effects.max_depth=9: the scene's own paths .* 4 edges"):
         decided(p, max_depth=9)
     with pytest.raises(InputError, match="derivative_depth=3: the paths to differentiate .* 2 edg"):
         decided(p, max_depth=2, derivative_depth=3)
+
+
+def test_what_is_not_set_is_measured(monkeypatch, tmp_path):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    p, depths = problem({TEXTURE: 0.5}, depth=4), {"max_depth": 4, "derivative_depth": 4}
+    for settings, ways in (
+        ({"directions": 2}, [((1, 1), 2), ((4, 4), 2)]),
+        ({"light_samples": [2, 2]}, [((2, 2), 1), ((2, 2), 4)]),
+        ({"light_samples": [2, 2], "directions": 2}, []),
+    ):
+        plan = decided(p, 60.0, **depths, **settings)
+        assert [(each.samples, each.directions) for each in plan.samples] == ways
+        assert ("as set" in plan.statements["light samples"]) == (not ways)
 
 
 def behind_a_mirror(*more):
@@ -296,7 +327,7 @@ def test_views_that_see_no_unknown_are_not_drawn_from(monkeypatch, tmp_path):
     """One looks past the mirror at the sky; one sees the wall in the mirror only, and stays."""
     monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
     p = behind_a_mirror([9, 0, 0], [0.2, 0, -1])
-    plan = decided(p, 60.0, max_depth=4, derivative_depth=4, light_samples=[1, 1])
+    plan = decided(p, 60.0, max_depth=4, derivative_depth=4, light_samples=[1, 1], directions=1)
     assert plan.views == (0, 2) and plan.statements["views"].startswith("2 of 3")
     assert plan.seconds > 0 and decided(p).views is None
     few = plan.on(p)
@@ -323,6 +354,8 @@ def test_views_that_see_no_unknown_are_not_drawn_from(monkeypatch, tmp_path):
         ({"roulette": 0}, "effects.roulette=0: at least 1"),
         ({"light_samples": [4]}, r"effects.light_samples=\[4\]: two numbers"),
         ({"light_samples": [0, 4]}, r"light_samples=\[0,4\]"),
+        ({"directions": 0}, "effects.directions=0: from 1 to 256"),
+        ({"light_samples": [4, 1], "directions": 65}, "effects.directions=65: from 1 to 64"),
         ({"tolerance": 1.0}, "effects.tolerance=1.0"),
         ({"finish": -0.1}, "effects.finish=-0.1"),
     ],
@@ -378,6 +411,18 @@ def test_a_run_says_what_it_left_out(tmp_path, capsys):
     assert run.manifest["plan"]["max_depth"] == 2 and "50%" in run.manifest["effects"]["finish"]
     assert main(["run", f"resume={tmp_path / 'r'}", "budget.iterations=10"]) == 0
     assert records.load(tmp_path / "r").summary["iterations"] == 10
+
+
+def test_what_is_left_out_is_no_noise_of_light_samples(tmp_path):
+    """However they are drawn, it is the light of the paths that are not traced."""
+    found = []
+    for directions in (1, 4):
+        settings = ["effects.max_depth=2", f"effects.directions={directions}", "optimizer.lr=1e-9"]
+        folder = tmp_path / str(directions)
+        settings += ["budget.iterations=1", f"hydra.run.dir={folder}"]
+        assert main(["run", *TINY, *settings]) == 0
+        found.append(records.load(folder).summary["left_out_rmse"])
+    assert found[0] == pytest.approx(found[1], rel=1e-3)
 
 
 def test_effects_are_printed_alone(capsys, monkeypatch, tmp_path):

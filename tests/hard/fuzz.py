@@ -55,7 +55,8 @@ _KEYS = (
     *("scene.path", "scene.builder", "scene.unknowns", "scene.poses", "scene.arguments.resolution"),
     *("scene.targets", "scene.masks", "scene.max_depth", "sampler.floor", "sampler.refresh"),
     *("sampler._target_", "loss._target_", "estimator.batch", "target.spp", "frames.views"),
-    *("effects.max_depth", "effects.light_samples", "hydra.run.dir", "name", "variant", "tracker"),
+    *("effects.max_depth", "effects.light_samples", "effects.directions", "hydra.run.dir", "name"),
+    *("variant", "tracker"),
     *(
         "evaluation.pixels",
         "optimizer.beta_1",
