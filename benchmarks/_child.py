@@ -76,7 +76,7 @@ def isas(side: str, batch: int, overrides: list[str]):
     if side in ("isas-auto", "isas-single"):
         settings = instantiate(chosen.effects, "effects")
         if side == "isas-single":
-            settings.light_samples, settings.directions = [1, 1], 1
+            settings.light_samples, settings.directions = [1, 1], 4
         made = instantiate(chosen.estimator, "estimator")
         plan = effects.decide(problem, settings, made, loss, 60.0)
         print(plan.paths)

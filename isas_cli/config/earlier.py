@@ -20,8 +20,11 @@ def modern(config: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(sampler, dict) or not isinstance(estimator or {}, dict):
         return config
     # Before there were plans of effects, everything was simulated.
-    if "effects" not in config:
-        config = {**config, "effects": _ALL_EFFECTS}
+    effects = config.get("effects", _ALL_EFFECTS)
+    if isinstance(effects, dict) and "directions" not in effects:
+        whole = effects.get("name") == _ALL_EFFECTS["name"]
+        effects = {**effects, "directions": _ALL_EFFECTS["directions"] if whole else None}
+    config = {**config, "effects": effects}
     if "name" in (estimator or {}):
         missing = _ONE_WAY.get(estimator["name"], {}).keys() - estimator.keys()
         return {**config, "estimator": {**_ONE_WAY["two_path"], **estimator}} if missing else config

@@ -445,3 +445,6 @@ def test_earlier_records_had_all_effects():
     now = compose(["scene=pottery", "effects=full"])
     before = modern({"sampler": {"name": "uniform"}, "estimator": {"name": "two_path"}})
     assert json.loads(json.dumps(before["effects"])) == dict(now.effects)
+    for name, directions in ("full", 1), ("auto", None):
+        earlier = modern({**before, "effects": {"name": name, "probe": False}})
+        assert earlier["effects"] == {"name": name, "probe": False, "directions": directions}
