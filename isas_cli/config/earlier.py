@@ -24,7 +24,8 @@ def modern(config: dict[str, Any]) -> dict[str, Any]:
     if isinstance(effects, dict) and "directions" not in effects:
         whole = effects.get("name") == _ALL_EFFECTS["name"]
         effects = {**effects, "directions": _ALL_EFFECTS["directions"] if whole else None}
-    config = {**config, "effects": effects}
+    if effects is not config.get("effects"):
+        config = {**config, "effects": effects}
     if "name" in (estimator or {}):
         missing = _ONE_WAY.get(estimator["name"], {}).keys() - estimator.keys()
         return {**config, "estimator": {**_ONE_WAY["two_path"], **estimator}} if missing else config

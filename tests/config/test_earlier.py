@@ -40,6 +40,6 @@ def test_a_gradient_s_run_gets_its_estimator_and_the_sampler_that_drew_for_it():
 
 def test_today_s_configuration_stays_as_it_is():
     today = {"sampler": {"name": "ours"}, "estimator": {"name": "plateau"}, "prior": {}}
-    today["effects"] = {"name": "auto"}
+    today["effects"] = {"name": "auto", "directions": None}
     assert modern(today) is today
     assert modern({}) == {}
