@@ -141,12 +141,12 @@ def by_scene(table: pandas.DataFrame) -> pandas.DataFrame:
 
 
 def _spending(table: pandas.DataFrame) -> list[dict]:
-    """By budget, batch and factor: the geometric mean over scenes, and how many are better."""
+    """By budget, batch and factor: the median over scenes, and how many are better."""
     rows = []
     for (seconds, batch, factor), own in by_scene(table).groupby(["seconds", "batch", "factor"]):
         row = {"seconds": seconds, "batch": batch, "factor": factor, "scenes": len(own)}
         row |= {"seeds": (own["seeds"].min(), own["seeds"].max())}
-        row |= {"mean": math.exp(np.log(own["share"]).mean())}
+        row |= {"median": own["share"].median()}
         row |= {"least": own["share"].min(), "most": own["share"].max()}
         rows.append(row | {"better": int((own["share"] < 1).sum())})
     return rows

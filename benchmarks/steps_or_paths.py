@@ -23,10 +23,12 @@ import pages
 import pandas
 from _page_effects import by_scene
 from effects import SCENES
+from matplotlib.ticker import NullFormatter
 
 from isas_cli import records
 
 RESULTS = Path(__file__).parent / "results"
+SHOWN = (0.5, 2.0)  # of the default's error
 # Pixels a step, factor on the rates.
 WAYS = ((16384, 0.5), (16384, 1.0), (65536, 1.0), (65536, 2.0))
 SETTINGS = ["evaluation.count=24", "frames.views=0", "frames.snapshots=0", "report=false"]
@@ -67,18 +69,22 @@ def measured(
 def draw(table: pandas.DataFrame) -> None:
     table = by_scene(table)
     budgets = sorted(table["seconds"].unique())
+    plt.rcParams["axes.prop_cycle"] = plt.cycler(color=plt.get_cmap("tab20").colors)
     figure, axes = plt.subplots(
         1, len(budgets), figsize=(4 * len(budgets), 3.4), sharey=True, layout="constrained"
     )
     ticks = [f"{batch // 1024} k, × {factor:g}" for batch, factor in WAYS]
     for ax, seconds in zip([axes] if len(budgets) == 1 else axes, budgets):
         for scene, own in table[table["seconds"] == seconds].groupby("scene", sort=False):
-            own = sorted(zip(map(WAYS.index, zip(own["batch"], own["factor"])), own["share"]))
+            shares = own["share"].clip(*SHOWN)
+            own = sorted(zip(map(WAYS.index, zip(own["batch"], own["factor"])), shares))
             ax.plot(*zip(*own), "o-", lw=0.8, ms=3, label=scene)
         ax.axhline(1, color="0.7", lw=0.8, zorder=0)
         ax.set(title=f"{seconds:g} s", yscale="log", xlabel="pixels a step, factor on the rates")
         ax.set_xticks(range(len(WAYS)), ticks, fontsize=7)
-        ax.legend(fontsize=6)
+        ax.set_yticks(SHOWN + (1,), [f"{share:g}" for share in SHOWN + (1,)])
+        ax.yaxis.set_minor_formatter(NullFormatter())
+    ax.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1, 1))
     figure.supylabel("parameter error at the end, over the default's", fontsize=9)
     figure.savefig(RESULTS / "steps_or_paths.png", dpi=90)
     plt.close(figure)
