@@ -5,8 +5,9 @@ usage: _child.py SIDE BATCH STEPS OVERRIDES…
 SIDE is `stock` (RayDataLoader, mi.render, dr.backward), `isas` (uniform sampling and all effects,
 so that both sides look at the same pixels and paths), `isas-ours` (the same step where `ours` sends
 it), `isas-auto` (uniform pixels, the plan of effects that a run of a minute makes) or `isas-single`
-(that plan with one light sample a vertex, which is what the stock loop takes). A Python-side
-sensor such as the loader's joins every later SensorPtr call of its process, hence the processes.
+(that plan with one light sample a vertex, as the stock loop has, picked at the first). A
+Python-side sensor such as the loader's joins every later SensorPtr call of its process, hence the
+processes.
 """
 
 from __future__ import annotations
