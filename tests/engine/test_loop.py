@@ -63,7 +63,8 @@ def run(loop_: Loop, stop=lambda: False) -> tuple[str, list[dict]]:
 @pytest.mark.parametrize("name", some([*SAMPLERS], ("uniform", "ours")))
 def test_every_sampler_recovers_texture_and_roughness(name):
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.6}, constant_target=None, resolution=(24, 16))
-    status, rows = run(loop(p, SAMPLERS[name], Budget(iterations=150), batch=1024))
+    # A rate at which the noise of first steps does not drive the roughness to its bound.
+    status, rows = run(loop(p, SAMPLERS[name], Budget(iterations=150), batch=1024, lr=0.03))
     assert status == "done"
     first, last = rows[0], rows[-1]
     assert last["image_rmse"] < 0.5 * first["image_rmse"]
