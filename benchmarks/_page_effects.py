@@ -14,7 +14,7 @@ DEFAULT = (65536, 1.0)
 
 def facts(results: Path) -> dict:
     scenes, ladder = (_scenes(results / f"{name}.csv") for name in ("effects", "effects_ladder"))
-    times = [scene["auto"]["time_to_full"] for scene in scenes]
+    times = pandas.Series([scene["auto"]["time_to_full"] for scene in scenes])
     across = pandas.read_csv(results / "effects_across.csv")
     (auto,) = (
         row
@@ -27,7 +27,8 @@ def facts(results: Path) -> dict:
         "scenes": scenes,
         "ladder": ladder,
         "seeds": int(scenes[0]["auto"]["seeds"]),
-        "median": float(pandas.Series(times).median()),
+        "median": float(times.median()),
+        "medians": [float(times.drop(index).median()) for index in times.index],
         "verdicts": {"auto": _verdicts(scenes, "auto"), "staged": _verdicts(ladder, "staged")},
         "never": [s["name"] for s in scenes if not math.isfinite(s["auto"]["time_to_full"])],
         # Rows of before caustics were planned do not say whether they are.
