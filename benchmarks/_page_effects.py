@@ -16,13 +16,16 @@ def facts(results: Path) -> dict:
     scenes, ladder = (_scenes(results / f"{name}.csv") for name in ("effects", "effects_ladder"))
     times = pandas.Series([scene["auto"]["time_to_full"] for scene in scenes])
     across = pandas.read_csv(results / "effects_across.csv")
+    spent = pandas.read_csv(results / "steps_or_paths.csv")
     (auto,) = (
         row
         for row in across.to_dict("records")
         if row["measure"] == "parameter_rmse" and "auto" in row["method"]
     )
     return {
-        "spending": _spending(pandas.read_csv(results / "steps_or_paths.csv")),
+        "spending": _spending(spent),
+        # Rows of before samples could be picked one by one do not say from how many directions.
+        "spent_before": "directions" not in spent or bool(spent["directions"].isna().any()),
         "across": auto,
         "scenes": scenes,
         "ladder": ladder,
@@ -166,7 +169,6 @@ def _row(row: dict, full: dict) -> dict:
 
 def _lights(row: dict) -> str:
     told = row["light_samples"].replace(" ", ", ")
-    # Rows of before samples could be picked do not say from how many directions.
     directions = row.get("directions", math.nan)
     return told + (f" of {directions:g}" if directions > 1 else "")
 

@@ -58,6 +58,7 @@ def measured(
                 "batch": run.config["estimator"]["batch"],
                 "factor": run.config["optimizer"]["factor"],
                 "seed": run.config["seed"],
+                "directions": run.manifest["plan"]["directions"],
                 "iterations": int(last["iteration"]),
                 "parameter_rmse": last["parameter_rmse"],
                 "image_rmse": last["image_rmse"],

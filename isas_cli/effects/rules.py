@@ -46,16 +46,16 @@ def lights(samples: Sequence[Lights]) -> tuple[Lights, str]:
     better: more samples make fewer steps, and a run needs steps as well. Of those that are as good
     within their errors, the most: noise is what the residual is at a run's end, and earlier the
     derivative's own noise counts for more. The first is what others are compared with."""
-    plain = samples[0]
-    error = {id(s): s.error * s.time for s in samples} | {id(plain): 0.0}
-    fewest = [s for s in samples if s.samples == plain.samples]
+    fewest, more = (
+        [s for s in samples if (s.samples == samples[0].samples) == few] for few in (True, False)
+    )
     single = min(fewest, key=_product)
-    sure = [
-        s
-        for s in samples
-        if s.samples != plain.samples
-        and _product(s) + Z * math.hypot(error[id(s)], error[id(single)]) < _product(single)
-    ]
+
+    def surely_better(s: Lights) -> bool:
+        error = math.hypot(s.error * s.time, single.error * single.time)
+        return _product(s) + Z * error < _product(single)
+
+    sure = list(filter(surely_better, more))
     best = single
     if sure:
         least = min(map(_product, sure))

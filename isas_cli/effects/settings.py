@@ -17,7 +17,7 @@ class Effects:
     ``derivative_depth``: of the longest that is differentiated. ``light_samples``: of emitters at
     the first hit, for the residual and for the derivative. ``directions``: that each of these is
     picked from. None: as the probe finds best; else all that the scene has, and one sample, picked
-    where nothing but derivatives of paths is asked for. ``roulette``: vertices after which Russian
+    but where renderings are compared (``plan.decide``). ``roulette``: vertices after which Russian
     roulette ends paths; None: as the scene has it. ``caustics``: whether surfaces get light
     straight from mirrors or through clear glass; None: as the probe finds, else they do.
     ``tolerance``, ``derivative_tolerance``: share of an unknown's gradient, see ``plan``.

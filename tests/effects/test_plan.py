@@ -158,7 +158,7 @@ def test_what_is_differentiated_is_the_least_that_loses_no_share_and_no_entry():
 
 
 def test_light_samples_are_more_only_where_that_pays():
-    one = Lights((1, 1), 1, 1.0, 0.05, 1.0)
+    one = Lights((1, 1), 1, 1.0, 0.0, 1.0)
     paying = Lights((4, 4), 4, 0.3, 0.02, 1.6)
     assert rules.lights([one, paying])[0] is paying
     assert rules.lights([one, Lights((4, 4), 4, 0.6, 0.02, 1.8)])[0] is one
