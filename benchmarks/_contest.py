@@ -1,4 +1,4 @@
-"""Methods at their own best rates: a race at every factor with the first seed, then each method at
+"""Methods at their own best rates: a race at every factor with the first seeds, then each method at
 its best with the others."""
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pandas
 import yaml
 
@@ -53,28 +54,33 @@ def judged(
     row: Callable[[records.Run], dict],
     measure: str,
     beyond: bool = False,
+    choosing: int = 1,
 ) -> tuple[pandas.DataFrame, pandas.DataFrame]:
-    """The runs of ``contestants``, settings by name: with the first seed at each of the ``factors``
-    on their rates (``beyond``: and at one more for those that did best with the largest or the
-    least); with the others, each at that with the least ``measure``. See ``race``."""
+    """The runs of ``contestants``, settings by name: with the first seeds, ``choosing`` of them, at
+    each of the ``factors`` on their rates (``beyond``: and at one more for those that did best with
+    the largest or the least); with the others, each at that with the least geometric mean of
+    ``measure``. See ``race``."""
+    judges, others = seeds[:choosing], seeds[choosing:]
 
     def at(name: str, factor: float) -> tuple[str, dict]:
         return name, contestants[name] | {"optimizer.factor": factor}
 
     def least(runs: pandas.DataFrame) -> pandas.DataFrame:
-        return runs.loc[runs.groupby("method", sort=False)[measure].idxmin()]
+        of = runs.assign(logarithm=np.log(runs[measure])).groupby(["method", "factor"], sort=False)
+        means = of["logarithm"].mean().reset_index()
+        return means.loc[means.groupby("method", sort=False)["logarithm"].idxmin()]
 
     rising = sorted(factors)
     every = [at(name, factor) for name in contestants for factor in rising]
-    first = race(scene, root / "rates", settings, every, seeds[:1], seconds, row)
+    first = race(scene, root / "rates", settings, every, judges, seconds, row)
     ends = {a: a * a / b for a, b in (rising[:2], rising[:-3:-1])} if beyond else {}
     best = zip(*(least(first)[column] for column in ("method", "factor")))
     if further := [at(name, ends[factor]) for name, factor in best if factor in ends]:
-        more = race(scene, root / "beyond", settings, further, seeds[:1], seconds, row)
+        more = race(scene, root / "beyond", settings, further, judges, seconds, row)
         first = pandas.concat([first, more], ignore_index=True)
     best = least(first)
     chosen = [at(*pair) for pair in zip(best["method"], best["factor"])]
-    return first, race(scene, root / "seeds", settings, chosen, seeds[1:], seconds, row)
+    return first, race(scene, root / "seeds", settings, chosen, others, seconds, row)
 
 
 def write(path: Path, rows: pandas.DataFrame) -> None:

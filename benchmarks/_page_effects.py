@@ -13,7 +13,8 @@ DEFAULT = (65536, 1.0)
 
 
 def facts(results: Path) -> dict:
-    scenes, ladder = (_scenes(results / f"{name}.csv") for name in ("effects", "effects_ladder"))
+    scenes = _scenes(results / "effects.csv")
+    ladder = [scene for scene in scenes if "staged" in scene["verdict"]]
     times = pandas.Series([scene["auto"]["time_to_full"] for scene in scenes])
     across = pandas.read_csv(results / "effects_across.csv")
     spent = pandas.read_csv(results / "steps_or_paths.csv")
@@ -34,8 +35,7 @@ def facts(results: Path) -> dict:
         "medians": [float(times.drop(index).median()) for index in times.index],
         "verdicts": {"auto": _verdicts(scenes, "auto"), "staged": _verdicts(ladder, "staged")},
         "never": [s["name"] for s in scenes if not math.isfinite(s["auto"]["time_to_full"])],
-        # Rows of before caustics were planned do not say whether they are.
-        "before": [s["name"] for s in ladder if pandas.isna(s["full"].get("caustics", math.nan))],
+        "choosing": _choosing(pandas.read_csv(results / "effects_rates.csv")),
     } | _sharing(pandas.read_csv(results / "sharing.csv"))
 
 
@@ -55,6 +55,12 @@ def _scenes(path: Path) -> list[dict]:
             }
         )
     return scenes
+
+
+def _choosing(rates: pandas.DataFrame) -> list[str]:
+    """Scenes where more than one seed chose the rates."""
+    seeds = rates.groupby("scene", sort=False)["seed"].nunique()
+    return list(seeds[seeds > 1].index)
 
 
 def _verdicts(scenes: list[dict], plan: str) -> dict[str, list[str]]:

@@ -1,16 +1,14 @@
 """What leaving out effects saves in time and costs in accuracy: plans race at equal time.
 
-On each scene, with `sampler=progress`: everything (`full`) and the plan that is made (`auto`). Each
-at the best of three factors on the rates with the first seed, by the final parameter error, then
-with three others, which alone are reported. Settings are those of `reproduce.py`, but for the
-estimator, which is the one that runs have by default. Writes results/effects.csv (a row per scene
-and plan) and effects_rates.csv; and, over all scenes whose runs are in one `--folder`,
-effects_across.csv and effects_arrivals.png, unless these have more.
-
-With `--ladder` besides: `auto` with the shortest paths that meet every unknown until the last third
-of the budget (`staged`), and everything with paths cut to each depth below the scene's own
-(`depth 2`, …). Writes results/effects_ladder.csv, effects_ladder_rates.csv and
-effects_ladder_<scene>.png (error against billed time).
+On each scene, with `sampler=progress`: everything (`full`), the plan that is made (`auto`), and,
+where paths may be shorter than the scene's own, `auto` with the shortest that meet every unknown
+until the last third of the budget (`staged`) and everything with paths cut to each such depth
+(`depth 2`, …). Each at the best of three factors on the rates with the first seeds, by the final
+parameter error, then with three others, which alone are reported. Settings are those of
+`reproduce.py`, but for the estimator, which is the one that runs have by default. Writes
+results/effects.csv (a row per scene and plan), effects_rates.csv, effects_<scene>.png (error
+against billed time) and, over all scenes whose runs are in one `--folder`, effects_across.csv and
+effects_arrivals.png, unless these have more.
 
     .venv/bin/python benchmarks/effects.py pottery bowl
 """
@@ -34,7 +32,8 @@ from reproduce import COMMON, MEASURE, RESULTS
 from isas_cli import records
 
 SCENES = [name for name, each in reproduce.SCENES.items() if not each.scene]
-SETTINGS = [each for each in COMMON if each != "estimator.crossed=false"] + ["report=false"]
+SETTINGS = [each for each in COMMON if each != "estimator.crossed=false"]
+SETTINGS += ["frames.views=0", "report=false"]
 SECONDS = 10.0  # billed: what pays for a probe
 FACTORS = (0.5, 1.0, 2.0)  # of the scene's rates
 FULL, AUTO, STAGED = "full", "auto", "staged"
@@ -42,11 +41,9 @@ LADDER = (2, 3, 4, 6, 8)
 JUDGED = "judged.txt"  # folders of runs, a line each
 
 
-def plans(scene: str, ladder: bool) -> dict[str, dict]:
+def plans(scene: str) -> dict[str, dict]:
     """Name → settings. Depths below the scene's own, which its module states."""
     found = {FULL: {"effects": "full"}, AUTO: {"effects": "auto"}}
-    if not ladder:
-        return found
     from isas_cli.config.compose import compose
     from isas_cli.runtime import backend
 
@@ -124,33 +121,31 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
+    parser.add_argument("--choosing", type=int, default=1, help="how many seeds choose the rates")
     parser.add_argument("--folder", type=Path, help="where runs go (default: a new folder)")
-    parser.add_argument("--ladder", action="store_true", help="plans beside full and auto, too")
     chosen = parser.parse_args()
-    name = "effects_ladder" if chosen.ladder else "effects"
     root = chosen.folder or Path(tempfile.mkdtemp(prefix="isas-effects-"))
     root.mkdir(parents=True, exist_ok=True)
     print(f"runs: {root}", flush=True)
     for scene in chosen.scenes or SCENES:
-        named = plans(scene, chosen.ladder)
+        named = plans(scene)
         settings = [*SETTINGS, *reproduce.SCENES[scene].settings]
         first, found = _contest.judged(
             *(scene, root / scene, settings, named, FACTORS, chosen.seeds, SECONDS),
             *(measured, MEASURE),
+            choosing=chosen.choosing,
         )
         judged = found[found["method"].isin((FULL, AUTO))]["folder"]
         (root / scene / JUDGED).write_text("\n".join(map(str, judged)), encoding="utf-8")
         made = table(found, SECONDS)
         print(made.to_string(index=False), flush=True)
         # After each scene: what is measured survives what follows.
-        _contest.write(RESULTS / f"{name}.csv", made)
-        _contest.write(RESULTS / f"{name}_rates.csv", first)
-        if chosen.ladder:
-            others = tuple(each for each in named if each not in (FULL, AUTO))
-            plot = RESULTS / f"{name}_{scene}.png"
-            _contest.draw(found, plot, MEASURE, "parameter error", dotted=others)
-        else:
-            together(root)
+        _contest.write(RESULTS / "effects.csv", made)
+        _contest.write(RESULTS / "effects_rates.csv", first)
+        others = tuple(each for each in named if each not in (FULL, AUTO))
+        plot = RESULTS / f"effects_{scene}.png"
+        _contest.draw(found, plot, MEASURE, "parameter error", dotted=others)
+        together(root)
         pages.write()
 
 
