@@ -2,9 +2,9 @@
 
 Steps are those of `step_time.py`, sides in turn, a process each. The race: pottery with 65,536
 pixels a step, each method at three factors on its rate with the first seed (and at one beyond an
-end), then at its best with three others, which alone are reported. Writes
-results/gpu_steps.csv (a row a process), gpu_rates.csv (a row a run) and gpu_race.csv (a row a
-method, medians and ranges), with the card's name and the day.
+end), then at its best with three others, which alone are reported. Writes results/gpu_steps.csv (a
+row a process), gpu_rates.csv (a row a run) and gpu_race.csv (a row a method, medians and ranges),
+with the card's name and the day.
 
     .venv/bin/python benchmarks/gpu.py
 """
@@ -21,13 +21,12 @@ import numpy as np
 import pages
 import pandas
 from reproduce import reached
-from step_time import measure
+from step_time import SIDES, measure
 
 from isas_cli import records
 from isas_cli.runtime import backend
 
 RESULTS = Path(__file__).parent / "results"
-SIDES = ("stock", "isas", "isas-ours")
 BATCHES = (65536, 1 << 20)
 ERROR, STOCK = "parameter_rmse", "Mitsuba's loop"
 MEASURES = (ERROR, "image_rmse", "iteration", "paths")

@@ -55,7 +55,8 @@ def toward(
     ds.d, ds.pdf = sky.draw(mi.Point2f((number + (inner + point.x) / count) / parts, point.y))
     there = dr.zeros(mi.SurfaceInteraction3f)
     there.wi = -ds.d
-    return ds, scene.environment().eval(there, active) / ds.pdf
+    # Without a mask, as a GPU can record it: see ``volume._coefficients``.
+    return ds, scene.environment().eval(there) / ds.pdf
 
 
 def _hidden(
