@@ -34,7 +34,7 @@ _LIGHTS = (((1, 1), 1), ((1, 1), _PICKED), ((4, 4), _PICKED), ((4, 1), _PICKED))
 # A budget of so many seconds can pay for a probe, which takes at most this share of it and at most
 # so many seconds.
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
-_FORMAT = 16
+_FORMAT = 17
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,8 @@ class Plan:
 
     def _finish(self, whole: Paths) -> Paths:
         """All that ``whole`` has, by as many samples as before."""
-        own = {key: getattr(self.paths, key) for key in ("lights", "directions", "roulette")}
+        kept = "lights", "directions", "roulette", "crossed"
+        own = {key: getattr(self.paths, key) for key in kept}
         return dataclasses.replace(whole, **own)
 
     def record(self) -> dict:
@@ -143,7 +144,9 @@ def decide(
         # Renderings that are compared would differ by what they pick.
         if settings.directions is None and (not estimator.replays or problem.unknowns.of(Motion)):
             settings = dataclasses.replace(settings, directions=1)
-        found = Plan(_as_set(problem, settings), settings.finish, {})
+        paths = _as_set(problem, settings)
+        crossed = estimator.on(problem).integrator.paths.crossed
+        found = Plan(dataclasses.replace(paths, crossed=crossed), settings.finish, {})
         carried = any(unknown.kind.carried for unknown in problem.unknowns)
         if settings.probe and carried and estimator.replays and (seconds or 0) >= _WORTH:
             found = _probed(problem, settings, loss, min(_MOST, _SHARE * seconds), described, found)
@@ -244,7 +247,7 @@ def _chosen(problem: "Problem", settings: Effects, found: Plan) -> tuple[Plan, d
         derivative, why["differentiated"] = rules.derivative(
             found.derivatives, settings.derivative_tolerance, paths.derivative
         )
-        paths = dataclasses.replace(paths, derivative=derivative)
+        paths = dataclasses.replace(paths, derivative=min(derivative, paths.depth))
     if settings.light_samples is not None and settings.directions is not None:
         why["light samples"] = "as set"
     elif len(found.samples) > 1:
@@ -284,7 +287,7 @@ def _probed(
     starts = hashlib.blake2b(digest_size=16)
     for unknown in problem.unknowns:
         starts.update(f"{unknown.key} {unknown.start.shape}".encode() + unknown.start.tobytes())
-    what = problem.content_hash, problem.target_hash, starts.hexdigest(), described
+    what = problem.content_hash, problem.target_hash, starts.hexdigest(), described, mi.__version__
     asked = dataclasses.astuple(settings), allowed, dataclasses.astuple(plan.paths)
     # Where it was timed.
     machine = mi.variant(), dr.thread_count()
@@ -320,7 +323,8 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
     """What pays most first: a short budget ends before the rest. The derivative's depth from the
     shortest up to one that does; the paths' own from the longest down to one that does not."""
     paths, cuts, derivatives, samples, caustics = plan.paths, [], [], [], None
-    views, checks = probe.views(), 0.0
+    # In the finish a view may see an unknown that it does not see by shorter paths.
+    views, checks = None if plan.finish else probe.views(), 0.0
     surfaces = problem.integrator.samples_lights
     work = 0.0 if surfaces else probe.work()
 
@@ -329,6 +333,8 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
         costs, and no part of the probe's share of the budget, of which all checks take no more
         than half."""
         nonlocal checks
+        if checks >= probe.allowed / 2:
+            return 1.0
         shares, seconds = _lost(problem, own, rules.LOST, probe.allowed / 2 - checks)
         checks += seconds
         return max(shares.values(), default=0.0)
@@ -336,7 +342,7 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
     if surfaces and paths.depth > 1:
         ways = dict.fromkeys(
             (tuple(settings.light_samples or lights), settings.directions or directions)
-            for lights, directions in _LIGHTS[: 3 if problem.integrator.crosses else 4]
+            for lights, directions in _LIGHTS[: 3 if probe.problem.integrator.crosses else 4]
         )
         samples = probe.lights(paths, list(ways)) if len(ways) > 1 else []
     ladder = [depth for depth in _LADDER if depth < paths.depth]

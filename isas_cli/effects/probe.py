@@ -33,7 +33,8 @@ _LANES = 1 << 13
 # kinds as are usual), by estimates of the gradient between these numbers.
 _SECONDS, _PARTS = 0.25, 9
 _LEAST_BATCHES, _MOST_BATCHES = 8, 64
-_PATHS_A_VIEW = 1 << 12
+# For each view, and for one that shows no unknown by so many; but no more for all in one look.
+_PATHS_A_VIEW, _MOST_PATHS = (1 << 12, 1 << 16), 1 << 20
 # Numbers of the probe's streams, which no iteration of a run reaches.
 _FAR = (1 << 27) - (1 << 18)
 _WARM_UP = 4  # recordings are steady from the fourth call on
@@ -102,12 +103,17 @@ class Probe:
             return None
         unknowns = self.problem.unknowns
         signs = {u.key: rng.choice([-1.0, 1.0], u.start.shape).astype(np.float32) for u in unknowns}
-        for compiled in (False, True):
+        seen = np.zeros(views.count, bool)
+        for paths in (0, *_PATHS_A_VIEW):  # first a few that compile
+            unseen = np.flatnonzero(~seen)
+            each = min(paths, _MOST_PATHS // max(len(unseen), 1)) or 1
             begun = time.perf_counter()
             unknowns.push_tangent(self.values, unknowns.values_of(signs))
-            seen = self._met()
-            if compiled:
+            seen[unseen] = self._met(unseen, each)
+            if paths:
                 self.seconds += time.perf_counter() - begun
+            if seen.all():
+                break
         unknowns.write(self.values)
         return None if seen.all() or not seen.any() else tuple(np.flatnonzero(seen).tolist())
 
@@ -127,11 +133,12 @@ class Probe:
                 self.seconds += time.perf_counter() - begun
         return found
 
-    def _met(self) -> np.ndarray:
-        """Whether any path of each view has a derivative along the pushed tangent, ``(V,)``."""
+    def _met(self, among: np.ndarray, paths: int) -> np.ndarray:
+        """Whether any of so many ``paths`` of each view ``among`` all has a derivative along the
+        pushed tangent, as ``among``."""
         p, views = self.problem, self.problem.views
         with dr.suspend_grad():
-            view = dr.arange(mi.UInt32, views.count * _PATHS_A_VIEW) // _PATHS_A_VIEW
+            view = mi.UInt32(np.repeat(among, paths).astype(np.uint32))
             stream = rays.stream(streams.seed(self.seed, _FAR, "coverage"), dr.width(view))
             column, row = (
                 mi.UInt32(stream.next_1d() * mi.Float(dr.gather(mi.UInt32, size, view)))
@@ -139,7 +146,7 @@ class Probe:
             )
             ray, _ = rays.spawn(p.sensors, views, view, column, row, stream)
             found = np.array(p.integrator.forward(p.scene, stream, ray))
-        return np.any(found.reshape(3, views.count, -1) != 0, axis=(0, 2))
+        return np.any(found.reshape(3, len(among), -1) != 0, axis=(0, 2))
 
     def cut(self, depth: int, derivative: bool) -> Cut | None:
         """What is lost where paths (``derivative``: what is differentiated of them) have at most

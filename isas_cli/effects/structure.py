@@ -77,12 +77,12 @@ def _scatterings(depth: int) -> str:
 
 
 def clear(problem: "Problem") -> list[str]:
-    """The shapes that mirror or bend light in one direction alone, where paths are long enough for
-    light to come by way of them to a surface that scatters."""
+    """The shapes that mirror, bend or pass light in one direction alone, where paths are long
+    enough for light to come by way of them to a surface that scatters."""
     integrator = problem.integrator
     if not integrator.samples_lights or integrator.max_depth < 3:
         return []
-    return shapes_with(problem.scene, "DeltaReflection", "DeltaTransmission")
+    return shapes_with(problem.scene, "Delta")
 
 
 def _caustics(problem: "Problem") -> str:

@@ -18,7 +18,6 @@ from ..unknowns.kind import THRESHOLD, WELL_SEEN
 from ..unknowns.parameters import as_numpy
 from ..unknowns.unknowns import Unknown
 from . import rays
-from .kernels import recorded
 
 _LANES = 1 << 20
 _MOST = 1 << 24  # pixels visited; above this a stratified subset of them
@@ -26,6 +25,7 @@ _SAMPLES = 4  # paths a pixel, where all fit into one pass
 # ``missed`` asks first by some paths for each entry, within these numbers, and each time by twice
 # as many, until twice as many show less than this share of what was missed.
 _FIRST, _EACH, _WORTH = (1 << 12, 1 << 16), 4, 0.1
+_WARM_UP = 2  # the first call compiles
 
 
 def fill_in(problem: Problem, seed: int) -> None:
@@ -156,13 +156,13 @@ def missed(
     unknowns, total, spent = problem.unknowns, problem.views.total, 0.0
     left = {key: np.flatnonzero(seen[key].ravel()) for key in values}  # those not met so far
     counts = {key: max(entries.size, 1) for key, entries in left.items()}
-    worst, paths, number = 1.0, 0, 0
-    first = int(np.clip(_EACH * max(counts.values()), *_FIRST))
+    worst, number = 1.0, 0
+    lanes = int(np.clip(_EACH * max(counts.values()), *_FIRST))
+    run, stride = dr.freeze(_pass(problem, lanes)), total / lanes
 
-    def trace(lanes: int) -> None:
-        stride = total / lanes
+    def trace(number: int) -> None:
         unknowns.attach(unknowns.values_of(values))
-        recorded(_pass(problem, lanes), False)(
+        run(
             problem.scene,
             problem.sensors,
             problem.views,
@@ -175,20 +175,23 @@ def missed(
         )
         sync()
 
-    trace(64)  # compiles
+    for _ in range(_WARM_UP):
+        trace(0)
     while True:
-        begun, number, lanes = time.perf_counter(), number + 1, min(paths or first, _LANES)
-        trace(lanes)
-        paths += lanes
-        for key, gradient in unknowns.gradients().items():
-            if key in left:
-                left[key] = left[key][as_numpy(gradient).ravel()[left[key]] == 0]
-        spent += time.perf_counter() - begun
+        for _ in range(max(number, 1)):
+            begun, number = time.perf_counter(), number + 1
+            trace(number)
+            for key, gradient in unknowns.gradients().items():
+                if key in left:
+                    left[key] = left[key][as_numpy(gradient).ravel()[left[key]] == 0]
+            spent += time.perf_counter() - begun
+            if seconds is not None and spent >= seconds:
+                break
         shares = {key: entries.size / counts[key] for key, entries in left.items()}
         earlier, worst = worst, max(shares.values())
         hopeless = worst > (1 - _WORTH) * earlier and number > 1
         given_up = seconds is not None and (hopeless or spent >= seconds)
-        if worst <= enough or given_up or paths >= _SAMPLES * min(total, _MOST):
+        if worst <= enough or given_up or number * lanes >= _SAMPLES * min(total, _MOST):
             return shares, spent
 
 

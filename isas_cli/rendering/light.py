@@ -168,7 +168,7 @@ def _picked(
         value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, si.to_local(ds.d), lit)
         weight = dr.select(ds.delta, 1, mis_weight(part[1] * each * ds.pdf, pdf))
         found.append((ds, emitted, dr.select(lit, weight, 0)))
-        brings.append(dr.select(lit, dr.mean(weight * value * emitted), 0))
+        brings.append(dr.select(lit, dr.maximum(dr.mean(weight * value * emitted), 0), 0))
     sure = _SURE * dr.rcp(sum(brings))
     sure = dr.select(dr.isfinite(sure), sure, 0)
     least = dr.select(sure > 0, 1 - _SURE, 1) / each

@@ -79,11 +79,13 @@ def _direction(u: mi.Float, v: mi.Float) -> tuple[mi.Vector3f, mi.Float]:
 
 
 def of_map(scene: mi.Scene) -> Sky | None:
-    """For a scene that has a map of a sky and no other light."""
+    """For a scene that has a map of a sky, not of one colour, and no other light."""
     sky = scene.environment()
     if sky is None or len(scene.emitters()) != 1 or sky.class_name() != "EnvironmentMapEmitter":
         return None
     (texels,) = (value for key, value in mi.traverse(sky) if key == "data")
+    if np.ptp(np.array(texels), axis=(0, 1)).max() == 0:
+        return None
     size = texels.shape[0] * texels.shape[1]
     # Its texels may lie across the cells, and a lamp's light then falls on parts of some.
     finer, coarser = (

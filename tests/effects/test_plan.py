@@ -36,8 +36,9 @@ def as_many_batches(monkeypatch):
     monkeypatch.setattr(planning, "_SHARE", math.inf)
 
 
-def decided(p, seconds=None, estimator="two_path", **settings):
+def decided(p, seconds=None, estimator="two_path", crossed=True, **settings):
     made = configured("estimator", estimator)
+    made.crossed = crossed
     return effects.decide(p, Effects(**settings), made, L2(), seconds)
 
 
@@ -157,6 +158,14 @@ def test_what_is_differentiated_is_the_least_that_loses_no_share_and_no_entry():
     assert depth == 6 and why.startswith("up to 40% of the entries")
 
 
+def test_no_more_is_differentiated_than_is_traced():
+    cuts, derivatives = (rung(2, 0.1), rung(3, 0.0)), (rung(2, 0.1), rung(3, 0.01))
+    found = planning.Plan(Paths(6, 6), 0.0, {}, cuts=cuts, derivatives=derivatives)
+    settings = Effects(tolerance=0.2, derivative_tolerance=0.05)
+    chosen, _ = planning._chosen(problem({TEXTURE: 0.5}, depth=6), settings, found)
+    assert (chosen.paths.depth, chosen.paths.derivative) == (2, 2)
+
+
 def test_light_samples_are_more_only_where_that_pays():
     one = Lights((1, 1), 1, 1.0, 0.0, 1.0)
     paying = Lights((4, 4), 4, 0.3, 0.02, 1.6)
@@ -198,6 +207,8 @@ def test_a_timed_run_is_probed_once(monkeypatch, tmp_path):
     assert [each.depth for each in first.cuts] == [2, 3] and len(first.samples) == 3
     assert [each.depth for each in first.derivatives] == [2]
     assert first.seconds > 0 and first.paths.depth == first.paths.derivative == 2
+    one_way = decided(p, 60.0, crossed=False, **settings)
+    assert len(one_way.samples) == 4 and not one_way.on(p).integrator.crosses
     assert first.cuts[0].gradient.keys() == {TEXTURE, ROUGHNESS}
     assert "bound" in first.statements["paths"]
     assert first.on(p).integrator.paths == first.paths
@@ -330,6 +341,9 @@ def test_views_that_see_no_unknown_are_not_drawn_from(monkeypatch, tmp_path):
     plan = decided(p, 60.0, max_depth=4, derivative_depth=4, light_samples=[1, 1], directions=1)
     assert plan.views == (0, 2) and plan.statements["views"].startswith("2 of 3")
     assert plan.seconds > 0 and decided(p).views is None
+    assert decided(p, 60.0, max_depth=3, finish=0.3).views is None
+    monkeypatch.setattr(probe, "_PATHS_A_VIEW", (1, 1 << 12))
+    assert Probe(p, L2(), 0).views() == plan.views, "few paths show nothing: more are asked"
     few = plan.on(p)
     assert few.film_sizes == [(8, 8)] * 2 and few.views.total == 2 * 64
     for view, origin in enumerate(few.kept):

@@ -62,6 +62,13 @@ def in_a_caustic():
     return {"thing": floor, "dome": ball(2.0, GLASS)}, [0, 1, 1]
 
 
+def under_a_mask():
+    """The same under a dome that lets half of the light through as it comes."""
+    shapes, origin = in_a_caustic()
+    mask = {"type": "mask", "opacity": 0.5, "bsdf": grey(0.5)}
+    return shapes | {"dome": ball(2.0, mask)}, origin
+
+
 def a_bead():
     """Beside a speck of glass, whose caustic is a small share of what lights it."""
     bead = ball(0.03, GLASS) | {"to_world": to().translate([0, 1.0, 0])}
@@ -133,8 +140,9 @@ def test_caustics_can_be_set():
     kept = decided(problem(a_bead), 60.0, caustics=True, max_depth=DEPTH)
     assert kept.paths.caustics and "as set" in kept.statements["caustics"]
     assert kept.caustics is None
-    with pytest.raises(InputError, match=f"effects.caustics=false: .*'{KEY}'"):
-        decided(problem(in_a_caustic), caustics=False)
+    for build in (in_a_caustic, under_a_mask):
+        with pytest.raises(InputError, match=f"effects.caustics=false: .*'{KEY}'"):
+            decided(problem(build), caustics=False)
     plan = decided(problem(alone), 60.0)
     assert plan.caustics is None and "not met" in plan.statements["caustics"]
     short = decided(problem(a_bead), max_depth=2)

@@ -92,8 +92,10 @@ def test_light_is_found_where_the_map_that_was_read_had_none(seed):
     assert abs(found - wanted) < 5 * own < 0.5 * wanted
 
 
-def test_a_black_sky_is_drawn_evenly(seed):
-    drawn = sky.of_map(scene(np.zeros((8, 16, 3), np.float32)))
+def test_a_sky_without_light_is_drawn_evenly(seed):
+    values = np.zeros((8, 16, 3), np.float32)
+    values[3, 4] = -1
+    drawn = sky.of_map(scene(values))
     density = np.array(drawn.draw(points(seed))[1])
     assert np.all(np.isfinite(density)) and np.all(density > 0)
 
@@ -108,10 +110,11 @@ def test_large_maps_are_read_in_coarser_cells(monkeypatch):
     assert abs(found - by_mitsuba(scene(texels((7, 13))), 3)[0]) < 5 * error < 0.1 * found
 
 
-def test_only_a_map_that_is_the_only_light_is_read():
+def test_only_a_map_that_is_the_only_light_and_varies_is_read():
     lamp = {"type": "point", "position": [0, 2, 0], "intensity": 1.0}
     assert sky.of_map(scene(texels((7, 13)))) is not None
     assert sky.of_map(scene(texels((7, 13)), bulb=lamp)) is None
+    assert sky.of_map(scene(np.full((7, 13, 3), (0.2, 0.3, 0.5), np.float32))) is None
     constant = {"type": "scene", "integrator": {"type": "prb"}, "sky": {"type": "constant"}}
     assert sky.of_map(mi.load_dict(constant)) is None
 
