@@ -35,6 +35,7 @@ def facts(results: Path) -> dict:
         "medians": [float(times.drop(index).median()) for index in times.index],
         "verdicts": {"auto": _verdicts(scenes, "auto"), "staged": _verdicts(ladder, "staged")},
         "never": [s["name"] for s in scenes if not math.isfinite(s["auto"]["time_to_full"])],
+        "acts": _acts(scenes),
         "choosing": _choosing(pandas.read_csv(results / "effects_rates.csv")),
     } | _sharing(pandas.read_csv(results / "sharing.csv"))
 
@@ -55,6 +56,20 @@ def _scenes(path: Path) -> list[dict]:
             }
         )
     return scenes
+
+
+def _acts(scenes: list[dict]) -> dict[str, list[str]]:
+    """The scenes on which `auto` does what."""
+    tests = {
+        "paths": lambda full, auto: auto["depth"] < full["depth"],
+        "derivatives": lambda full, auto: auto["derivative"] < auto["depth"],
+        "caustics": lambda full, auto: not auto["caustics"],
+        "samples": lambda full, auto: auto["light_samples"] != full["light_samples"],
+    }
+    return {
+        name: [each["name"] for each in scenes if test(each["full"], each["auto"])]
+        for name, test in tests.items()
+    }
 
 
 def _choosing(rates: pandas.DataFrame) -> list[str]:
