@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import cost_against_size
+import numpy as np
 import pandas
 
 
@@ -22,6 +23,7 @@ def facts(results: Path) -> dict:
         "crossed": crossed(read("crossed_estimates"), read("crossed")),
         "stage1": {name: list(rows["share"]) for name, rows in shares.groupby("sampler")},
         "first_look": list(shares[shares["sampler"] == "progress"]["first_ms"] / 1000),
+        "begun": begun(read("first_look")),
         "half": shares[shares["sampler"] == "progress"]["share_half"].max(),
         "phases": {
             scene: dict(zip(rows["phase"], rows["share"]))
@@ -53,6 +55,20 @@ def gpu(steps: pandas.DataFrame, race: pandas.DataFrame, rates: pandas.DataFrame
     most = race["method"].map(rates.groupby("method")["factor"].max())
     ends = list(race["method"][race["factor"] >= most])
     return named | {"steps": step_time(steps), "race": race.to_dict("records"), "ends": ends}
+
+
+def begun(table: pandas.DataFrame) -> dict:
+    """Runs of first_look.py: by scene and when `progress` looks first, its error over `uniform`'s
+    at the shares of the time, a geometric mean over seeds."""
+    sides = table.pivot(index=["scene", "seed", "share"], columns="side", values="error")
+    ratios = np.log(sides.drop(columns="uniform").div(sides["uniform"], axis=0))
+    means = np.exp(ratios.groupby(["scene", "share"], sort=False).mean())
+    rows = [
+        {"scene": scene, "side": side, "ratios": list(own[side])}
+        for scene, own in means.groupby("scene", sort=False)
+        for side in means.columns
+    ]
+    return {"rows": rows, "seconds": table["seconds"].iloc[0], "seeds": table["seed"].nunique()}
 
 
 def floor(table: pandas.DataFrame) -> list[dict]:
