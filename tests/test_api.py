@@ -10,7 +10,8 @@ from isas_cli.runtime.errors import InputError
 
 SMALL = [
     *("scene=pottery", "size=tiny", "sampler=gradient", "budget.iterations=4", "frames.views=1"),
-    *("frames.spp=2", "target.spp=4", "estimator.batch=512", "evaluation.pixels=256"),
+    *("frames.spp=2", "target.spp=4", "estimator.batch=256", "evaluation.pixels=256"),
+    *("effects=full", "report=false"),
 ]
 KEY = "jar.bsdf.base_color.data"
 

@@ -1,6 +1,8 @@
 """`isas variance` from the command line: what it leaves, what it refuses, Ctrl-C."""
 
+import contextlib
 import csv
+import io
 import json
 import os
 import signal
@@ -36,18 +38,13 @@ def made(tmp_path_factory) -> tuple[Path, str]:
     """A small measurement and what it said on standard output."""
     folder = tmp_path_factory.mktemp("variance") / "made"
     arguments = [*SMALL, "contestants=[{sampler:ours,sampler.floor:0.1},{sampler:gradient}]"]
-    done = subprocess.run(
-        [
-            *(sys.executable, "-m", "isas_cli", *arguments),
-            *("repeats=24", "best=8", "at=0.5", f"hydra.run.dir={folder}"),
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "ours floor=0.1" in done.stderr
-    return folder, done.stdout
+    arguments += ["repeats=24", "best=8", "at=0.5", f"hydra.run.dir={folder}"]
+    out, told = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(told):
+        status = app.main(arguments)
+    assert status == 0, told.getvalue()
+    assert "ours floor=0.1" in told.getvalue()
+    return folder, out.getvalue()
 
 
 def test_a_measurement_leaves_its_table_plot_and_maps(made):

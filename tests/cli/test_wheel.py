@@ -86,7 +86,9 @@ def test_scenes_are_listed(installed, tmp_path):
 
 def test_a_tiny_scene_runs_from_any_directory(installed, tmp_path):
     folder = tmp_path / "a run"
-    overrides = ("scene=pottery", "size=tiny", "budget.iterations=3", f"hydra.run.dir='{folder}'")
+    overrides = ["scene=pottery", "size=tiny", "sampler=uniform", "effects=full", "target.spp=4"]
+    overrides += ["frames.spp=2", "estimator.batch=256", "budget.iterations=3"]
+    overrides += [f"hydra.run.dir='{folder}'"]
     call(installed / "isas", "run", *overrides, cwd=tmp_path)
     rows = list(csv.DictReader((folder / "history.csv").open()))
     assert int(rows[-1]["iteration"]) == 3

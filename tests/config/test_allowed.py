@@ -1,5 +1,8 @@
 """A configuration or a record chooses no code: what isas ships, or a user allows, is imported."""
 
+import shutil
+from pathlib import Path
+
 import pytest
 import yaml
 
@@ -72,10 +75,17 @@ def test_only_settings_are_instantiated(target, message):
         instantiate(node, "loss")
 
 
-@pytest.mark.parametrize("place", ["target", "tag", "builder"])
-def test_a_records_configuration_runs_nothing(place, tmp_path, capsys, trap):
-    folder = tmp_path / "run"
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("finished") / "run"
     assert main(["run", *TINY, f"hydra.run.dir={folder}"]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("place", ["target", "tag", "builder"])
+def test_a_records_configuration_runs_nothing(finished, place, tmp_path, capsys, trap):
+    folder = tmp_path / "run"
+    shutil.copytree(finished, folder)
     config = yaml.safe_load((folder / "config.yaml").read_text())
     if place == "target":
         config["loss"]["_target_"] = f"{trap}.build"

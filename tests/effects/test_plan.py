@@ -25,6 +25,7 @@ from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns.motion import Motion
 
 WALL = "wall.bsdf.reflectance.value"
+ONE = {"light_samples": [1, 1], "directions": 1}  # which then are not measured
 
 
 @pytest.fixture(autouse=True)
@@ -279,6 +280,8 @@ def test_what_is_set_is_done():
 def test_what_is_not_set_is_measured(monkeypatch, tmp_path):
     monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
     p, depths = problem({TEXTURE: 0.5}, depth=4), {"max_depth": 4, "derivative_depth": 4}
+    asked = lambda self, paths, ways: [Lights(*way, 1.0, 0.0, 1.0) for way in ways]
+    monkeypatch.setattr(Probe, "lights", asked)
     for settings, ways in (
         ({"directions": 2}, [((1, 1), 2), ((4, 4), 2)]),
         ({"light_samples": [2, 2]}, [((2, 2), 1), ((2, 2), 4)]),
@@ -330,7 +333,7 @@ def test_a_plan_without_a_path_to_an_unknown_is_refused_or_not_made(monkeypatch,
     with pytest.raises(InputError, match=rf"effects.derivative_depth=2: .*'{WALL}'"):
         decided(p, derivative_depth=2)
     assert decided(p, max_depth=3).paths.depth == 3
-    found = decided(p, 60.0, tolerance=0.9, derivative_tolerance=0.9).paths
+    found = decided(p, 60.0, tolerance=0.9, derivative_tolerance=0.9, **ONE).paths
     assert (found.depth, found.derivative) == (3, 3)
 
 
@@ -338,10 +341,10 @@ def test_views_that_see_no_unknown_are_not_drawn_from(monkeypatch, tmp_path):
     """One looks past the mirror at the sky; one sees the wall in the mirror only, and stays."""
     monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
     p = behind_a_mirror([9, 0, 0], [0.2, 0, -1])
-    plan = decided(p, 60.0, max_depth=4, derivative_depth=4, light_samples=[1, 1], directions=1)
+    plan = decided(p, 60.0, max_depth=4, derivative_depth=4, **ONE)
     assert plan.views == (0, 2) and plan.statements["views"].startswith("2 of 3")
     assert plan.seconds > 0 and decided(p).views is None
-    assert decided(p, 60.0, max_depth=3, finish=0.3).views is None
+    assert decided(p, 60.0, max_depth=3, derivative_depth=3, finish=0.3, **ONE).views is None
     monkeypatch.setattr(probe, "_PATHS_A_VIEW", (1, 1 << 12))
     assert Probe(p, L2(), 0).views() == plan.views, "few paths show nothing: more are asked"
     few = plan.on(p)
@@ -357,7 +360,8 @@ def test_views_that_see_no_unknown_are_not_drawn_from(monkeypatch, tmp_path):
     assert abs(means[0] - means[1]) < 4 * np.hypot(*errors) < 0.1 * abs(means[0])
     assert errors[1] < errors[0]
     monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path / "other"))
-    assert decided(behind_a_mirror([0.2, 0, -1]), 60.0).views is None
+    again = behind_a_mirror([0.2, 0, -1])
+    assert decided(again, 60.0, max_depth=4, derivative_depth=4, **ONE).views is None
 
 
 @pytest.mark.parametrize(

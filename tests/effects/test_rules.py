@@ -103,9 +103,9 @@ def problem(build):
 
 
 def decided(p, seconds=None, **settings) -> effects.Plan:
-    return effects.decide(
-        p, Effects(**settings), configured("estimator", "two_path"), L2(), seconds
-    )
+    """Light samples are not asked for here: to measure them compiles most."""
+    settings = Effects(light_samples=[1, 1], directions=1, **settings)
+    return effects.decide(p, settings, configured("estimator", "two_path"), L2(), seconds)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,8 @@ def test_caustics_go_where_they_are_little_and_stay_where_they_are_the_light(bui
 
 
 def test_caustics_can_be_set():
-    kept = decided(problem(a_bead), 60.0, caustics=True, max_depth=DEPTH)
+    beside = problem(a_bead)
+    kept = decided(beside, 60.0, caustics=True, max_depth=DEPTH)
     assert kept.paths.caustics and "as set" in kept.statements["caustics"]
     assert kept.caustics is None
     for build in (in_a_caustic, under_a_mask):
@@ -145,11 +146,11 @@ def test_caustics_can_be_set():
             decided(problem(build), caustics=False)
     plan = decided(problem(alone), 60.0)
     assert plan.caustics is None and "not met" in plan.statements["caustics"]
-    short = decided(problem(a_bead), max_depth=2)
+    short = decided(beside, max_depth=2)
     assert "not met" in short.statements["caustics"]
-    ended = decided(problem(a_bead), caustics=False, finish=0.5)
+    ended = decided(beside, caustics=False, finish=0.5)
     assert not ended.paths.caustics and "50%" in ended.statements["finish"]
-    assert ended.on(problem(a_bead), finish=True).integrator.paths.caustics
+    assert ended.on(beside, finish=True).integrator.paths.caustics
 
 
 def test_the_share_of_a_caustic_is_what_it_brings():

@@ -237,6 +237,7 @@ def test_the_command_prints_it_and_the_record_stays_the_same(tmp_path, capfd):
         "frames.views=0",
     ]
     common += ["budget.iterations=10", "estimator.batch=256", "evaluation.count=3"]
+    common += ["effects=full", "report=false"]
     runs = []
     for wanted in ("false", "true"):
         folder = tmp_path / wanted

@@ -27,7 +27,7 @@ from isas_cli.unknowns.parameters import as_numpy
 
 SMALL = ["scene=dodoco", "size=tiny", "estimator.batch=512", "evaluation.pixels=64"]
 SMALL += ["frames.views=1", "frames.spp=1", "frames.snapshots=0", "target.spp=16"]
-SMALL += ["evaluation.count=4"]
+SMALL += ["evaluation.count=4", "effects=full"]
 SETTINGS = ["scene=dodoco", "estimator.batch=256", "evaluation.pixels=64", "budget.iterations=24"]
 
 
@@ -130,7 +130,13 @@ def test_a_turn_is_about_a_slice_long_and_the_order_rotates(monkeypatch, tmp_pat
     assert iterations > 1.5, "several iterations a turn"
 
 
-def test_a_race_leaves_ordinary_runs(tmp_path, capsys):
+def test_a_race_leaves_ordinary_runs(tmp_path, monkeypatch, capsys):
+    def written(folder: Path) -> Path:
+        """Pages have tests of their own."""
+        (folder / "report.html").touch()
+        return folder / "report.html"
+
+    monkeypatch.setattr("isas_cli.report.write", written)
     folder = tmp_path / "a race"
     contestants = "contestants=[{sampler:uniform,optimizer.lr:0.05},{sampler:ours}]"
     arguments = ["race", *SMALL, contestants, "seed=[3,4]", "budget.iterations=5"]
@@ -166,7 +172,7 @@ def test_one_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeypatch, 
 
     monkeypatch.setattr(Loop, "_check", check)
     arguments = ["race", *SMALL, "samplers=[relevant,uniform]", "budget.iterations=6"]
-    assert app.main([*arguments, f"hydra.run.dir={tmp_path}"]) == 3
+    assert app.main([*arguments, "report=false", f"hydra.run.dir={tmp_path}"]) == 3
     assert "relevant seed 1: made up" in capsys.readouterr().err
     assert records.load(tmp_path / "relevant/seed1").summary["status"] == "numerical failure"
     assert records.load(tmp_path / "uniform/seed1").summary["status"] == "done"
@@ -175,7 +181,7 @@ def test_one_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeypatch, 
 def test_an_interrupted_race_goes_on(tmp_path, capsys):
     folder = tmp_path / "race"
     command = [sys.executable, "-m", "isas_cli", "race", *SMALL, "samplers=[uniform,gradient]"]
-    command += ["budget.iterations=4000", "evaluation.count=60", "slice=0.05"]
+    command += ["budget.iterations=4000", "evaluation.count=60", "slice=0.05", "report=false"]
     command.append(f"hydra.run.dir={folder}")
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     until = time.monotonic() + 100

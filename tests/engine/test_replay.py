@@ -36,7 +36,7 @@ def run(folder: Path, wall: np.ndarray, *settings: str) -> int:
     unknown = f'scene.unknowns={{"{SKY}": {{"start": 0.5}}}}'
     common = ["scene=file", f"scene.path={folder / 'scene.xml'}", unknown, "sampler=uniform"]
     common += ["estimator.batch=256", "target.spp=4", "evaluation.pixels=64", "frames.views=0"]
-    common += ["report=false", "budget.iterations=6", "evaluation.count=3"]
+    common += ["effects=full", "report=false", "budget.iterations=6", "evaluation.count=3"]
     return main(["run", *common, *settings, f"hydra.run.dir={folder / 'run'}"])
 
 

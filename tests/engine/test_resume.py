@@ -63,7 +63,7 @@ def stop_after(folder: Path, rows: int, process: subprocess.Popen, number: int) 
 @pytest.mark.parametrize(
     "chosen, number",
     [
-        (["scene=pottery", "sampler=ours"], signal.SIGKILL),
+        pytest.param(["scene=pottery", "sampler=ours"], signal.SIGKILL, marks=pytest.mark.slow),
         # From one level of resolution to the next on the way.
         (["scene=lego", "sampler=progress"], signal.SIGKILL),
         pytest.param(["scene=pottery", "sampler=balanced"], signal.SIGINT, marks=pytest.mark.slow),
@@ -123,6 +123,7 @@ def finished(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("finished") / "run"
     settings = ["scene=dodoco", "size=tiny", "estimator.batch=512", "frames.views=0"]
     settings += ["evaluation.pixels=64", "budget.iterations=4", f"hydra.run.dir={folder}"]
+    settings += ["sampler=uniform", "effects=full"]
     assert app.main(["run", *settings]) == 0
     return folder
 

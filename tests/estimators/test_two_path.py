@@ -72,11 +72,13 @@ def own_residuals(p, loss, batch: int) -> TwoPath:
 
 
 @pytest.mark.parametrize(
-    "made", [partial(surfaces, 3), partial(surfaces, 2), medium], ids=["all", "beginning", "medium"]
+    "made, misled",
+    [(partial(surfaces, 3), True), (partial(surfaces, 2), False), (medium, False)],
+    ids=["all", "beginning", "medium"],
 )
-def test_both_paths_tell_the_same_and_more(made):
+def test_both_paths_tell_the_same_and_more(made, misled):
     """The same mean as one path's derivative with the other's residual, and less noise; a path's
-    own residual is noticed."""
+    own residual is noticed (``misled``)."""
     p, repeats, level = made(), 200, 1e-3
     assert p.integrator.crosses and not one_way(p).integrator.crosses
     once = Gradients(one_way(p), losses.L2(), BATCH).uniform(2 * repeats, 2)
@@ -85,8 +87,9 @@ def test_both_paths_tell_the_same_and_more(made):
     noise = both.var(axis=0, ddof=1).sum() / once.var(axis=0, ddof=1).sum()
     print(outcome, noise)
     assert outcome.p_value > level and noise < 0.85
-    wrong = Gradients(p, losses.L2(), BATCH, own_residuals).uniform(repeats, 1)
-    assert welch(wrong, once, level).p_value < level
+    if misled:
+        wrong = Gradients(p, losses.L2(), BATCH, own_residuals).uniform(repeats, 1)
+        assert welch(wrong, once, level).p_value < level
 
 
 def test_a_bad_path_is_counted_whichever_it_is():

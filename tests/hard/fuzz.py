@@ -375,10 +375,13 @@ class Reader:
 KINDS = ("scene", "mesh", "picture", "configuration", "record", "checkpoint", "grid", "camera")
 
 
-def child(
-    sound: Path, seed: int, first: int, count: int, work: Path, only: str | None = None
-) -> None:
-    """Reads inputs, and prints ``number kind outcome`` of each before and after."""
+def inputs(count: int, first: int = 0, only: str | None = None) -> list[tuple[int, str]]:
+    """Numbers and kinds. ``only``: a kind, instead of all in turn."""
+    return [(n, only or KINDS[n % len(KINDS)]) for n in range(first, first + count)]
+
+
+def child(sound: Path, seed: int, asked: list[tuple[int, str]], work: Path) -> None:
+    """Reads what is ``asked`` for, and prints ``number kind outcome`` of each before and after."""
     from isas_cli.runtime import backend
     from isas_cli.runtime.errors import IsasError
 
@@ -388,8 +391,7 @@ def child(
     # What Mitsuba and OpenImageIO print of broken files is not what is asked for here.
     with open(os.devnull, "w") as nowhere:
         os.dup2(nowhere.fileno(), 1)
-    for number in range(first, first + count):
-        kind = only or KINDS[number % len(KINDS)]
+    for number, kind in asked:
         print(number, kind, "begun", file=out, flush=True)
         folder = work / "inside"
         shutil.rmtree(folder, ignore_errors=True)
@@ -415,20 +417,20 @@ def child(
 
 
 def search(
-    count: int, seed: int, sound: Path, first: int = 0, only: str | None = None
+    asked: list[tuple[int, str]], seed: int, sound: Path
 ) -> tuple[collections.Counter, list]:
     """Outcomes by kind, and findings: ``(number, kind, what, the child's last words)``."""
-    outcomes, findings, end = collections.Counter(), [], first + count
+    outcomes, findings = collections.Counter(), []
     work = Path(tempfile.mkdtemp(prefix="isas-fuzz-"))
     try:
-        while first < end:
+        while asked:
             command = [sys.executable, str(HERE), "--child", str(sound), "--seed", str(seed)]
-            command += ["--first", str(first), "--count", str(end - first), "--work", str(work)]
-            command += ["--kind", only] if only else []
+            command += ["--work", str(work)]
             with open(work.with_suffix(".log"), "w+") as words:
-                with subprocess.Popen(
-                    command, stdout=subprocess.PIPE, stderr=words, text=True
-                ) as process:
+                pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": words}
+                with subprocess.Popen(command, **pipes, text=True) as process:
+                    json.dump(asked, process.stdin)
+                    process.stdin.close()
                     last = None
                     for line in process.stdout:
                         number, kind, outcome = line.rstrip("\n").split(" ", 2)
@@ -446,7 +448,7 @@ def search(
                 findings.append((*last[:2], f"died: {process.returncode}", said[-3000:]))
             elif said and findings:
                 findings[-1] = (*findings[-1][:3], said[-6000:])
-            first = last[0] + 1
+            asked = asked[[number for number, _ in asked].index(last[0]) + 1 :]
             shutil.rmtree(work)
             work.mkdir()
     finally:
@@ -466,21 +468,21 @@ def main() -> int:
     parser.add_argument("--work", type=Path, help=argparse.SUPPRESS)
     chosen = parser.parse_args()
     if chosen.child:
-        own = chosen.first, chosen.count, chosen.work, chosen.kind
-        child(chosen.child, chosen.seed, *own)
+        child(chosen.child, chosen.seed, json.load(sys.stdin), chosen.work)
         return 0
     sound = Path(tempfile.mkdtemp(prefix="isas-sound-")) / "files"
     os.environ.setdefault("ISAS_CACHE_DIR", str(sound.parent / "cache"))
     if chosen.only is not None:
         work = Path(tempfile.mkdtemp(prefix="isas-fuzz-"))
-        child(sound, chosen.seed, chosen.only, 1, work, chosen.kind)
+        child(sound, chosen.seed, inputs(1, chosen.only, chosen.kind), work)
         print(f"files: {work}")
         return 0
     from isas_cli.runtime import backend
 
     backend.start()
     Reader(sound)
-    outcomes, findings = search(chosen.count, chosen.seed, sound, chosen.first, chosen.kind)
+    asked = inputs(chosen.count, chosen.first, chosen.kind)
+    outcomes, findings = search(asked, chosen.seed, sound)
     shutil.rmtree(sound.parent)
     for (kind, outcome), number in sorted(outcomes.items()):
         print(f"{kind:14} {outcome:10} {number:7}")

@@ -45,7 +45,7 @@ def rows(folder: Path) -> list[tuple]:
     return [tuple(row) for row in history[["iteration", "seconds", "parameter_rmse"]].to_numpy()]
 
 
-@pytest.mark.parametrize("kills", [3, pytest.param(50, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kills", [2, pytest.param(50, marks=pytest.mark.slow)])
 def test_killed_at_any_moment(kills, tmp_path):
     """Before its folder is there, while it is made, in the loop, at its end."""
     rng, settings = random.Random(kills), [*TINY, "budget.seconds=1.5", "evaluation.count=40"]
@@ -110,7 +110,7 @@ def test_a_damaged_kernel_cache_costs_time_only(tmp_path):
     home = tmp_path / "home"
     home.mkdir()
     environment = {"HOME": str(home), "ISAS_CACHE_DIR": os.environ["ISAS_CACHE_DIR"]}
-    settings = [*TINY, "budget.iterations=3"]
+    settings = [*TINY, "scene.max_depth=2", "budget.iterations=3"]
     assert started(tmp_path / "first", *settings, **environment).wait() == 0
     kernels = sorted((home / ".drjit").glob("*"))
     assert len(kernels) > 5

@@ -22,7 +22,7 @@ from isas_cli.scene.views import Views
 from isas_cli.unknowns.parameters import as_numpy, unflat
 
 # The same examples every time: a failure here is one everywhere.
-fixed = settings(max_examples=60, deadline=None, derandomize=True, database=None)
+fixed = settings(max_examples=25, deadline=None, derandomize=True, database=None)
 
 WEIGHTS = st.one_of(
     st.just(0.0),

@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from brute_force import per_path_derivatives, per_path_residuals
+from brute_force import PerPath
 from gradient_estimates import Gradients, WithoutWeights, configured
 from montecarlo import z_against
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
@@ -132,10 +132,11 @@ def test_second_moments_are_those_of_single_paths_and_single_unknowns(small, mea
     cells, samples, repeats = Cells.over(small.film_sizes, 12), 16, 12
     assert cells.count == small.views.total
     starts, share = small.unknowns.starts(), float(small.share[0])
+    paths = PerPath(small, L2(), cells, samples)
     found = []
     for i in range(repeats):
-        derivative = per_path_derivatives(small, cells, samples, 77, i)
-        residual = per_path_residuals(small, L2(), cells, samples, 77, i)
+        derivative = paths.derivatives(77, i)
+        residual = paths.residuals(77, i)
         contribution = np.einsum("cn,kcn->kn", residual, derivative) * share
         found.append(np.sum(contribution**2, axis=0).reshape(-1, samples).mean(axis=1))
     small.unknowns.write(starts)

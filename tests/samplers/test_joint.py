@@ -4,7 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from brute_force import cell_means, per_path_derivatives, per_path_residuals
+from brute_force import PerPath, cell_means
 from montecarlo import welch, z_against
 from scenes_for_tests import ROUGHNESS, TEXTURE, UNKNOWNS, problem
 
@@ -22,8 +22,9 @@ from isas_cli.unknowns.parameters import flat
 def exact(p, loss, cells, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Cell means, on stage 1's own paths, of Σ_k (Σ_c r_c ∂I_c/∂θ_k)², and of it without the
     products of different channels, Σ_k Σ_c (r_c ∂I_c/∂θ_k)²."""
-    residual = per_path_residuals(p, loss, cells, samples, 1, 0)
-    derivative = per_path_derivatives(p, cells, samples, 1, 0, "product_adjoint")
+    paths = PerPath(p, loss, cells, samples)
+    residual = paths.residuals(1, 0)
+    derivative = paths.derivatives(1, 0, "product_adjoint")
     product = residual * derivative
     joint = (product.sum(axis=1) ** 2).sum(axis=0)
     return cell_means(joint, samples), cell_means((product**2).sum(axis=(0, 1)), samples)
@@ -80,24 +81,26 @@ class OneStream(Product):
             streams.seed = honest
 
 
-@pytest.mark.parametrize("kind", [Product, OneStream])
-def test_residual_and_derivative_are_independent_within_a_pixel(kind):
+def test_residual_and_derivative_are_independent_within_a_pixel():
     """E(Σ_c r_c d_c)² = Σ_cc' E[r_c r_c'] E[d_c d_c'] pixel by pixel, the right-hand side from
     residuals and derivatives of repetitions that share nothing."""
     p, loss = problem({ROUGHNESS: 0.5}, resolution=(6, 4)), losses.L2()
     cells, spp, repeats = Cells.over(p.film_sizes, 6), 64, 64
-    product, starts = kind(p, loss, cells, spp), p.unknowns.starts()
-    found, wanted = [], []
+    paths, starts, wanted = PerPath(p, loss, cells, spp), p.unknowns.starts(), []
     for i in range(repeats):
-        found.append(product.second_moment(starts, 1, 5, i).numpy().astype(np.float64))
-        r = per_path_residuals(p, loss, cells, spp, 6, i)
-        d = per_path_derivatives(p, cells, spp, 7, i)[0]
+        r, d = paths.residuals(6, i), paths.derivatives(7, i)[0]
         both = [cell_means(x[:, None] * x[None], spp) for x in (r, d)]
         wanted.append((both[0] * both[1]).sum(axis=(0, 1)))
+    for kind in (Product, OneStream):
+        product = kind(p, loss, cells, spp)
+        found = [
+            product.second_moment(starts, 1, 5, i).numpy().astype(np.float64)
+            for i in range(repeats)
+        ]
+        outcome = welch(np.array(found), np.array(wanted))
+        print(kind.__name__, outcome)
+        assert (outcome.p_value > 0.001) == (kind is Product), str(outcome)
     p.unknowns.write(starts)
-    outcome = welch(np.array(found), np.array(wanted))
-    print(outcome)
-    assert (outcome.p_value > 0.001) == (kind is Product), str(outcome)
 
 
 def test_scaled_signs_weigh_the_unknowns():
@@ -107,8 +110,9 @@ def test_scaled_signs_weigh_the_unknowns():
     scale = {k: dr.full(mi.Float, 0, dr.width(flat(v))) for k, v in starts.items()}
     scale[ROUGHNESS] = mi.Float(3)
     found = Product(p, loss, cells, 8).second_moment(starts, 1, 1, 0, scale).numpy()
-    residual = per_path_residuals(p, loss, cells, 8, 1, 0)
-    derivative = per_path_derivatives(p, cells, 8, 1, 0, "product_adjoint")[-1]
+    paths = PerPath(p, loss, cells, 8)
+    residual = paths.residuals(1, 0)
+    derivative = paths.derivatives(1, 0, "product_adjoint")[-1]
     p.unknowns.write(starts)
     wanted = 9 * cell_means((residual * derivative).sum(axis=0) ** 2, 8)
     assert np.allclose(found, wanted, rtol=1e-3, atol=1e-6 * wanted.max())

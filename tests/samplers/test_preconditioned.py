@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from brute_force import cell_means, per_path_derivatives, per_path_residuals
+from brute_force import PerPath, cell_means
 from montecarlo import z_against
 from scenes_for_tests import ROUGHNESS, STAGE1, TEXTURE, UNKNOWNS, problem
 
@@ -85,7 +85,8 @@ def test_weighted_moment_matches_brute_force(rng):
     paths, for unknowns whose weights differ by powers of ten."""
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}, size=2)
     cells, samples, probes = Cells.over(p.film_sizes, 4), 8, 256
-    squares = cell_means(per_path_derivatives(p, cells, samples, 1, 0) ** 2, samples)
+    derivative = PerPath(p, losses.L2(), cells, samples).derivatives(1, 0)
+    squares = cell_means(derivative**2, samples)
     v = second(p, rng, 1.0)
     *texels, roughness = squares.sum(axis=(1, 2))
     share = np.sum(texels / np.array(v[TEXTURE], np.float64))
@@ -191,8 +192,9 @@ def test_fixed_point_of_a_rendered_texture():
     sampler = Preconditioned(least=1e-4, stage1=settings)
     sampler.prepare(p, loss, 512)
     starts, spp = p.unknowns.starts(), 32
-    derivative = cell_means(per_path_derivatives(p, sampler.cells, spp, 9, 0) ** 2, spp)
-    residual = cell_means(per_path_residuals(p, loss, sampler.cells, spp, 9, 0) ** 2, spp)
+    paths = PerPath(p, loss, sampler.cells, spp)
+    derivative = cell_means(paths.derivatives(9, 0) ** 2, spp)
+    residual = cell_means(paths.residuals(9, 0) ** 2, spp)
     A = np.einsum("cj,kcj->jk", residual, derivative)
     wanted = rounds(A + 1e-6 * A.max(axis=0))[-1]
     moments, apart, spread = None, [], []

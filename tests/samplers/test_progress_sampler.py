@@ -4,7 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from brute_force import cell_means, per_path_derivatives, per_path_residuals
+from brute_force import PerPath, cell_means
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 from scipy.optimize import minimize
 
@@ -50,8 +50,9 @@ def test_one_unknown_is_drawn_by_least_variance_per_time():
     sampler = prepared(p, 8, 512, passes=4)
     found = first_look(p, sampler)
     cells = sampler.cells
-    residual = per_path_residuals(p, losses.L2(), cells, 1024, 9, 0)
-    derivative = per_path_derivatives(p, cells, 1024, 9, 0)[0]
+    paths = PerPath(p, losses.L2(), cells, 1024)
+    residual = paths.residuals(9, 0)
+    derivative = paths.derivatives(9, 0)[0]
     p.unknowns.write(p.unknowns.starts())
     first, second = (cell_means(x**2, 1024) for x in (residual, derivative))
     cost = np.array(_survey(sampler)[1])
@@ -90,7 +91,7 @@ def test_a_texture_on_a_scene_gets_more_equal_mass_than_uniform_gives():
     p = problem({TEXTURE: 0.5}, size=4, resolution=(48, 32), depth=2, constant_target=3.0)
     sampler = prepared(p, 48, 16, passes=4, overhead=1e6)  # costs alike
     found = first_look(p, sampler)
-    exact = np.abs(per_path_derivatives(p, sampler.cells, 32, 9, 0))
+    exact = np.abs(PerPath(p, losses.L2(), sampler.cells, 32).derivatives(9, 0))
     p.unknowns.write(p.unknowns.starts())
     share = exact.reshape(len(exact), 3, sampler.cells.count, 32).mean(axis=3).sum(axis=1)
     share /= share.sum(axis=0).clip(1e-30)  # of each cell's mass, by texel and channel

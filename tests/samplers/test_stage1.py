@@ -4,7 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from brute_force import per_path_derivatives
+from brute_force import PerPath
 from montecarlo import z_against
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
@@ -23,7 +23,7 @@ def test_random_sign_moment_matches_brute_force():
     interreflections between the two unknowns included."""
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}, size=2)
     cells, samples, probes = Cells.over(p.film_sizes, 4), 8, 256
-    exact = per_path_derivatives(p, cells, samples, 1, 0)
+    exact = PerPath(p, losses.L2(), cells, samples).derivatives(1, 0)
     exact = (exact**2).sum(axis=0).reshape(3, cells.count, samples).mean(axis=2)
     stage1 = Stage1(p, losses.L2(), cells, samples)
     starts = p.unknowns.starts()
@@ -43,9 +43,8 @@ def test_the_sum_is_squared_after_it_is_taken():
     """A single unknown that a path may meet more than once: the moment of its whole derivative."""
     p = problem({ROUGHNESS: 0.5})
     cells = Cells.over(p.film_sizes, 4)
-    exact = (
-        (per_path_derivatives(p, cells, 8, 1, 0)[0] ** 2).reshape(3, cells.count, 8).mean(axis=2)
-    )
+    derivative = PerPath(p, losses.L2(), cells, 8).derivatives(1, 0)[0]
+    exact = (derivative**2).reshape(3, cells.count, 8).mean(axis=2)
     stage1 = Stage1(p, losses.L2(), cells, 8)
     starts = p.unknowns.starts()
     _, second = stage1.derivative(starts, random_signs(starts, 5), 1, 0)
@@ -95,7 +94,7 @@ def test_balanced_matches_brute_force():
     sampler.prepare(p, losses.L2(), 512)
     starts = p.unknowns.starts()
     weights = np.array(sampler.look(starts, 1, 0), np.float64)
-    exact = np.abs(per_path_derivatives(p, sampler.cells, 32, 9, 0)).sum(axis=1)
+    exact = np.abs(PerPath(p, losses.L2(), sampler.cells, 32).derivatives(9, 0)).sum(axis=1)
     p.unknowns.write(starts)
     j = exact.reshape(len(exact), sampler.cells.count, 32).mean(axis=2)
     total = j.sum(axis=1)

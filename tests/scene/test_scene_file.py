@@ -74,7 +74,9 @@ POSE = '{"ball.x": {"kind": "translation", "objects": ["ball"], "directions": [[
 TURN = '{"ball.x": {"kind": "rotation", "objects": ["ball"], "axis": [0, 1, 0]}}'
 BLUR = ', "blur": {"start": 0.3, "end": 0.02, "hold": 0.2}'
 PLATEAU = ["sampler=plateau", "budget.iterations=200", "target.spp=256", "frames.views=0"]
-PLATEAU += ["scene.path=own/scene.xml", "hydra.run.dir=r", "optimizer.lr=0.05"]
+PLATEAU += ["scene.path=own/scene.xml", "hydra.run.dir=r", "optimizer.lr=0.05", "report=false"]
+# Where the sampler is not what a test is about.
+PLAIN = ["sampler=uniform", "effects=full", "report=false"]
 
 
 def test_an_object_is_moved_to_where_the_file_has_it(folder, capsys):
@@ -100,7 +102,7 @@ def test_an_object_is_moved_to_where_the_file_has_it(folder, capsys):
     assert main(["landscape", "r"]) == 2
     assert "r: its scene has changed since" in capsys.readouterr().err
     again = ["overwrite=true", "budget.iterations=1", "scene.path=own/scene.xml", unknowns()]
-    assert run(*again, "hydra.run.dir=r") == 0
+    assert run(*again, *PLAIN, "hydra.run.dir=r") == 0
     assert not (folder / "r" / "landscape.csv").exists()  # of the run before
 
 
@@ -187,7 +189,7 @@ def test_poses_that_make_no_sense_are_refused(folder, capsys, pose, blur, words)
 
 def test_the_files_values_are_the_truth_and_are_recovered(folder, capsys):
     arguments = ("scene.path=own/scene.xml", unknowns(), "budget.iterations=60")
-    assert run(*arguments, "hydra.run.dir=r") == 0, capsys.readouterr().err
+    assert run(*arguments, *PLAIN, "hydra.run.dir=r") == 0, capsys.readouterr().err
     recorded = records.load(folder / "r")
     assert recorded.keys == [KEY]
     error = recorded.history["parameter_rmse"].to_numpy()
@@ -202,7 +204,7 @@ def test_pictures_as_targets(folder, capsys):
     """Targets rendered with one seed and saved as EXR and PNG: the truth matches them, up to the
     noise of the target and the steps of 8 bits, and a run has no parameter error."""
     first = ("scene.path=own/scene.xml", unknowns(), "target.spp=256", "budget.iterations=1")
-    assert run(*first, "hydra.run.dir=rendered") == 0, capsys.readouterr().err
+    assert run(*first, *PLAIN, "hydra.run.dir=rendered") == 0, capsys.readouterr().err
     frames = folder / "rendered" / "frames"
     images.write_exr("a.exr", images.read(frames / "target_v00.exr"), ["R", "G", "B"], {})
     images.write_png("b.png", images.to_display(images.read(frames / "target_v01.exr")))
@@ -211,10 +213,10 @@ def test_pictures_as_targets(folder, capsys):
     half[:, 8:] = 0
     images.write_png("half.png", half)
 
-    given = ("scene.path=own/scene.xml", "scene.targets=[a.exr,b.png]")
+    given = ("scene.path=own/scene.xml", "scene.targets=[a.exr,b.png]", "estimator.batch=2048")
     arguments = ["run", "scene=file", *given, "frames.spp=4", "evaluation.spp=256"]
     arguments += ['scene.unknowns={"%s": {}}' % KEY, "optimizer.lr=1e-6", "budget.iterations=1"]
-    assert main([*arguments, "hydra.run.dir=at_truth"]) == 0, capsys.readouterr().err
+    assert main([*arguments, *PLAIN, "hydra.run.dir=at_truth"]) == 0, capsys.readouterr().err
     recorded = records.load(folder / "at_truth")
     assert recorded.keys == []
     assert "parameter_rmse" not in recorded.summary["final"]

@@ -71,9 +71,9 @@ def test_three_iterations(workshop, name):
             assert np.abs(found - unknown.start).max() > 1e-4, f"{unknown.key} has not moved"
 
 
-@pytest.mark.parametrize("spp", (1, 2))
-@pytest.mark.parametrize("share, status", ((0.1, "done"), (1.0, "refused")))
-def test_a_path_that_is_not_a_number_costs_its_step(monkeypatch, share, status, spp):
+@pytest.mark.parametrize("workshop", ["occlusion"], indirect=True)
+@pytest.mark.parametrize("spp, share, status", ((1, 1.0, "refused"), (2, 0.1, "done")))
+def test_a_path_that_is_not_a_number_costs_its_step(monkeypatch, workshop, spp, share, status):
     """Now and then: the step is left out and counted. Every time: the run says so and stops, with
     its values as they were."""
     whole = Unrolled.primal
@@ -84,7 +84,7 @@ def test_a_path_that_is_not_a_number_costs_its_step(monkeypatch, share, status, 
         return dr.select(first & (sampler.next_1d() < share), np.nan, radiance), state
 
     settings = [*SMALL, "budget.iterations=40", f"sampler.spp={spp}"]
-    workshop = workshop_of("scene=occlusion", *settings[:-1])
+    workshop = Workshop(workshop.problem)  # its kernels are recorded with what is broken
     loop = workshop.loop(*configured("scene=occlusion", "sampler=plateau", *settings))
     monkeypatch.setattr(Unrolled, "primal", broken)
     values, bad = [], []
@@ -107,6 +107,7 @@ def test_a_path_that_is_not_a_number_costs_its_step(monkeypatch, share, status, 
     assert not moved[left_out].any() and moved[~left_out].all()
 
 
+@pytest.mark.parametrize("workshop", ["occlusion"], indirect=True)
 @pytest.mark.parametrize(
     "settings, expected",
     (
@@ -118,24 +119,25 @@ def test_a_path_that_is_not_a_number_costs_its_step(monkeypatch, share, status, 
     ),
     ids=("image", "residual", "loss", "finite_differences"),
 )
-def test_paths_of_a_pixel_are_a_setting(settings, expected):
-    """In the proportions ``expected`` of steps with 1 and 3."""
-    workshop = workshop_of("scene=occlusion", *SMALL)
-    paths = []
-    for spp in (1, 3):
-        chosen = configured("scene=occlusion", *settings, *SMALL, f"sampler.spp={spp}")
-        loop = workshop.loop(*chosen)
-        loop.rehearse()
-        assert loop.run(Hooks()) == "done" and loop.position.iteration == ITERATIONS
-        paths.append(loop.estimator.paths_per_step)
+def test_paths_of_a_pixel_are_a_setting(workshop, settings, expected):
+    """In the proportions ``expected`` of steps with 1 and 3; one of which is run."""
+    one, three = (
+        workshop.loop(*configured("scene=occlusion", *settings, *SMALL, f"sampler.spp={spp}"))
+        for spp in (1, 3)
+    )
+    paths = one.estimator.paths_per_step, three.estimator.paths_per_step
     assert paths[1] * expected[0] == paths[0] * expected[1]
+    if settings == ["sampler=plateau"]:
+        three.rehearse()
+        assert three.run(Hooks()) == "done" and three.position.iteration == ITERATIONS
+        assert three.position.paths == ITERATIONS * paths[1]
 
 
+@pytest.mark.parametrize("workshop", ["occlusion"], indirect=True)
 @pytest.mark.parametrize("budget", ("iterations=24", "seconds=1", "paths=150000"))
-def test_the_blur_follows_the_budget(monkeypatch, budget):
+def test_the_blur_follows_the_budget(monkeypatch, workshop, budget):
     """In whatever it is measured."""
     settings = [setting for setting in SMALL if "budget" not in setting]
-    workshop = workshop_of("scene=occlusion", *settings, f"budget.{budget}")
     chosen = configured("scene=occlusion", "sampler=plateau", *settings, f"budget.{budget}")
     loop = workshop.loop(*chosen)
     loop.rehearse()
@@ -153,8 +155,8 @@ def test_the_blur_follows_the_budget(monkeypatch, budget):
     assert told[0] == 0 and np.all(np.diff(told) > 0) and told[-1] > 0.9
 
 
-def test_path_replay_refuses_what_moves():
-    workshop = workshop_of("scene=shadows", *SMALL)
+@pytest.mark.parametrize("workshop", ["shadows"], indirect=True)
+def test_path_replay_refuses_what_moves(workshop):
     for sampler in pixel_samplers():
         with pytest.raises(InputError, match="'ball.place' moves objects.*sampler=plateau"):
             workshop.loop(*configured("scene=shadows", f"sampler={sampler}", *SMALL))

@@ -1,4 +1,5 @@
-"""The scenes: each builds, renders, and has a visible unknown; broken meshes are refused."""
+"""The scenes: each builds, and has an unknown; broken meshes are refused. What their views show:
+test_tiny_scenes.py."""
 
 import fnmatch
 import importlib
@@ -98,15 +99,6 @@ def test_textures_are_float32_of_the_size_asked_for(loaded):
             assert dr.type_v(parameters[key]) == dr.VarType.Float32
 
 
-def test_every_view_is_finite_and_lit(loaded):
-    _, scene, _ = loaded
-    for view in range(len(scene.sensors())):
-        image = np.array(mi.render(scene, sensor=view, spp=16, seed=view))
-        assert np.isfinite(image).all()
-        assert (image >= 0).all()
-        assert (image.mean(axis=2) > 1e-3).mean() > 0.95
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_builders_are_deterministic(name):
     first, second = (mi.traverse(mi.load_dict(build(name), optimize=False)) for _ in range(2))
@@ -198,12 +190,6 @@ def test_parts_of_the_cake_share_a_texture_without_sharing_texels():
     middle = surface.texcoords[surface.faces][:, :, 1] < 0.5
     assert (middle.all(axis=1) | ~middle.any(axis=1)).all()
     assert 0 < middle.mean() < 1
-
-
-def test_views_of_the_spiral_differ():
-    scene = mi.load_dict(build("pottery"), optimize=False)
-    images = [np.array(mi.render(scene, sensor=view, spp=16)) for view in range(2)]
-    assert np.abs(images[0] - images[1]).mean() > 0.05
 
 
 @pytest.mark.parametrize("name", ["city", "forest", "sunrise", "sunset"])

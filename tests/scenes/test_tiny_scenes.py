@@ -1,10 +1,15 @@
-"""Every scene with every sampler: three iterations at the size `tiny`, as configured."""
+"""Every scene with every sampler: three iterations at the size `tiny`, as configured; and what
+its views show."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 from crosses import crossed, some
 from omegaconf import DictConfig, OmegaConf
+from test_scenes import NAMES
 
+from isas_cli.config import schema
 from isas_cli.config.compose import compose, options, pixel_samplers, translate
 from isas_cli.config.schema import Config
 from isas_cli.engine import experiment
@@ -79,6 +84,23 @@ def test_three_iterations(workshop, sampler):
     assert all(np.isfinite(v) for v in measured.values()), measured
 
 
+@pytest.mark.parametrize("workshop", SCENES, indirect=True)
+def test_every_view_is_finite_and_lit(workshop):
+    problem = workshop.problem
+    assert not any("not finite" in warning for warning in problem.warnings)
+    for view in range(len(problem.film_sizes)):
+        image = problem.target_image(view)
+        assert np.isfinite(image).all() and (image >= 0).all()
+        if problem.name in NAMES:
+            assert (image.mean(axis=2) > 1e-3).mean() > 0.95
+
+
+@pytest.mark.parametrize("workshop", ["pottery"], indirect=True)
+def test_views_of_the_spiral_differ(workshop):
+    images = [workshop.problem.target_image(view) for view in range(2)]
+    assert np.abs(images[0] - images[1]).mean() > 0.05
+
+
 @pytest.fixture(scope="module")
 def roughness() -> Workshop:
     _, typed, budget = configured("scene=trashcan", *SMALL)
@@ -139,14 +161,19 @@ DERIVATIVES = {
 
 @pytest.mark.parametrize("scene", [*SCENES, *MOVING])
 def test_choices_compose_together(scene):
-    """Each sampler, each loss and each size with each scene, not all of their combinations: each
-    of these groups is composed by itself, and a composition takes a tenth of a second."""
-    sizes = OmegaConf.to_container(compose([f"scene={scene}"]).scene.sizes)
+    """Each sampler, each loss and each size with some scene, and each scene with one of each: each
+    of these groups is composed by itself, and a composition takes a tenth of a second. All sizes of
+    each scene: tests/config/test_config.py."""
+    file = OmegaConf.load(Path(schema.folder()) / "scene" / f"{scene}.yaml")
+    sizes = OmegaConf.to_container(file.sizes)
     assert list(sizes) == ["tiny", "default", "paper"]
-    losses = options("loss")
-    for index, sampler in enumerate(options("sampler") if scene in MOVING else SAMPLERS):
-        loss, size = losses[index % len(losses)], list(sizes)[index // len(losses) % len(sizes)]
-        chosen = f"scene={scene}", f"sampler={sampler}", f"loss={loss}", f"size={size}"
-        cfg, typed, _ = configured(*chosen)
-        assert (cfg.scene.name, cfg.sampler.name, cfg.loss.name) == (scene, sampler, loss)
-        assert typed.size == size and typed.scene.arguments.items() <= sizes[size].items()
+    number, losses = [*SCENES, *MOVING].index(scene), options("loss")
+    # What moves is for the samplers that choose no pixels for path replay.
+    others = [name for name in options("sampler") if name not in SAMPLERS]
+    samplers = others if scene in MOVING else SAMPLERS
+    sampler, loss = samplers[number % len(samplers)], losses[number % len(losses)]
+    size = list(sizes)[number // len(losses) % len(sizes)]
+    chosen = f"scene={scene}", f"sampler={sampler}", f"loss={loss}", f"size={size}"
+    cfg, typed, _ = configured(*chosen)
+    assert (cfg.scene.name, cfg.sampler.name, cfg.loss.name) == (scene, sampler, loss)
+    assert typed.size == size and typed.scene.arguments.items() <= sizes[size].items()

@@ -6,53 +6,73 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from isas_cli.rendering import rays
+from isas_cli.rendering.kernels import recorded
 from isas_cli.runtime import streams
-from isas_cli.unknowns.parameters import flat, unflat
+from isas_cli.samplers.stage1.cell_moments import spawned
+from isas_cli.unknowns.parameters import flat, own, unflat
 
 
-def _paths(p, cells, samples: int, base: int, iteration: int, purpose: str) -> tuple:
-    """The pixels of stage 1's paths, their rays with weights, and the stream that goes on."""
-    place, path = (
-        dr.opaque(mi.UInt32, streams.seed(base, iteration, name))
-        for name in ("stage1_place", purpose)
-    )
-    view, column, row = cells.place(p.views, samples, place)
-    stream = rays.stream(path, cells.count * samples)
-    ray, weight = rays.spawn(p.sensors, p.views, view, column, row, stream)
-    return p.views.index(view, column, row), stream, ray, weight
+class PerPath:
+    """What every single path tells that stage 1 traces through ``cells``, at the start values.
 
+    ``derivatives`` leave a tangent in the scene: write the values again when all is done.
+    """
 
-def per_path_derivatives(
-    p, cells, samples: int, base: int, iteration: int, purpose: str = "stage1_adjoint"
-) -> np.ndarray:
-    """∂I/∂θ_k of every path that stage 1 traces, by one forward pass per unknown entry with that
-    entry's unit tangent: ``(m, 3, C · samples)``. ``purpose``: of the paths' stream."""
-    starts = p.unknowns.starts()
-    rows = []
-    for key in p.unknowns.keys:
-        for k in range(dr.width(flat(starts[key]))):
-            tangents = {
-                j: unflat(v, dr.zeros(mi.Float, dr.width(flat(v)))) for j, v in starts.items()
-            }
-            unit = np.zeros(dr.width(flat(starts[key])), np.float32)
-            unit[k] = 1
-            tangents[key] = unflat(starts[key], mi.Float(unit))
-            p.unknowns.push_tangent(starts, tangents)
+    def __init__(self, p, loss, cells, samples: int):
+        self.problem, self.cells = p, cells
+        integrator = p.integrator
+
+        def derivative(scene, sensors, views, leaves, cells, seeds):
             with dr.suspend_grad():
-                _, stream, ray, weight = _paths(p, cells, samples, base, iteration, purpose)
-                derivative = p.integrator.forward(p.scene, stream, ray) * weight
-            rows.append(np.array(derivative, np.float64))
-    return np.array(rows)
+                _, _, stream, ray, weight = spawned(sensors, views, cells, samples, seeds)
+                found = integrator.forward(scene, stream, ray) * weight
+                dr.eval(found)
+                return found
 
+        def residual(scene, sensors, views, leaves, cells, seeds, targets):
+            with dr.suspend_grad():
+                _, pixel, stream, ray, weight = spawned(sensors, views, cells, samples, seeds)
+                radiance, _ = integrator.primal(scene, stream, ray)
+                target = dr.gather(mi.Color3f, targets, pixel)
+                found = loss.derivative(radiance * weight, target)
+                dr.eval(found)
+                return found
 
-def per_path_residuals(p, loss, cells, samples: int, base: int, iteration: int) -> np.ndarray:
-    """∂ℓ/∂I of every path that stage 1 traces: ``(3, C · samples)``."""
-    p.unknowns.write(p.unknowns.starts())
-    pixel, stream, ray, weight = _paths(p, cells, samples, base, iteration, "stage1_primal")
-    radiance, _ = p.integrator.primal(p.scene, stream, ray)
-    derivative = loss.derivative(radiance * weight, dr.gather(mi.Color3f, p.targets, pixel))
-    return np.array(derivative, np.float64)
+        self._derivative = recorded(derivative, True, p.unknowns.sizes)
+        self._residual = recorded(residual, True, p.unknowns.sizes)
+
+    def derivatives(self, base: int, iteration: int, purpose: str = "stage1_adjoint") -> np.ndarray:
+        """∂I/∂θ_k by one forward pass per unknown entry with that entry's unit tangent:
+        ``(m, 3, C · samples)``. ``purpose``: of the paths' stream."""
+        unknowns, rows = self.problem.unknowns, []
+        starts = unknowns.starts()
+        widths = {key: dr.width(flat(value)) for key, value in starts.items()}
+        for key, width in widths.items():
+            for k in range(width):
+                # No literal zeros: one recording is for all entries.
+                units = {j: np.zeros(n, np.float32) for j, n in widths.items()}
+                units[key][k] = 1
+                tangents = {j: unflat(v, own(mi.Float, units[j])) for j, v in starts.items()}
+                dr.eval(tangents)
+                unknowns.push_tangent(starts, tangents)
+                found = self._derivative(*self._arguments(base, iteration, purpose))
+                rows.append(np.array(found, np.float64))
+        return np.array(rows)
+
+    def residuals(self, base: int, iteration: int) -> np.ndarray:
+        """∂ℓ/∂I: ``(3, C · samples)``."""
+        p = self.problem
+        p.unknowns.write(p.unknowns.starts())
+        arguments = self._arguments(base, iteration, "stage1_primal")
+        return np.array(self._residual(*arguments, p.targets), np.float64)
+
+    def _arguments(self, base: int, iteration: int, purpose: str) -> tuple:
+        p = self.problem
+        seeds = [
+            dr.opaque(mi.UInt32, streams.seed(base, iteration, name))
+            for name in ("stage1_place", purpose)
+        ]
+        return p.scene, p.sensors, p.views, p.unknowns.leaves, self.cells, seeds
 
 
 def cell_means(values: np.ndarray, samples: int) -> np.ndarray:

@@ -46,6 +46,7 @@ SCENE = """<scene version="3.0.0">
 </scene>"""
 SHORT = ["frames.spp=2", "frames.views=1", "frames.snapshots=0", "report=false"]
 SHORT += ["scene=file", "scene.path=scene.xml", "hydra.run.dir=r", "estimator.batch=512"]
+SHORT += ["effects=full"]
 
 
 @pytest.fixture

@@ -264,7 +264,7 @@ def test_five_kinds_are_found_together_each_with_its_own_rate_and_range(
     Path("scene.xml").write_text(SCENE)
     arguments = ["run", "scene=file", "scene.path=scene.xml", "budget.iterations=160"]
     arguments += ["frames.spp=2", "frames.snapshots=0", "target.spp=256", "estimator.batch=4096"]
-    arguments += [f"scene.unknowns={json.dumps(TOGETHER)}", "hydra.run.dir=r"]
+    arguments += [f"scene.unknowns={json.dumps(TOGETHER)}", "report=false", "hydra.run.dir=r"]
     assert main(arguments) == 0, capsys.readouterr().err
     recorded = records.load(tmp_path / "r")
     for key in TOGETHER:
