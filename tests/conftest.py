@@ -24,8 +24,6 @@ def pytest_configure(config: pytest.Config) -> None:
     # Workers side by side have a core each.
     threads = 1 if "PYTEST_XDIST_WORKER" in os.environ else 0
     config.stash[_STARTED] = backend.start(threads=threads)
-    if threads:  # runs within a test, which ask for all, too
-        backend._every_thread = lambda: threads
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
