@@ -45,7 +45,7 @@ def rows(folder: Path) -> list[tuple]:
     return [tuple(row) for row in history[["iteration", "seconds", "parameter_rmse"]].to_numpy()]
 
 
-@pytest.mark.parametrize("kills", [2, pytest.param(50, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kills", [3, pytest.param(50, marks=pytest.mark.slow)])
 def test_killed_at_any_moment(kills, tmp_path):
     """Before its folder is there, while it is made, in the loop, at its end."""
     rng, settings = random.Random(kills), [*TINY, "budget.seconds=1.5", "evaluation.count=40"]
