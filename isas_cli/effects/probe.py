@@ -104,16 +104,17 @@ class Probe:
         unknowns = self.problem.unknowns
         signs = {u.key: rng.choice([-1.0, 1.0], u.start.shape).astype(np.float32) for u in unknowns}
         seen = np.zeros(views.count, bool)
-        for paths in (0, *_PATHS_A_VIEW):  # first a few that compile
+        for paths in _PATHS_A_VIEW:
             unseen = np.flatnonzero(~seen)
-            each = min(paths, _MOST_PATHS // max(len(unseen), 1)) or 1
-            begun = time.perf_counter()
-            unknowns.push_tangent(self.values, unknowns.values_of(signs))
-            seen[unseen] = self._met(unseen, each)
-            if paths:
-                self.seconds += time.perf_counter() - begun
-            if seen.all():
+            if not len(unseen):
                 break
+            each = max(1, min(paths, _MOST_PATHS // len(unseen)))
+            for compiled in (False, True):  # for so many lanes
+                begun = time.perf_counter()
+                unknowns.push_tangent(self.values, unknowns.values_of(signs))
+                seen[unseen] = self._met(unseen, each)
+                if compiled:
+                    self.seconds += time.perf_counter() - begun
         unknowns.write(self.values)
         return None if seen.all() or not seen.any() else tuple(np.flatnonzero(seen).tolist())
 
