@@ -36,6 +36,8 @@ def facts(results: Path) -> dict:
         "verdicts": {"auto": _verdicts(scenes, "auto"), "staged": _verdicts(ladder, "staged")},
         "never": [s["name"] for s in scenes if not math.isfinite(s["auto"]["time_to_full"])],
         "acts": _acts(scenes),
+        # On another machine, before what a probe's checks cost was cut.
+        "before": [s["name"] for s in scenes if s["auto"]["threads"] > 2],
         "choosing": _choosing(pandas.read_csv(results / "effects_rates.csv")),
     } | _sharing(pandas.read_csv(results / "sharing.csv"))
 
