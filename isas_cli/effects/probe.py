@@ -33,7 +33,8 @@ _LANES = 1 << 13
 # kinds as are usual), by estimates of the gradient between these numbers.
 _SECONDS, _PARTS = 0.25, 9
 _LEAST_BATCHES, _MOST_BATCHES = 8, 64
-# For each view, and for one that shows no unknown by so many; but no more for all in one look.
+# For each view, and for one that shows no unknown by so many; but no more for all in one look, and
+# then in no more than half of the time that is left.
 _PATHS_A_VIEW, _MOST_PATHS = (1 << 12, 1 << 16), 1 << 20
 # Numbers of the probe's streams, which no iteration of a run reaches.
 _FAR = (1 << 27) - (1 << 18)
@@ -103,18 +104,20 @@ class Probe:
             return None
         unknowns = self.problem.unknowns
         signs = {u.key: rng.choice([-1.0, 1.0], u.start.shape).astype(np.float32) for u in unknowns}
-        seen = np.zeros(views.count, bool)
+        seen, most = np.zeros(views.count, bool), float(_MOST_PATHS)
         for paths in _PATHS_A_VIEW:
             unseen = np.flatnonzero(~seen)
             if not len(unseen):
                 break
-            each = max(1, min(paths, _MOST_PATHS // len(unseen)))
-            for compiled in (False, True):  # for so many lanes
+            each = max(1, int(min(paths, most / len(unseen))))
+            for _ in range(2):  # the first one compiles, for so many lanes
                 begun = time.perf_counter()
                 unknowns.push_tangent(self.values, unknowns.values_of(signs))
                 seen[unseen] = self._met(unseen, each)
-                if compiled:
-                    self.seconds += time.perf_counter() - begun
+                spent = time.perf_counter() - begun
+            self.seconds += spent  # without compiling
+            affordable = (self.allowed - self.seconds) / 2 / spent
+            most = min(most, affordable * each * len(unseen))
         unknowns.write(self.values)
         return None if seen.all() or not seen.any() else tuple(np.flatnonzero(seen).tolist())
 
