@@ -72,7 +72,7 @@ def show(plan: "Plan", console: Console) -> None:
 
 def _cuts(title: str, cuts: dict[str, "Cut"]) -> Table:
     """``cuts``: by what is left."""
-    table = Table("what is left", title=f"{title}; in brackets the 95 % bound")
+    table = Table("what is left", title=f"{title}; in brackets the 95 % bounds")
     for column in ("of the images", "of the gradient", "time without them"):
         table.add_column(column, justify="right")
     for left, each in cuts.items():
@@ -84,4 +84,4 @@ def _cuts(title: str, cuts: dict[str, "Cut"]) -> Table:
 
 
 def _share(share) -> str:
-    return f"{share.value:.2%} ({share.bound:.2%})"
+    return f"{share.value:.2%} ({share.low:.2%} to {share.bound:.2%})"

@@ -46,10 +46,12 @@ Z = 1.645
 
 @dataclass(frozen=True)
 class Share:
-    """Of a whole that a part is: estimate, and the 95 % upper bound of it."""
+    """Of a whole that a part is: estimate, and the upper and the lower bound of it, either of
+    which holds with 95 %."""
 
     value: float
     bound: float
+    low: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -309,7 +311,7 @@ def _some(entries: np.ndarray) -> np.ndarray:
 
 
 def gradient_share(part: np.ndarray, whole: np.ndarray) -> Share:
-    """‖E part‖/‖E whole‖ from independent rows ``(n, entries)`` of both, paired; the bound by the
+    """‖E part‖/‖E whole‖ from independent rows ``(n, entries)`` of both, paired; the bounds by the
     jackknife. Squared norms of means are means of products of different rows: their noise does not
     add to them."""
     n = len(part)
@@ -326,16 +328,18 @@ def gradient_share(part: np.ndarray, whole: np.ndarray) -> Share:
         return Share(float("nan"), float("inf"))
     left = np.array([squared(np.delete(every, i)) for i in every])
     errors = np.sqrt((n - 1) / n * np.sum((left - left.mean(axis=0)) ** 2, axis=0))
-    most, least = max(own[0], 0.0) + Z * errors[0], own[1] - Z * errors[1]
-    bound = np.sqrt(most / least) if least > 0 else float("inf")
-    return Share(float(np.sqrt(max(own[0], 0.0) / own[1])), float(bound))
+    least, most = (np.maximum(own, 0.0) + sign * Z * errors for sign in (-1, 1))
+    bound = np.sqrt(most[0] / least[1]) if least[1] > 0 else float("inf")
+    low = np.sqrt(max(least[0], 0.0) / most[1])
+    return Share(float(np.sqrt(max(own[0], 0.0) / own[1])), float(bound), float(low))
 
 
 def _image_share(part: np.ndarray, whole: np.ndarray) -> Share:
     if whole.mean() <= 0:
         return Share(float("nan"), float("inf"))
     value, error = part.mean() / whole.mean(), part.std(ddof=1) / len(part) ** 0.5 / whole.mean()
-    return Share(float(value), float(abs(value) + Z * error))
+    low, bound = max(abs(value) - Z * error, 0.0), abs(value) + Z * error
+    return Share(float(value), float(bound), float(low))
 
 
 def noise_ratio(squares: dict, usual: dict) -> tuple[float, float]:
@@ -344,8 +348,10 @@ def noise_ratio(squares: dict, usual: dict) -> tuple[float, float]:
 
     The geometric mean over entries of the ratio of mean squares, then over keys. Adam divides each
     entry by the root of its own mean square, so that each counts alike, and rare bright paths,
-    which rule a plain mean, do not rule this one. The error by the jackknife over blocks of
-    batches."""
+    which rule a plain mean, do not rule this one. Of entries that are met at least half as often
+    as those that are met most: where hardly any batch has a square, their mean is mostly too small,
+    the more so the rarer they are, and what is met less often would look quieter. The error by the
+    jackknife over blocks of batches."""
     count = min(_BLOCKS, *(len(next(iter(of.values()))) for of in (squares, usual)))
     blocks = [
         {
@@ -355,14 +361,19 @@ def noise_ratio(squares: dict, usual: dict) -> tuple[float, float]:
         for of in (squares, usual)
     ]
 
+    often = {}
+    for key in squares:
+        met = np.minimum(*((of[key] > 0).mean(axis=0) for of in (squares, usual)))
+        often[key] = (met > 0) & (met >= met.max() / 2)
+
     def ratio(left_out: int | None = None) -> float:
         logs = []
-        for key in squares:
+        for key, known in often.items():
             own, first = (
-                of[key].sum(axis=0) - (0 if left_out is None else of[key][left_out])
+                (of[key].sum(axis=0) - (0 if left_out is None else of[key][left_out]))[known]
                 for of in blocks
             )
-            known = (own > 0) & (first > 0)
+            known = (own > 0) & (first > 0)  # a block may have had all that there was
             if known.any():
                 logs.append(np.mean(np.log(own[known] / first[known])))
         return float(np.mean(logs)) if logs else float("nan")

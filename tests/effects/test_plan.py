@@ -119,8 +119,8 @@ def test_bounds_hold_the_share_as_often_as_they_say(rng):
         noise = rng.normal(size=(12, 50))
         rows = part + 0.5 * rng.normal(size=(12, 50)), whole + noise
         found = gradient_share(*rows)
-        held.append(found.bound >= 0.1)
-    assert np.mean(held) > 0.9
+        held.append((found.bound >= 0.1, found.low <= 0.1))
+    assert np.all(np.mean(held, axis=0) > 0.9)
     assert gradient_share(np.zeros((12, 50)), whole + np.zeros((12, 50))) == Share(0.0, 0.0)
     assert gradient_share(part + np.zeros((12, 50)), np.zeros((12, 50))).bound == np.inf
 
@@ -135,6 +135,10 @@ def test_noise_is_compared_entry_by_entry(rng):
     assert value == pytest.approx(0.25, abs=4 * error) and error < 0.03
     one, error = noise_ratio({"a": usual}, {"a": usual})
     assert one == pytest.approx(1) and error == pytest.approx(0, abs=1e-9)
+    rare = usual * (rng.random(usual.shape) < 0.02) / 0.02
+    seen_often = np.arange(200) < 40
+    value, error = noise_ratio({"a": np.where(seen_often, usual, rare)}, {"a": usual})
+    assert value == pytest.approx(1), "as much noise, met less often"
 
 
 def rung(depth: int, *bounds: float, lost: float = 0.0) -> Cut:

@@ -174,14 +174,33 @@ def test_a_convex_object_alone_is_done_with_two_edges():
     assert np.allclose(*rows, rtol=1e-4)
 
 
-def test_a_concave_object_keeps_its_interreflection():
-    """Parallel plates: of the light that a diffuse plate sends, the other gets nearly all."""
+def test_decisions_are_those_of_shares_in_closed_form():
+    """Of radiance 1 from the upper of two wide plates the lower one's is Σ ρ (ρσ)^i, i of every two
+    edges; what more than d edges bring to the gradient is left out just above their share."""
+    start, truth, other = 0.2, 0.5, 0.5
 
     def plates():
-        lower = square(to().translate([0, -0.1, 0]).rotate([1, 0, 0], -90).scale(4), grey(0.9))
-        upper = square(to().translate([0, 0.5, 0]).rotate([1, 0, 0], 90).scale(4), grey(0.9))
-        return {"thing": lower, "upper": upper}, [0, 0.4, 5]
+        wide = 500.0
+        lower = square(to().rotate([1, 0, 0], -90).scale(wide), grey(truth))
+        upper = square(to().translate([0, 1, 0]).rotate([1, 0, 0], 90).scale(wide), grey(other))
+        upper["emitter"] = {"type": "area", "radiance": 1.0}
+        return {"thing": lower, "upper": upper}, [0.1, 0.9, 0]
 
-    plan = decided(problem(plates), 60.0)
-    print(plan.cuts)
-    assert plan.paths.depth == DEPTH
+    def radiance(edges: int, albedo: float) -> float:
+        return sum(albedo * (albedo * other) ** i for i in range(edges // 2))
+
+    def gradient(edges: int, derivative: int) -> float:
+        slope = sum((i + 1) * (start * other) ** i for i in range(derivative // 2))
+        return (radiance(edges, start) - radiance(DEPTH, truth)) * slope
+
+    p, every = problem(plates), gradient(DEPTH, DEPTH)
+    shares = {d: 1 - gradient(d, d) / every for d in (2, 4)}
+    slopes = {d: 1 - gradient(DEPTH, d) / every for d in (2, 4)}
+    print(shares, slopes)
+    for above, depth in ((1.1 * shares[2], 2), (1.1 * shares[4], 4), (0.9 * shares[4], DEPTH)):
+        plan = decided(p, 60.0, tolerance=above, derivative_tolerance=1e-4)
+        print(plan.cuts)
+        assert plan.paths.depth == depth
+    for above, depth in ((1.1 * slopes[2], 2), (1.1 * slopes[4], 4), (0.9 * slopes[4], DEPTH)):
+        plan = decided(p, 60.0, tolerance=1e-4, derivative_tolerance=above)
+        assert (plan.paths.depth, plan.paths.derivative) == (DEPTH, depth)
