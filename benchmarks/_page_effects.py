@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pandas
 
-# Pixels a step and factor on the rates of runs where nothing is said.
-DEFAULT = (65536, 1.0)
+# What steps_or_paths.py sets, and what it is where nothing is said: pixels a step, factor on the
+# rates, how these fall, and to which share.
+SET = ["batch", "factor", "schedule", "final"]
+DEFAULT = (65536, 1.0, "exponential", 0.02)
 
 
 def facts(results: Path) -> dict:
@@ -25,8 +27,7 @@ def facts(results: Path) -> dict:
     )
     return {
         "spending": _spending(spent),
-        # Rows of before samples could be picked one by one do not say from how many directions.
-        "spent_before": "directions" not in spent or bool(spent["directions"].isna().any()),
+        "usual": dict(zip(SET, DEFAULT)),
         "across": auto,
         "scenes": scenes,
         "ladder": ladder,
@@ -36,8 +37,7 @@ def facts(results: Path) -> dict:
         "verdicts": {"auto": _verdicts(scenes, "auto"), "staged": _verdicts(ladder, "staged")},
         "never": [s["name"] for s in scenes if not math.isfinite(s["auto"]["time_to_full"])],
         "acts": _acts(scenes),
-        # On another machine, before what a probe's checks cost was cut.
-        "before": [s["name"] for s in scenes if s["auto"]["threads"] > 2],
+        "threads": [scene["auto"]["threads"] for scene in scenes],
         "choosing": _choosing(pandas.read_csv(results / "effects_rates.csv")),
     } | _sharing(pandas.read_csv(results / "sharing.csv"))
 
@@ -157,21 +157,30 @@ def _told(row: pandas.Series) -> list[str]:
 
 def by_scene(table: pandas.DataFrame) -> pandas.DataFrame:
     """Runs of steps_or_paths.py, by scene and what was set: ``share`` that the parameter error is
-    of that with the default's batch and rates, with the same seed, their geometric mean."""
-    usual = (table["batch"] == DEFAULT[0]) & (table["factor"] == DEFAULT[1])
-    of_default = table[usual].set_index(["scene", "seconds", "seed"])["parameter_rmse"]
-    key = pandas.MultiIndex.from_frame(table[["scene", "seconds", "seed"]])
+    of the default's, with the same seed, their geometric mean."""
+    run = ["scene", "seconds", "seed"]
+    usual = (table[SET] == DEFAULT).all(axis="columns")
+    of_default = table[usual].set_index(run)["parameter_rmse"]
+    key = pandas.MultiIndex.from_frame(table[run])
     share = np.log(table["parameter_rmse"].to_numpy() / of_default.loc[key].to_numpy())
-    ways = table.assign(share=share).groupby(["scene", "seconds", "batch", "factor"], sort=False)
+    ways = table.assign(share=share).groupby(["scene", "seconds", *SET], sort=False)
     found = ways.agg(share=("share", "mean"), seeds=("seed", "size")).reset_index()
     return found.assign(share=np.exp(found["share"]))
 
 
+def named(way: tuple) -> str:
+    """By what differs from the default."""
+    batch, factor, schedule, final = way
+    words = f"{batch:,} pixels", f"rates × {factor:g}", schedule, f"to {final:g}"
+    differ = [word for word, own, usual in zip(words, way, DEFAULT) if own != usual]
+    return ", ".join(differ) or "default"
+
+
 def _spending(table: pandas.DataFrame) -> list[dict]:
-    """By budget, batch and factor: the median over scenes, and how many are better."""
+    """By budget and what was set: the median over scenes, and how many are better."""
     rows = []
-    for (seconds, batch, factor), own in by_scene(table).groupby(["seconds", "batch", "factor"]):
-        row = {"seconds": seconds, "batch": batch, "factor": factor, "scenes": len(own)}
+    for (seconds, *way), own in by_scene(table).groupby(["seconds", *SET], sort=False):
+        row = {"seconds": seconds, "way": named(tuple(way)), "scenes": len(own)}
         row |= {"seeds": (own["seeds"].min(), own["seeds"].max())}
         row |= {"median": own["share"].median()}
         row |= {"least": own["share"].min(), "most": own["share"].max()}

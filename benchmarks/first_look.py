@@ -1,8 +1,8 @@
-"""When `progress` looks first: after as many steps as the look costs, against at once.
+"""What the first look of `progress` may cost: everything once, or twice.
 
 Both and `uniform` in turns, at the rates that reproduce.py found best for each, three seeds: the
-error over that of `uniform` after an eighth, a quarter, half and all of the time. Writes
-results/first_look.csv.
+error over that of `uniform` after a sixteenth, an eighth, a quarter, half and all of the time.
+Writes results/first_look.csv.
 
     .venv/bin/python benchmarks/first_look.py
 """
@@ -21,9 +21,10 @@ import reproduce
 from isas_cli.runtime import backend
 
 RESULTS = Path(__file__).parent / "results"
-SCENES = ("pottery", "bowl", "earth")
-SHARES = (0.125, 0.25, 0.5, 1.0)
-NOW, ONCE, BASE = "after steps", "at once", "uniform"
+SCENES = ("pottery", "bowl", "earth", "catcake")
+SHARES = (0.0625, 0.125, 0.25, 0.5, 1.0)
+BASE = "uniform"
+SIDES = {"once": ["sampler.passes=1"], "twice": ["sampler.passes=2"], BASE: []}
 
 
 def rate(scene: str, sampler: str) -> float:
@@ -33,21 +34,14 @@ def rate(scene: str, sampler: str) -> float:
 
 def measured(scene: str, side: str, seed: int, seconds: float, folder: str) -> list[dict]:
     import isas_cli
-    from isas_cli.samplers.progress import Progress
 
     sampler = BASE if side == BASE else "progress"
-    delay = Progress.delay
-    if side == ONCE:
-        Progress.delay = property(lambda self: 0)
-    try:
-        run = isas_cli.run(
-            *(f"scene={scene}", f"sampler={sampler}", *reproduce.COMMON, "effects=full"),
-            *(*reproduce.SCENES[scene].settings, f"optimizer.lr={rate(scene, sampler)}"),
-            *(f"seed={seed}", f"budget.seconds={seconds}", "frames.views=0", "report=false"),
-            *(f"hydra.run.dir={folder}", "overwrite=true"),
-        )
-    finally:
-        Progress.delay = delay
+    run = isas_cli.run(
+        *(f"scene={scene}", f"sampler={sampler}", *SIDES[side], *reproduce.COMMON),
+        *(*reproduce.SCENES[scene].settings, f"optimizer.lr={rate(scene, sampler)}"),
+        *(f"seed={seed}", f"budget.seconds={seconds}", "frames.views=0", "report=false"),
+        *("effects=full", f"hydra.run.dir={folder}", "overwrite=true"),
+    )
     history = run.history
     errors = np.interp(
         np.multiply(SHARES, seconds), history["seconds"], np.log(history[reproduce.MEASURE])
@@ -67,7 +61,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="isas-first-look-") as folder:
         for scene in chosen.scenes:
             for seed in chosen.seeds:
-                for side in (NOW, ONCE, BASE):
+                for side in SIDES:
                     rows += measured(scene, side, seed, chosen.seconds, folder)
             pandas.DataFrame(rows).to_csv(
                 RESULTS / "first_look.csv", index=False, float_format="%.4g"

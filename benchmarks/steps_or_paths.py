@@ -1,13 +1,13 @@
-"""How to spend a budget: many steps of few paths, or few steps of many; and at which rate.
+"""How to spend a budget: many steps of few paths, or few steps of many; at which rate, falling how.
 
 Everything as `isas run` has it by default (`sampler=progress`, `effects=auto`), but for the budget,
-the pixels a step, a factor on the rates, and targets of 64 paths a pixel. Contestants take turns.
-Writes results/steps_or_paths.csv (a row per run) and steps_or_paths.png (final parameter error over
-that with the default's batch and rates and the same seed, the seeds' geometric mean, a line per
+targets of 64 paths a pixel, and what a way sets. On all scenes with an unknown texture; contestants
+take turns. Writes results/steps_or_paths.csv (a row per run) and steps_or_paths.png (final
+parameter error over that of the default with the same seed, the seeds' geometric mean, a line per
 scene). What is not raced again keeps its rows.
 
     .venv/bin/python benchmarks/steps_or_paths.py pottery bowl
-    .venv/bin/python benchmarks/steps_or_paths.py --ways 1 2 --seeds 2 3
+    .venv/bin/python benchmarks/steps_or_paths.py --ways 0 1 --seeds 2 3
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pages
 import pandas
-from _page_effects import by_scene
+from _page_effects import DEFAULT, SET, by_scene, named
 from effects import SCENES
 from matplotlib.ticker import NullFormatter
 
@@ -29,8 +29,13 @@ from isas_cli import records
 
 RESULTS = Path(__file__).parent / "results"
 SHOWN = (0.5, 2.0)  # of the default's error
-# Pixels a step, factor on the rates.
-WAYS = ((16384, 0.5), (16384, 1.0), (65536, 1.0), (65536, 2.0))
+# Of the others a number is all that is unknown.
+TEXTURES = [scene for scene in SCENES if scene not in ("trashcan", "dodoco")]
+# As the columns of `SET`. The first is what others are compared with.
+BATCH, FACTOR, SCHEDULE, FINAL = DEFAULT
+WAYS = [DEFAULT, (BATCH // 4, FACTOR, SCHEDULE, FINAL)]
+WAYS += [(BATCH, factor, SCHEDULE, FINAL) for factor in (0.5, 2.0)]
+WAYS += [(BATCH, FACTOR, "cosine", FINAL), (BATCH, FACTOR, SCHEDULE, 0.1)]
 SETTINGS = ["evaluation.count=24", "frames.views=0", "frames.snapshots=0", "report=false"]
 SETTINGS += ["target.spp=64"]
 
@@ -39,9 +44,10 @@ def measured(
     scene: str, folder: Path, seconds: float, seeds: list[int], ways: list[int]
 ) -> pandas.DataFrame:
     """``ways``: numbers of ``WAYS``."""
+    keys = "estimator.batch", *(f"optimizer.{name}" for name in SET[1:])
     listed = ",".join(
-        f"{{sampler:progress,estimator.batch:{batch},optimizer.factor:{factor}}}"
-        for batch, factor in (WAYS[way] for way in ways)
+        f"{{sampler:progress,{','.join(f'{key}:{value}' for key, value in zip(keys, way))}}}"
+        for way in (WAYS[number] for number in ways)
     )
     command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *SETTINGS]
     command += [f"seed=[{','.join(map(str, seeds))}]", f"budget.seconds={seconds}"]
@@ -56,7 +62,7 @@ def measured(
                 "scene": scene,
                 "seconds": seconds,
                 "batch": run.config["estimator"]["batch"],
-                "factor": run.config["optimizer"]["factor"],
+                **{key: run.config["optimizer"][key] for key in SET[1:]},
                 "seed": run.config["seed"],
                 "directions": run.manifest["plan"]["directions"],
                 "iterations": int(last["iteration"]),
@@ -71,18 +77,17 @@ def draw(table: pandas.DataFrame) -> None:
     table = by_scene(table)
     budgets = sorted(table["seconds"].unique())
     plt.rcParams["axes.prop_cycle"] = plt.cycler(color=plt.get_cmap("tab20").colors)
+    plt.rcParams.update({"lines.linewidth": 0.8, "lines.markersize": 3})
     figure, axes = plt.subplots(
-        1, len(budgets), figsize=(4 * len(budgets), 3.4), sharey=True, layout="constrained"
+        1, len(budgets), figsize=(6 * len(budgets), 3.4), sharey=True, layout="constrained"
     )
-    ticks = [f"{batch // 1024} k, × {factor:g}" for batch, factor in WAYS]
     for ax, seconds in zip([axes] if len(budgets) == 1 else axes, budgets):
         for scene, own in table[table["seconds"] == seconds].groupby("scene", sort=False):
-            shares = own["share"].clip(*SHOWN)
-            own = sorted(zip(map(WAYS.index, zip(own["batch"], own["factor"])), shares))
-            ax.plot(*zip(*own), "o-", lw=0.8, ms=3, label=scene)
+            places = [WAYS.index(way) for way in own[SET].itertuples(index=False, name=None)]
+            ax.plot(*zip(*sorted(zip(places, own["share"].clip(*SHOWN)))), "o-", label=scene)
         ax.axhline(1, color="0.7", lw=0.8, zorder=0)
-        ax.set(title=f"{seconds:g} s", yscale="log", xlabel="pixels a step, factor on the rates")
-        ax.set_xticks(range(len(WAYS)), ticks, fontsize=7)
+        ax.set(title=f"{seconds:g} s", yscale="log")
+        ax.set_xticks(range(len(WAYS)), map(named, WAYS), fontsize=7)
         ax.set_yticks(SHOWN + (1,), [f"{share:g}" for share in SHOWN + (1,)])
         ax.yaxis.set_minor_formatter(NullFormatter())
     ax.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1, 1))
@@ -93,19 +98,19 @@ def draw(table: pandas.DataFrame) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}")
-    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(TEXTURES)}")
+    parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3])
     parser.add_argument("--ways", nargs="+", type=int, default=range(len(WAYS)), metavar="N")
     chosen = parser.parse_args()
     path = RESULTS / "steps_or_paths.csv"
     with tempfile.TemporaryDirectory(prefix="isas-steps-") as root:
-        for scene in chosen.scenes or SCENES:
-            named = scene, Path(root) / scene, chosen.seconds
-            found = measured(*named, chosen.seeds, list(chosen.ways))
+        for scene in chosen.scenes or TEXTURES:
+            where = scene, Path(root) / scene, chosen.seconds
+            found = measured(*where, chosen.seeds, list(chosen.ways))
             if path.exists():
                 found = pandas.concat([pandas.read_csv(path), found])
-                run = ["scene", "seconds", "batch", "factor", "seed"]
+                run = ["scene", "seconds", *SET, "seed"]
                 found = found.drop_duplicates(run, keep="last").sort_values(run, kind="stable")
             # After each scene: what is measured survives what follows.
             found.to_csv(path, index=False, float_format="%.4g")

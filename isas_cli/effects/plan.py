@@ -34,7 +34,7 @@ _LIGHTS = (((1, 1), 1), ((1, 1), _PICKED), ((4, 4), _PICKED), ((4, 1), _PICKED))
 # A budget of so many seconds can pay for a probe, which takes at most this share of it and at most
 # so many seconds.
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
-_FORMAT = 19
+_FORMAT = 20
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Plan:
         whole = problem.integrator
         paths = self._finish(whole.paths) if finish else self.paths
         if paths != whole.paths:
-            problem = dataclasses.replace(problem, integrator=whole.cut(paths))
+            problem = _cut_to(problem, paths)
         return problem if self.views is None else problem.only(self.views)
 
     def staged(self, problem: "Problem") -> bool:
@@ -221,7 +221,14 @@ def _unmet(problem: "Problem", paths: Paths) -> str | None:
     """The key of an unknown that ``paths`` do not meet."""
     # One entry that is met is enough, and none must be overlooked.
     lost = _lost(problem, paths, np.nextafter(1, 0))[0]
-    return next((key for key, share in lost.items() if share == 1), None)
+    unmet = next((key for key, share in lost.items() if share == 1), None)
+    if unmet is None and problem.unknowns.moving:
+        unmet = coverage.unmoved(problem, _cut_to(problem, paths))
+    return unmet
+
+
+def _cut_to(problem: "Problem", paths: Paths) -> "Problem":
+    return dataclasses.replace(problem, integrator=problem.integrator.cut(paths))
 
 
 def _at_most(whole: int, asked: int | None, name: str, what: str) -> int:
@@ -272,9 +279,10 @@ def _lost(
     exactly than whether it is above ``enough``; seconds spent. See ``coverage.missed``."""
     kinds = [u for u in problem.unknowns if u.kind.carried]
     judged = [u for u in kinds if not u.kind.moves_geometry]
-    cut = dataclasses.replace(problem, integrator=problem.integrator.cut(paths))
     starts, seen = ({u.key: getattr(u, name) for u in judged} for name in ("start", "seen"))
-    found = coverage.missed(cut, starts, seen, enough, seconds) if judged else ({}, 0.0)
+    cut, found = _cut_to(problem, paths), ({}, 0.0)
+    if judged:
+        found = coverage.missed(cut, starts, seen, enough, seconds)
     problem.unknowns.write(problem.unknowns.starts())
     return found
 

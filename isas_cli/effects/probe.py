@@ -112,12 +112,15 @@ class Probe:
             if not len(unseen):
                 break
             each = max(1, int(min(paths, most / len(unseen))))
-            for _ in range(2):  # the first one compiles, for so many lanes
+            times = []
+            for _ in range(3):
                 begun = time.perf_counter()
                 unknowns.push_tangent(self.values, unknowns.values_of(signs))
                 seen[unseen] = self._met(unseen, each)
-                spent = time.perf_counter() - begun
-            self.seconds += spent  # without compiling
+                times.append(time.perf_counter() - begun)
+            # The first one compiles, for so many lanes; another may have been suspended.
+            spent = min(times[1:])
+            self.seconds += spent
             affordable = (self.allowed - self.seconds) / 2 / spent
             most = min(most, affordable * each * len(unseen))
         unknowns.write(self.values)

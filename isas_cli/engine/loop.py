@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -14,6 +15,7 @@ from ..effects import Plan
 from ..estimators.estimator import Gradients
 from ..losses.priors import OnUnknowns
 from ..rendering.pixels import PixelDistribution
+from ..runtime.backend import sync
 from ..runtime.budget import Budget
 from ..runtime.clock import Clock
 from ..runtime.errors import NumericalError
@@ -28,10 +30,8 @@ from .optimiser import Stepper
 _REHEARSAL_STEPS = 5
 # Evaluations crowd towards the start, where the error falls fastest.
 _EVALUATION_POWER = 1.5
-# The share of the budget after which a first look that was put off is left out.
-_LATEST_FIRST_LOOK = 1 / 3
-# A later look may cost as much as the last did only where that is no more than this share of what
-# is left: what it finds must still pay.
+# A look may cost as much as the last did, or the rehearsal's, only where that is no more than this
+# share of what is left: what it finds must pay.
 _MOST_OF_REST = 1 / 4
 # If more than this share of the touched gradient entries since the last evaluation is not finite,
 # going on makes no sense.
@@ -49,7 +49,7 @@ class Position:
     evaluations: int = 0
     # What was spent before the first step: billed seconds, light paths.
     before: tuple[float, int] = (0.0, 0)
-    looked: tuple[float, int] = (0.0, 0)  # what the last look took, likewise
+    looked: tuple[float, int] = (0.0, 0)  # what the last look took, the rehearsal's before any
 
 
 @dataclass
@@ -89,7 +89,6 @@ class Loop:
         self.estimator, self.prior, self.plan = estimator, prior, plan
         self.warnings: list[str] = []
         self._weights = self._distribution = self._gradients = None
-        self._glanced = False  # whether draws follow a glance, no look
         self._counted = 0, 0
         self._memory = self._blank()
 
@@ -135,11 +134,12 @@ class Loop:
         gradients = []
         for i in range(_REHEARSAL_STEPS):
             iteration = _REHEARSAL_BASE + i
-            # Twice, because the first expansion of the cells is still being recorded.
-            if i < 2 or self.sampler.refresh:
-                if self.sampler.delay:
-                    self._glance(iteration)
-                self._look(iteration)
+            begun, first = time.perf_counter(), i == _REHEARSAL_STEPS - 1
+            self._look(iteration, first)
+            sync()
+            if first and not level:
+                paths = self.sampler.paths_per_look + self.sampler.paths_before
+                self.position.looked = time.perf_counter() - begun, paths
             gradients.append(self._estimate(iteration))
             self.stepper.step(gradients[-1], 0.0)
         # Other unknowns move then, and other kernels take the step.
@@ -208,10 +208,8 @@ class Loop:
     def _iterate(self) -> None:
         p = self.position
         # A level begins as a run does.
-        finer, delay = self._finer(), self.sampler.delay
-        first = finer or (p.iteration == delay and not self.stepper.level)
-        looks = first or (self.sampler.due(p.iteration) and p.iteration >= delay)
-        if looks and self._affordable(finer):
+        first = self._finer() or p.iteration == 0
+        if (first or self.sampler.due(p.iteration)) and self._affordable():
             seconds, paths = self.clock.seconds, p.paths
             with self.clock.billed("stage1"):
                 self._look(p.iteration, first)
@@ -219,10 +217,9 @@ class Loop:
             if first:
                 p.paths += self.sampler.paths_before
             p.looked = self.clock.seconds - seconds, p.paths - paths
-        elif p.iteration == 0:
-            with self.clock.billed("stage1"):
-                self._glance(0)
-            p.paths += self.sampler.paths_per_glance
+        elif self._weights is None:  # no look of this run will pay
+            self._weights = dr.opaque(mi.Float, 1, self.sampler.cells.count)
+            self._spread()
         if p.iteration == 0:
             p.before = self.clock.seconds, p.paths
         with self.clock.billed("step"):
@@ -232,11 +229,8 @@ class Loop:
         p.paths += self.estimator.paths_per_step
         p.iteration += 1
 
-    def _affordable(self, finer: bool) -> bool:
-        """Whether a look would leave time for what it finds. A first one that was put off costs
-        what was spent before it."""
-        if self._glanced and not finer:
-            return self.spent <= _LATEST_FIRST_LOOK
+    def _affordable(self) -> bool:
+        """Whether a look would leave time for what it finds."""
         seconds, paths = self.position.looked
         return self.budget.spent(seconds, 0, paths) <= _MOST_OF_REST * (1 - self.spent)
 
@@ -258,14 +252,6 @@ class Loop:
         self.sampler.scheduled = self.scheduled
         found = self.sampler.look(self.stepper.values, self.seed, iteration, moments)
         self._weights = self.sampler.blended(None if first else self._weights, found)
-        self._glanced = False
-        self._spread()
-
-    def _glance(self, iteration: int) -> None:
-        """What draws follow until the first look."""
-        images = self.sampler.measured(self.stepper.values, self.seed, iteration)
-        self._weights = self.sampler.weighed(images)
-        self._glanced = True
         self._spread()
 
     @property
@@ -383,7 +369,6 @@ class Loop:
             "before": p.before,
             "looked": p.looked,
             "counted": self._counted,
-            "glanced": self._glanced,
             "lost": self.lost,
             "lost_in_steps": self.lost_in_steps,
             "billed": dict(self.clock.billed_seconds),
@@ -409,7 +394,6 @@ class Loop:
         seconds, paths = state.get("looked", (0.0, 0))
         self.position.looked = float(seconds), int(paths)
         self._counted, self.lost = tuple(state["counted"]), state["lost"]
-        self._glanced = state.get("glanced", False)
         self.lost_in_steps = state.get("lost_in_steps", 0)
         self.clock.billed_seconds.update(state["billed"])
         for phase, seconds in state["unbilled"].items():

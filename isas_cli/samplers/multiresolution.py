@@ -108,14 +108,6 @@ class Multiresolution(Sampler):
         return weights
 
     @property
-    def delay(self) -> int:
-        return self.base.delay
-
-    @property
-    def paths_per_glance(self) -> int:
-        return self.base.paths_per_glance
-
-    @property
     def paths_per_look(self) -> int:
         return self.base.paths_per_look
 

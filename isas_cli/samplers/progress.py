@@ -67,18 +67,17 @@ class Progress(Sampler):
     h_k = Σ_j ℓ''_j J_j J_jk with J_j = Σ_k J_jk, the curvature along an error that all entries of a
     key share. Curvature and costs (``PathCost``; a path that meets nothing costs ``overhead``
     vertices or collisions) are taken once at each resolution of the unknowns, at the start values.
-    The first look there takes everything ``passes`` times and x_k ≪ 1. As it costs as much as many
-    steps, a run takes as many before it, by the residuals alone, so that it is never more than half
-    of the time: at no error is a run far behind one that does not look. Where a third of the budget
-    is spent by then, it does not look at all. Later looks, after
-    ``refresh``, 2 ``refresh``, 4 ``refresh`` … iterations as the unknowns slow down, take it once,
-    with x_k from Adam's moments, and are averaged with the earlier ones. Derivatives of one sign
+    The first look there takes everything ``passes`` times and x_k ≪ 1. It costs as much as many
+    steps, and comes before them all the same: Adam's second moments remember those drawn otherwise
+    for the rest of a short run. Later looks, after ``refresh``, 2 ``refresh``, 4 ``refresh`` …
+    iterations as the unknowns slow down, take it once, with x_k from Adam's moments, and are
+    averaged with the earlier ones. Derivatives of one sign
     are assumed within a pixel and key (reflectances, roughness, radiances have them); of others the
     absolute value of their sum is used.
     """
 
     refresh: int = 200
-    passes: int = 2
+    passes: int = 1
     least: float = 0.001
     overhead: float = 0.5
     stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(average=0.75))
@@ -116,7 +115,6 @@ class Progress(Sampler):
         denoise = self.stage1.denoise
         self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
         self._surveys: dict = {}  # by base seed and the unknowns' shapes
-        self._step = 2 * batch
         rates = {u.key: u.lr for u in problem.unknowns}
         # Some without their own have the optimiser's, which is not known here.
         self._rates = rates if all(rates.values()) else None
@@ -205,13 +203,6 @@ class Progress(Sampler):
         weights = dr.sum(dr.sqrt(self._denoise(images[0])))
         dr.eval(weights)
         return weights
-
-    @property
-    def delay(self) -> int:
-        if self.refresh < 2:
-            return 0
-        steps = round((self.paths_per_look + self.paths_before) / self._step)
-        return min(steps, self.refresh - 1)
 
     @property
     def paths_per_look(self) -> int:

@@ -186,16 +186,6 @@ class Sampler:
         return self.problem.integrator.paths_per_derivative
 
     @property
-    def delay(self) -> int:
-        """Steps before the first look, which until then follow what is ``measured`` alone."""
-        return 0
-
-    @property
-    def paths_per_glance(self) -> int:
-        """Light paths that ``measured`` traces."""
-        return self.cells.count * self.stage1.spp
-
-    @property
     def paths_per_look(self) -> int:
         """Light paths that one look traces."""
         return 0

@@ -13,6 +13,7 @@ from scenes_for_tests import ROUGHNESS, TEXTURE, problem, render_targets, withou
 from isas_cli import effects, records
 from isas_cli.cli.app import main
 from isas_cli.config.compose import compose
+from isas_cli.config.schema import BlurConfig, PoseConfig, UnknownConfig
 from isas_cli.effects import plan as planning
 from isas_cli.effects import probe, rules
 from isas_cli.effects.probe import Cut, Lights, Probe, Share, gradient_share, noise_ratio
@@ -296,8 +297,9 @@ def test_what_is_not_set_is_measured(monkeypatch, tmp_path):
         assert ("as set" in plan.statements["light samples"]) == (not ways)
 
 
-def behind_a_mirror(*more):
-    """A wall that only a mirror shows, lit by a sky. ``more``: where other cameras look at."""
+def behind_a_mirror(*more, moves: bool = False):
+    """A wall that only a mirror shows, lit by a sky. ``more``: where other cameras look at.
+    ``moves``: its place is unknown, not its albedo."""
     to = mi.ScalarTransform4f
     film = {"type": "hdrfilm", "width": 8, "height": 8}
     scene = {
@@ -324,7 +326,12 @@ def behind_a_mirror(*more):
     for number, at in enumerate(more, 1):
         to_world = to().look_at([0, 0, 1], at, [0, 1, 0])
         scene[f"sensor_{number:03d}"] = {**scene["sensor_000"], "to_world": to_world}
-    p = without_targets(scene, {WALL: 0.2})
+    unknown, poses = {WALL: 0.2}, None
+    if moves:
+        where = {"kind": "translation", "objects": ["wall"], "directions": [[1, 0, 0]], "at": [0]}
+        poses = {"place": PoseConfig(**where)}
+        unknown = {"place": UnknownConfig(start=2.9, blur=BlurConfig(start=0.3, end=0.1))}
+    p = without_targets(scene, unknown, poses)
     render_targets(p, 16)
     return p
 
@@ -339,6 +346,12 @@ def test_a_plan_without_a_path_to_an_unknown_is_refused_or_not_made(monkeypatch,
     assert decided(p, max_depth=3).paths.depth == 3
     found = decided(p, 60.0, tolerance=0.9, derivative_tolerance=0.9, **ONE).paths
     assert (found.depth, found.derivative) == (3, 3)
+    moving = behind_a_mirror(moves=True)
+    for estimator in ("plateau", "finite_differences"):
+        with pytest.raises(InputError, match="effects.max_depth=1: .*'place'"):
+            decided(moving, estimator=estimator, max_depth=1)
+        # Unlit, and before the sky.
+        assert decided(moving, estimator=estimator, max_depth=2).paths.depth == 2
 
 
 def test_views_that_see_no_unknown_are_not_drawn_from(monkeypatch, tmp_path):
