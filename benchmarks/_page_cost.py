@@ -58,8 +58,8 @@ def gpu(steps: pandas.DataFrame, race: pandas.DataFrame, rates: pandas.DataFrame
 
 
 def begun(table: pandas.DataFrame) -> dict:
-    """Runs of first_look.py: by scene and what the first look of `progress` takes, its error over `uniform`'s
-    at the shares of the time, a geometric mean over seeds."""
+    """Runs of first_look.py: by scene and how often the first look of `progress` takes everything,
+    its error over `uniform`'s at the shares of the time, a geometric mean over seeds."""
     sides = table.pivot(index=["scene", "seed", "share"], columns="side", values="error")
     ratios = np.log(sides.drop(columns="uniform").div(sides["uniform"], axis=0))
     means = np.exp(ratios.groupby(["scene", "share"], sort=False).mean())

@@ -38,6 +38,8 @@ def facts(results: Path) -> dict:
         "never": [s["name"] for s in scenes if not math.isfinite(s["auto"]["time_to_full"])],
         "acts": _acts(scenes),
         "threads": [scene["auto"]["threads"] for scene in scenes],
+        # Where the first look of `progress` came after as many steps as it cost.
+        "late": [scene["name"] for scene in scenes if not scene["auto"]["passes"] == 1],
         "choosing": _choosing(pandas.read_csv(results / "effects_rates.csv")),
     } | _sharing(pandas.read_csv(results / "sharing.csv"))
 

@@ -81,6 +81,7 @@ def measured(run: records.Run) -> dict:
         "caustics": plan["caustics"],
         "probe": plan["probe_seconds"],
         "threads": run.manifest["threads"],
+        "passes": run.config["sampler"]["passes"],
     }
 
 
@@ -91,7 +92,7 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     goal = found[found["method"] == FULL][MEASURE].median()
     for _, own in found.groupby("method", sort=False):
         same = ["scene", "method", "factor", "depth", "derivative", "light_samples", "directions"]
-        row = {key: own[key].iloc[0] for key in [*same, "caustics", "probe", "threads"]}
+        row = {key: own[key].iloc[0] for key in [*same, "caustics", "probe", "threads", "passes"]}
         row |= {"seeds": len(own), "seconds": seconds}
         for measure in (MEASURE, "image_rmse"):
             row |= reproduce._spread(measure, own[measure].tolist())

@@ -72,7 +72,7 @@ def show(plan: "Plan", console: Console) -> None:
 
 def _cuts(title: str, cuts: dict[str, "Cut"]) -> Table:
     """``cuts``: by what is left."""
-    table = Table("what is left", title=f"{title}; in brackets the 95 % bounds")
+    table = Table("what is left", title=f"{title}; in brackets bounds, each with 95 %")
     for column in ("of the images", "of the gradient", "time without them"):
         table.add_column(column, justify="right")
     for left, each in cuts.items():

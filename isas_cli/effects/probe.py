@@ -351,10 +351,10 @@ def noise_ratio(squares: dict, usual: dict) -> tuple[float, float]:
 
     The geometric mean over entries of the ratio of mean squares, then over keys. Adam divides each
     entry by the root of its own mean square, so that each counts alike, and rare bright paths,
-    which rule a plain mean, do not rule this one. Of entries that are met at least half as often
-    as those that are met most: where hardly any batch has a square, their mean is mostly too small,
-    the more so the rarer they are, and what is met less often would look quieter. The error by the
-    jackknife over blocks of batches."""
+    which rule a plain mean, do not rule this one. Of entries that half of the batches meet, where
+    there are any: the mean of a few squares among zeros is mostly too small, the more so the rarer
+    they are, and what is met less often would look quieter. The error by the jackknife over blocks
+    of batches."""
     count = min(_BLOCKS, *(len(next(iter(of.values()))) for of in (squares, usual)))
     blocks = [
         {
@@ -367,7 +367,7 @@ def noise_ratio(squares: dict, usual: dict) -> tuple[float, float]:
     often = {}
     for key in squares:
         met = np.minimum(*((of[key] > 0).mean(axis=0) for of in (squares, usual)))
-        often[key] = (met > 0) & (met >= met.max() / 2)
+        often[key] = met >= 0.5 if met.max() >= 0.5 else met > 0
 
     def ratio(left_out: int | None = None) -> float:
         logs = []

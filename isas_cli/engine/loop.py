@@ -125,6 +125,12 @@ class Loop:
             values = self.stepper.values
             doubt = reliability.warning(self.sampler, values, self.seed, _REHEARSAL_BASE)
             self.warnings = [doubt] if doubt else []
+            if not self._affordable():
+                self.warnings.append(
+                    f"sampler={self.sampler.name}: its first look would take more than "
+                    f"{_MOST_OF_REST:.0%} of the budget, so pixels are drawn uniformly: give more, "
+                    "or take sampler=uniform"
+                )
             self._weights = self._distribution = None
             self._memory = self._blank()
 
@@ -134,10 +140,11 @@ class Loop:
         gradients = []
         for i in range(_REHEARSAL_STEPS):
             iteration = _REHEARSAL_BASE + i
-            begun, first = time.perf_counter(), i == _REHEARSAL_STEPS - 1
+            sync()
+            begun, first = time.perf_counter(), i % 2 == 0  # later looks are other ones
             self._look(iteration, first)
             sync()
-            if first and not level:
+            if first and not level:  # the last one's time: what it needs was compiled before
                 paths = self.sampler.paths_per_look + self.sampler.paths_before
                 self.position.looked = time.perf_counter() - begun, paths
             gradients.append(self._estimate(iteration))
@@ -207,8 +214,8 @@ class Loop:
 
     def _iterate(self) -> None:
         p = self.position
-        # A level begins as a run does.
-        first = self._finer() or p.iteration == 0
+        # A level begins as a run does, and so does what had too little time before it went on.
+        first = self._finer() or self._weights is None
         if (first or self.sampler.due(p.iteration)) and self._affordable():
             seconds, paths = self.clock.seconds, p.paths
             with self.clock.billed("stage1"):
@@ -217,9 +224,8 @@ class Loop:
             if first:
                 p.paths += self.sampler.paths_before
             p.looked = self.clock.seconds - seconds, p.paths - paths
-        elif self._weights is None:  # no look of this run will pay
-            self._weights = dr.opaque(mi.Float, 1, self.sampler.cells.count)
-            self._spread()
+        elif self._distribution is None:  # no look of this run pays
+            self._spread(dr.opaque(mi.Float, 1, self.sampler.cells.count))
         if p.iteration == 0:
             p.before = self.clock.seconds, p.paths
         with self.clock.billed("step"):
@@ -252,7 +258,7 @@ class Loop:
         self.sampler.scheduled = self.scheduled
         found = self.sampler.look(self.stepper.values, self.seed, iteration, moments)
         self._weights = self.sampler.blended(None if first else self._weights, found)
-        self._spread()
+        self._spread(self._weights)
 
     @property
     def distribution(self) -> PixelDistribution | None:
@@ -269,9 +275,9 @@ class Loop:
         self._memory = before
         return found
 
-    def _spread(self) -> None:
+    def _spread(self, weights: mi.Float) -> None:
         """From the cells' weights to the distribution that draws follow."""
-        self._distribution = self.sampler.distribution(self._weights)
+        self._distribution = self.sampler.distribution(weights)
         dr.eval(self._distribution.cdf)
 
     def _estimate(self, iteration: int, scheduled: float | None = None) -> dict:
@@ -380,18 +386,20 @@ class Loop:
         """Go on where ``export`` was called: after ``rehearse``, before ``run``. Raises KeyError
         or ValueError where something is missing or does not fit."""
         self.stepper.restore(arrays, state)
-        if "cells" in arrays:
+        # Earlier versions kept what was not found by a look.
+        if "cells" in arrays and not state.get("glanced"):
             self._weights = mi.Float(arrays["cells"])
-            self._spread()
+            self._spread(self._weights)
         # Checkpoints of earlier versions lack it: their steps began with lengths alone.
         if "met/0" in arrays:
             known = range(len(self._memory))
             self._memory = [mi.Float(arrays[f"met/{i}"]) for i in known]
         # Checkpoints of earlier versions lack it: their schedule began with the budget.
         seconds, paths = state.get("before", (0.0, 0))
+        rehearsed = self.position.looked
         self.position = Position(int(state["iteration"]), int(state["paths"]))
         self.position.before = float(seconds), int(paths)
-        seconds, paths = state.get("looked", (0.0, 0))
+        seconds, paths = state.get("looked", rehearsed)
         self.position.looked = float(seconds), int(paths)
         self._counted, self.lost = tuple(state["counted"]), state["lost"]
         self.lost_in_steps = state.get("lost_in_steps", 0)

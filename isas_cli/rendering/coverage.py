@@ -27,9 +27,8 @@ _SAMPLES = 4  # paths a pixel, where all fit into one pass
 # as many, until twice as many show less than this share of what was missed.
 _FIRST, _EACH, _WORTH = (1 << 12, 1 << 16), 4, 0.1
 _WARM_UP = 2  # the first call compiles
-# ``unmoved`` looks at so many places, by at most so many pixels; where no blur says how far they
-# are, at this share of the coordinates' size.
-_PLACES, _LOOKED_AT, _AWAY = 8, 1 << 16, 0.01
+# ``unmoved`` looks at so many places, by at most so many pixels.
+_PLACES, _LOOKED_AT = 8, 1 << 16
 _DIFFER = 1e-3  # of radiance: more than rounding
 
 
@@ -202,39 +201,35 @@ def missed(
 
 def unmoved(problem: Problem, cut: Problem) -> str | None:
     """The key of an unknown that moves what is visible in the images of ``problem``, and nothing in
-    those of ``cut``, the same with other paths: of random places around its start, seen by paths of
-    the same random numbers. Evaluates; leaves the unknowns at their starts."""
+    those of ``cut``, the same with other paths: of places within the blur around its start, seen by
+    paths of the same random numbers. Evaluates; leaves the unknowns at their starts."""
     unknowns, total = problem.unknowns, problem.views.total
     rng, count = np.random.default_rng(0), min(problem.views.total, _LOOKED_AT)
-    renderers = [Renderer(each) for each in (cut, problem)]
+    spread = (np.arange(count) + rng.random(count)) * (total / count)
+    pixel = mi.UInt32(np.minimum(spread, total - 1).astype(np.uint32))
+    counts = np.ones(count) if problem.mask is None else np.array(problem.mask)[np.array(pixel)]
     starts = {u.key: u.start for u in unknowns}
 
-    def moves(key: str, width: float) -> list[bool]:
-        """Whether it moves anything, by either kind of paths."""
-        found = np.zeros(2, bool)
-        u = unknowns[key]
-        for place in range(_PLACES):
-            at = u.start + rng.normal(0, width, u.start.shape)
-            values = starts, starts | {key: np.clip(at, u.low, u.high).astype(np.float32)}
-            pixel = (np.arange(count) + rng.random(count)) * (total / count)
-            pixel = mi.UInt32(np.minimum(pixel, total - 1).astype(np.uint32))
-            images = []
-            for value in values:
-                unknowns.write(unknowns.values_of(value))
-                seed = lambda _, place=place: streams.seed(0, place, "coverage")
-                images.append([np.array(each.pixels(pixel, 1, seed)) for each in renderers])
-            for which, (a, b) in enumerate(zip(*images)):
-                found[which] |= np.any(np.abs(a - b) > _DIFFER * np.maximum(a, b))
-            if found[0]:
-                break
-        unknowns.write(unknowns.starts())
-        return found.tolist()
+    def moves(seen: Problem, key: str, places: list[np.ndarray]) -> bool:
+        renderer, images = Renderer(seen), []
+        for place in [starts[key], *places]:
+            unknowns.write(unknowns.values_of(starts | {key: place}))
+            shown = renderer.pixels(pixel, 1, lambda _: streams.seed(0, 0, "coverage"))
+            images.append(np.where(counts > 0, np.array(shown), 0))
+            apart = np.abs(images[-1] - images[0])
+            if np.any(apart > _DIFFER * np.maximum(images[-1], images[0])):
+                return True
+        return False
 
-    for key in unknowns.moving:
-        blur = unknowns[key].blur
-        if moves(key, blur.start if blur else _AWAY * unknowns[key].scale) == [False, True]:
-            return key
-    return None
+    def found(key: str) -> bool:
+        u = unknowns[key]
+        offsets = rng.normal(0, u.blur.start, (_PLACES, *u.start.shape))
+        places = list(np.clip(u.start + offsets, u.low, u.high).astype(np.float32))
+        return not moves(cut, key, places) and moves(problem, key, places)
+
+    key = next(filter(found, (key for key in unknowns.moving if unknowns[key].blur)), None)
+    unknowns.write(unknowns.starts())
+    return key
 
 
 def _pass(problem: Problem, lanes: int):

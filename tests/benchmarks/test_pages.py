@@ -3,10 +3,13 @@
 import re
 
 import _page_adaptive
+import _page_effects
 import numpy as np
 import pages
 import pandas
 import pytest
+
+from isas_cli.config.compose import compose
 
 RENDERED = pages.rendered()
 NUMBERS = re.compile(r"\b(nan|inf|np\.)")
@@ -28,6 +31,13 @@ def test_pages_hold_no_number_that_is_none(path):
             assert len(widths) == 1, line
         else:
             widths.clear()
+
+
+def test_defaults_that_are_named_are_those_of_the_configuration():
+    cfg = compose(["scene=pottery"])
+    rates = cfg.optimizer
+    own = cfg.estimator.batch, rates.factor, rates.schedule, rates.final
+    assert own == _page_effects.DEFAULT
 
 
 ROOT = pages.README.parent

@@ -352,6 +352,8 @@ def test_a_plan_without_a_path_to_an_unknown_is_refused_or_not_made(monkeypatch,
             decided(moving, estimator=estimator, max_depth=1)
         # Unlit, and before the sky.
         assert decided(moving, estimator=estimator, max_depth=2).paths.depth == 2
+    moving.unknowns["place"].start[:] = 50.0  # neither is it seen by all paths
+    assert decided(moving, estimator="plateau", max_depth=1).paths.depth == 1
 
 
 def test_views_that_see_no_unknown_are_not_drawn_from(monkeypatch, tmp_path):

@@ -1,5 +1,7 @@
 """The loop: what is billed, what is recorded, and that it recovers what it should."""
 
+import time
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -102,6 +104,27 @@ def test_a_first_look_is_left_out_where_it_costs_a_quarter_of_the_budget(times, 
     _, rows = run(l)
     assert [i for i in when if i < 1000] == ([0] if looked else [])
     assert rows[-1]["paths"] == rows[-1]["iteration"] * 2 * 256 + looked * own
+    assert bool(l.warnings) is not looked
+    if not looked:
+        assert "more than 25% of the budget" in l.warnings[0]
+        assert np.allclose(l.density(), 1)
+        longer = loop(p, progress, Budget(paths=9 * own))
+        longer.restore(*l.export())
+        done = longer.position.iteration
+        run(longer)
+        assert [i for i in when if i < 1000] == [done], "as a run's first look"
+
+
+def test_a_first_look_that_takes_long_is_left_out_of_a_short_time(monkeypatch):
+    p = problem({TEXTURE: 0.5})
+    progress = Progress(stage1=STAGE1)
+    progress.prepare(p, losses.L2(), 256)
+    look, when = progress.look, []
+    monkeypatch.setattr(
+        progress, "look", lambda *given: when.append(given[2]) or time.sleep(0.1) or look(*given)
+    )
+    run(loop(p, progress, Budget(seconds=0.3)))
+    assert not [i for i in when if i < 1000]
 
 
 @pytest.mark.parametrize("rest, looked", [(3.5, False), (4.5, True)])
