@@ -76,7 +76,7 @@ def measured(
 def draw(table: pandas.DataFrame) -> None:
     table = by_scene(table)
     budgets = sorted(table["seconds"].unique())
-    plt.rcParams["axes.prop_cycle"] = plt.cycler(color=plt.get_cmap("tab20").colors)
+    colours = dict(zip(TEXTURES, plt.get_cmap("tab20").colors))
     plt.rcParams.update({"lines.linewidth": 0.8, "lines.markersize": 3})
     figure, axes = plt.subplots(
         1, len(budgets), figsize=(6 * len(budgets), 3.4), sharey=True, layout="constrained"
@@ -84,13 +84,17 @@ def draw(table: pandas.DataFrame) -> None:
     for ax, seconds in zip([axes] if len(budgets) == 1 else axes, budgets):
         for scene, own in table[table["seconds"] == seconds].groupby("scene", sort=False):
             places = [WAYS.index(way) for way in own[SET].itertuples(index=False, name=None)]
-            ax.plot(*zip(*sorted(zip(places, own["share"].clip(*SHOWN)))), "o-", label=scene)
+            line = zip(*sorted(zip(places, own["share"].clip(*SHOWN))))
+            ax.plot(*line, "o-", label=scene, color=colours[scene])
         ax.axhline(1, color="0.7", lw=0.8, zorder=0)
         ax.set(title=f"{seconds:g} s", yscale="log")
         ax.set_xticks(range(len(WAYS)), map(named, WAYS), fontsize=7)
         ax.set_yticks(SHOWN + (1,), [f"{share:g}" for share in SHOWN + (1,)])
         ax.yaxis.set_minor_formatter(NullFormatter())
-    ax.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1, 1))
+    known = {}
+    for other in figure.axes:
+        known |= {label: line for line, label in zip(*other.get_legend_handles_labels())}
+    ax.legend(known.values(), known.keys(), fontsize=6, loc="upper left", bbox_to_anchor=(1, 1))
     figure.supylabel("parameter error at the end, over the default's", fontsize=9)
     figure.savefig(RESULTS / "steps_or_paths.png", dpi=90)
     plt.close(figure)
