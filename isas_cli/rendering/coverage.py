@@ -211,15 +211,18 @@ def unmoved(problem: Problem, cut: Problem) -> str | None:
     starts = {u.key: u.start for u in unknowns}
 
     def moves(seen: Problem, key: str, places: list[np.ndarray]) -> bool:
-        renderer, images = Renderer(seen), []
-        for place in [starts[key], *places]:
+        renderer = Renderer(seen)
+
+        def shown(place: np.ndarray) -> np.ndarray:
             unknowns.write(unknowns.values_of(starts | {key: place}))
-            shown = renderer.pixels(pixel, 1, lambda _: streams.seed(0, 0, "coverage"))
-            images.append(np.where(counts > 0, np.array(shown), 0))
-            apart = np.abs(images[-1] - images[0])
-            if np.any(apart > _DIFFER * np.maximum(images[-1], images[0])):
-                return True
-        return False
+            found = renderer.pixels(pixel, 1, lambda _: streams.seed(0, 0, "coverage"))
+            return np.where(counts > 0, np.array(found), 0)
+
+        here = shown(starts[key])
+        return any(
+            np.any(np.abs(there - here) > _DIFFER * np.maximum(there, here))
+            for there in map(shown, places)
+        )
 
     def found(key: str) -> bool:
         u = unknowns[key]

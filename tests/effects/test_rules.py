@@ -197,6 +197,7 @@ def test_decisions_are_those_of_shares_in_closed_form():
     shares = {d: 1 - gradient(d, d) / every for d in (2, 4)}
     slopes = {d: 1 - gradient(DEPTH, d) / every for d in (2, 4)}
     print(shares, slopes)
+    assert decided(p, 60.0).paths.depth == DEPTH, "concave, by what it is where nothing is set"
     for above, depth in ((1.1 * shares[2], 2), (1.1 * shares[4], 4), (0.9 * shares[4], DEPTH)):
         plan = decided(p, 60.0, tolerance=above, derivative_tolerance=1e-4)
         print(plan.cuts)
