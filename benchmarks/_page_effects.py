@@ -9,9 +9,9 @@ import numpy as np
 import pandas
 
 # What steps_or_paths.py sets, and what it is where nothing is said: pixels a step, factor on the
-# rates, how these fall, and to which share.
-SET = ["batch", "factor", "schedule", "final"]
-DEFAULT = (65536, 1.0, "exponential", 0.02)
+# rates, how these fall, and to which share, and how slowly Adam's second moments forget.
+SET = ["batch", "factor", "schedule", "final", "beta_2"]
+DEFAULT = (65536, 1.0, "exponential", 0.02, 0.999)
 
 
 def facts(results: Path) -> dict:
@@ -172,8 +172,8 @@ def by_scene(table: pandas.DataFrame) -> pandas.DataFrame:
 
 def named(way: tuple) -> str:
     """By what differs from the default."""
-    batch, factor, schedule, final = way
-    words = f"{batch:,} pixels", f"rates × {factor:g}", schedule, f"to {final:g}"
+    batch, factor, schedule, final, beta = way
+    words = f"{batch:,} pixels", f"rates × {factor:g}", schedule, f"to {final:g}", f"β₂ {beta:g}"
     differ = [word for word, own, usual in zip(words, way, DEFAULT) if own != usual]
     return ", ".join(differ) or "default"
 

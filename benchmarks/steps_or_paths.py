@@ -32,10 +32,19 @@ SHOWN = (0.5, 2.0)  # of the default's error
 # Of the others a number is all that is unknown.
 TEXTURES = [scene for scene in SCENES if scene not in ("trashcan", "dodoco")]
 # As the columns of `SET`. The first is what others are compared with.
-BATCH, FACTOR, SCHEDULE, FINAL = DEFAULT
-WAYS = [DEFAULT, (BATCH // 4, FACTOR, SCHEDULE, FINAL)]
-WAYS += [(BATCH, factor, SCHEDULE, FINAL) for factor in (0.5, 2.0)]
-WAYS += [(BATCH, FACTOR, "cosine", FINAL), (BATCH, FACTOR, SCHEDULE, 0.1)]
+WAYS = [DEFAULT]
+WAYS += [
+    tuple({**dict(zip(SET, DEFAULT)), key: value}.values())
+    for key, value in (
+        ("batch", DEFAULT[0] // 4),
+        ("factor", 0.5),
+        ("factor", 2.0),
+        ("schedule", "cosine"),
+        ("final", 0.1),
+        ("beta_2", 0.99),
+        ("beta_2", 0.95),
+    )
+]
 SETTINGS = ["evaluation.count=24", "frames.views=0", "frames.snapshots=0", "report=false"]
 SETTINGS += ["target.spp=64"]
 
