@@ -11,7 +11,7 @@ import pandas
 # What steps_or_paths.py sets, and what it is where nothing is said: pixels a step, factor on the
 # rates, how these fall, and to which share, and how slowly Adam's second moments forget.
 SET = ["batch", "factor", "schedule", "final", "beta_2"]
-DEFAULT = (65536, 1.0, "exponential", 0.02, 0.999)
+DEFAULT = (65536, 1.0, "inverse", 0.02, 0.999)
 
 
 def facts(results: Path) -> dict:

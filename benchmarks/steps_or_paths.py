@@ -32,20 +32,22 @@ SHOWN = (0.5, 2.0)  # of the default's error
 # Of the others a number is all that is unknown.
 TEXTURES = [scene for scene in SCENES if scene not in ("trashcan", "dodoco")]
 # As the columns of `SET`. The first is what others are compared with.
-WAYS = [DEFAULT]
+SHARES = (*DEFAULT[:2], "exponential", *DEFAULT[3:])
+WAYS = [DEFAULT, SHARES]
 WAYS += [
-    tuple({**dict(zip(SET, DEFAULT)), key: value}.values())
+    tuple({**dict(zip(SET, SHARES)), key: value}.values())
     for key, value in (
-        ("batch", DEFAULT[0] // 4),
         ("factor", 0.5),
         ("factor", 2.0),
-        ("schedule", "cosine"),
         ("final", 0.1),
+        ("schedule", "cosine"),
+        ("batch", DEFAULT[0] // 4),
         ("beta_2", 0.99),
-        ("beta_2", 0.95),
+        ("factor", 0.25),
+        ("batch", DEFAULT[0] * 4),
     )
 ]
-SETTINGS = ["evaluation.count=24", "frames.views=0", "frames.snapshots=0", "report=false"]
+SETTINGS = ["evaluation.count=1", "frames.views=0", "frames.snapshots=0", "report=false"]
 SETTINGS += ["target.spp=64"]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.resources
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from typing import Any, Dict, List, Optional
 
@@ -99,7 +100,7 @@ class UnknownConfig:
 
     def __post_init__(self) -> None:
         schedule = "constant" if self.schedule is None else self.schedule
-        factor(schedule, 1.0 if self.final is None else self.final, "")
+        factor(schedule, 1.0 if self.final is None else self.final, 1.0, "")
         if not 0 <= self.prior < math.inf:
             raise InputError(f"prior={self.prior}: a finite factor, at least 0")
         if self.during is not None:
@@ -293,15 +294,18 @@ class BudgetConfig:
 @dataclass
 class OptimizerConfig:
     """Adam. ``lr``: of unknowns without a rate of their own; ``factor``: on all rates, those too;
-    ``schedule``: constant, cosine or exponential over the budget, down to ``final`` of the rates;
+    ``schedule``: constant, cosine or exponential over the budget, down to ``final`` of the rates
+    (None: 0.02), or inverse, halved after ``half`` steps; None: inverse for unknowns without a rate
+    of their own, exponential for others, and for all where ``final`` is given;
     ``mask_updates``: leave entries alone whose gradient is exactly zero; ``smoothing``: of the
     gradients of maps and grids over their neighbours, a standard deviation as a share of the side,
     which shrinks as the rate does."""
 
     lr: float = 0.02
     factor: float = 1.0
-    schedule: str = "exponential"
-    final: float = 0.02
+    schedule: Optional[str] = None
+    final: Optional[float] = None
+    half: float = 40.0
     beta_1: float = 0.9
     beta_2: float = 0.999
     mask_updates: bool = True
@@ -318,7 +322,17 @@ class OptimizerConfig:
                 raise InputError(f"optimizer.{name}={getattr(self, name)}: must lie in [0, 1)")
         if not 0 <= self.smoothing < 0.25:
             raise InputError(f"optimizer.smoothing={self.smoothing}: must lie in [0, 0.25)")
-        factor(self.schedule, self.final)
+        self.falling()
+
+    def falling(
+        self, rated: bool = False, schedule: str | None = None, final: float | None = None
+    ) -> Callable[[float, int], float]:
+        """What the rate of an unknown is multiplied with, by share and steps: one that has
+        ``schedule`` and ``final`` of its own, and, where it is ``rated``, a rate."""
+        final = self.final if final is None else final
+        usual = "exponential" if rated or final is not None else "inverse"
+        end = 0.02 if final is None else final
+        return factor(schedule or self.schedule or usual, end, self.half)
 
 
 @dataclass

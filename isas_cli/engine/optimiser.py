@@ -9,7 +9,6 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import OptimizerConfig
-from ..runtime.schedule import factor
 from ..samplers.sampler import Moments
 from ..unknowns.parameters import as_numpy, flat, own, unflat
 from ..unknowns.unknowns import Unknown, Unknowns
@@ -82,10 +81,9 @@ class Stepper:
 
     def __init__(self, unknowns: Unknowns, settings: OptimizerConfig):
         self.unknowns, self.settings = unknowns, settings
-        self._scheduled = factor(settings.schedule, settings.final)
+        self._usual = settings.falling()
         self._own = {
-            u.key: factor(u.schedule or settings.schedule, u.final or settings.final)
-            for u in unknowns
+            u.key: settings.falling(u.lr is not None, u.schedule, u.final) for u in unknowns
         }
         self.scales = [dict.fromkeys(unknowns.keys, 1.0) for _ in unknowns.switches]
         self.restart()
@@ -100,6 +98,7 @@ class Stepper:
         for key, value in values.items():
             self.adam[key] = value
         self.nonfinite, self.touched = mi.UInt64(0), mi.UInt64(0)
+        self.moved = dict.fromkeys(self.unknowns.keys, 0)  # steps, by key, at coarser levels too
         # The steps that each entry has taken part in, for the moments' bias corrections.
         self.visits = {key: dr.zeros(mi.Float, dr.width(flat(values[key]))) for key in values}
         # Opaque: as literals they would be compiled into the first step.
@@ -144,12 +143,17 @@ class Stepper:
     def rate(self, spent: float) -> float:
         """The learning rate of unknowns without rate and schedule of their own, at this share of
         the budget."""
-        return self.settings.lr * self.settings.factor * self._scheduled(spent)
+        longest = max(self.moved.values())
+        return self.settings.lr * self.settings.factor * self._usual(spent, longest)
 
     def _rate(self, unknown: Unknown, spent: float) -> float:
         """0 while it rests."""
         usual = (unknown.lr or self.settings.lr) * self.settings.factor
-        return usual * self._own[unknown.key](spent) * unknown.moves(spent)
+        return usual * self._fallen(unknown.key, spent) * unknown.moves(spent)
+
+    def _fallen(self, key: str, spent: float) -> float:
+        """What an unknown's rate is multiplied with at present."""
+        return self._own[key](spent, self.moved[key])
 
     def step(self, gradients: dict, spent: float) -> None:
         """One Adam step along ``gradients`` (by key, any scale). Evaluates the new values."""
@@ -168,7 +172,7 @@ class Stepper:
             if unknown.kind.uniform:
                 clean = own(mi.Float, self._cut(key, self._along(key, clean)))
             elif unknown.kind.axes and self.settings.smoothing:
-                wide = self.settings.smoothing, self._own[key](spent)
+                wide = self.settings.smoothing, self._fallen(key, spent)
                 clean = smoothed(unflat(gradients[key], clean), unknown.kind.axes, *wide).array
             took_part = (clean != 0) | (not self.settings.mask_updates)
             self.visits[key] += dr.select(took_part, mi.Float(1), 0)
@@ -176,6 +180,8 @@ class Stepper:
         self.nonfinite += bad
         self.touched += touched
         self.adam.step(rates)
+        for key in rates:
+            self.moved[key] += 1
         for unknown in self.unknowns:
             if np.isfinite(unknown.low) or np.isfinite(unknown.high):
                 value = self.adam[unknown.key]
@@ -277,7 +283,13 @@ class Stepper:
             steps[key] = int(count[0])
         counters = {"nonfinite": int(self.nonfinite[0]), "touched": int(self.touched[0])}
         levels = {"level": self.level, "scales": self.scales}
-        return arrays, {"steps": steps, "scale": self.scale, **levels, **counters}
+        return arrays, {
+            "steps": steps,
+            "moved": self.moved,
+            "scale": self.scale,
+            **levels,
+            **counters,
+        }
 
     def restore(self, arrays: dict[str, np.ndarray], state: dict) -> None:
         """Take over what ``export`` gave, to the last bit. KeyError where something is missing."""
@@ -291,6 +303,8 @@ class Stepper:
             steps = type(count)(state["steps"][key])
             self.adam.of(key).state[key] = value, promoted, rate, (steps, *moments, most)
             self.visits[key] = mi.Float(arrays[f"visits/{key}"])
+        # Checkpoints of earlier versions lack it: no rate fell by steps.
+        self.moved = dict(state.get("moved", state["steps"]))
         self.nonfinite = mi.UInt64(state["nonfinite"])
         self.touched = mi.UInt64(state["touched"])
         dr.make_opaque(self.nonfinite, self.touched)

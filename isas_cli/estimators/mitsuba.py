@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..rendering import convex
 from ..rendering.pixels import PixelDistribution
 from ..rendering.projective import projective
 from ..rendering.volume import Emission
@@ -37,7 +38,7 @@ class Settings(Estimator):
     """``WholeImages``: Mitsuba's own derivative, by the scene's integrator, and where an unknown
     moves objects by ``prb_projective``. A baseline. ``silhouettes``: how those are sampled that are
     seen by way of other surfaces (shadows, reflections): octree (Mitsuba's default, by far the
-    dearest), grid, uniform, or direct: not at all."""
+    dearest), grid, uniform, or direct: not at all, as where one convex object is all there is."""
 
     name: ClassVar[str] = "mitsuba"
     plannable: ClassVar[bool] = False
@@ -56,7 +57,8 @@ class Settings(Estimator):
 
     def derivatives(self, problem: "Problem") -> str:
         if problem.unknowns.moving:
-            return f"Mitsuba's prb_projective on whole images, silhouettes: {self.silhouettes}"
+            how = _silhouettes(problem, self.silhouettes)
+            return f"Mitsuba's prb_projective on whole images, silhouettes: {how}"
         return f"Mitsuba's {problem.integrator.name} on whole images"
 
 
@@ -241,4 +243,9 @@ def _integrator(problem: "Problem", silhouettes: str) -> mi.Integrator:
             "estimator=mitsuba: what moves is differentiated by prb_projective, which simulates no "
             f"media, and the scene's integrator is {own.name}: take estimator=plateau"
         )
-    return projective(own, **SILHOUETTES[silhouettes])
+    return projective(own, **SILHOUETTES[_silhouettes(problem, silhouettes)])
+
+
+def _silhouettes(problem: "Problem", asked: str) -> str:
+    """How those are sampled that are seen by way of other surfaces, where there are any."""
+    return "direct" if convex.alone(problem) else asked

@@ -1,4 +1,4 @@
-"""Learning rates over the budget."""
+"""Learning rates over a run."""
 
 from __future__ import annotations
 
@@ -7,23 +7,32 @@ from collections.abc import Callable
 
 from .errors import InputError, nearest
 
-_SHAPES: dict[str, Callable[[float, float], float]] = {
+_BY_SHARE: dict[str, Callable[[float, float], float]] = {
     "constant": lambda t, final: 1.0,
     "cosine": lambda t, final: final + (1 - final) * 0.5 * (1 + math.cos(math.pi * t)),
     "exponential": lambda t, final: final**t,
 }
+_BY_STEPS = "inverse"
 
 
-def factor(schedule: str, final: float, of: str = "optimizer.") -> Callable[[float], float]:
-    """What the base learning rate is multiplied with at the share t in [0, 1] of the budget.
+def factor(
+    schedule: str, final: float, half: float, of: str = "optimizer."
+) -> Callable[[float, int], float]:
+    """What the base learning rate is multiplied with at the share t in [0, 1] of the budget and
+    after n steps.
 
-    ``schedule``: constant; cosine or exponential, both from 1 at t = 0 to ``final`` at t = 1.
-    By share, not iterations: the schedule begins with the first step and ends with the budget,
-    whatever the budget counts. Raises InputError for other words and numbers; ``of``: before
-    the settings' names there.
+    ``schedule``: constant; cosine or exponential, both from 1 at t = 0 to ``final`` at t = 1: by
+    share, not steps, they begin with the first step and end with the budget, whatever it counts.
+    Or inverse, 1 / (1 + n / ``half``), by steps alone: what noise leaves of a mean of n gradients
+    (Robbins and Monro 1951). Raises InputError for other words and numbers; ``of``: before the
+    settings' names there.
     """
-    if schedule not in _SHAPES:
-        raise InputError(f"{of}schedule={schedule}: {nearest(schedule, _SHAPES)}")
+    if schedule != _BY_STEPS and schedule not in _BY_SHARE:
+        raise InputError(f"{of}schedule={schedule}: {nearest(schedule, [*_BY_SHARE, _BY_STEPS])}")
     if not 0 < final <= 1:
         raise InputError(f"{of}final={final}: must lie in (0, 1]")
-    return lambda t: _SHAPES[schedule](t, final)
+    if not half > 0:
+        raise InputError(f"{of}half={half}: must be above 0, in steps")
+    if schedule == _BY_STEPS:
+        return lambda t, n: 1 / (1 + n / half)
+    return lambda t, n: _BY_SHARE[schedule](t, final)

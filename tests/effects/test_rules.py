@@ -174,6 +174,16 @@ def test_a_convex_object_alone_is_done_with_two_edges():
     assert np.allclose(*rows, rtol=1e-4)
 
 
+def test_lobes_that_are_off_are_not_there():
+    """Mitsuba's own rule, which materials rely on: a strength of 0 is no lobe to be drawn from."""
+
+    def lobes(**strengths) -> int:
+        return mi.load_dict({"type": "principled", **strengths}).component_count()
+
+    off = dict.fromkeys(("clearcoat", "sheen", "spec_trans", "flatness"), 0.0)
+    assert lobes(**off) == lobes() < min(lobes(clearcoat=0.5), lobes(spec_trans=0.5))
+
+
 def test_decisions_are_those_of_shares_in_closed_form():
     """Of radiance 1 from the upper of two wide plates the lower one's is Σ ρ (ρσ)^i, i of every two
     edges; what more than d edges bring to the gradient is left out just above their share."""

@@ -157,13 +157,44 @@ def test_untouched_entries_keep_still():
     ],
 )
 def test_schedules_run_over_the_budget(schedule, at_start, half_way, at_end):
-    rate = factor(schedule, 0.01)
-    assert [rate(t) for t in (0, 0.5, 1)] == pytest.approx([at_start, half_way, at_end])
+    rate = factor(schedule, 0.01, 5.0)
+    assert [rate(t, 10) for t in (0, 0.5, 1)] == pytest.approx([at_start, half_way, at_end])
+
+
+def test_a_rate_that_falls_by_steps_knows_no_budget():
+    """And each unknown counts its own: one that begins late begins at its whole rate."""
+    p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5})
+    p.unknowns[ROUGHNESS].during = 0.5, 1.0
+    stepper = Stepper(p.unknowns, settings(schedule=None, half=4.0))
+    batch = gradients(p, np.random.default_rng(5))
+    for spent in (0.0, 0.1, 0.2, 0.6):
+        stepper.step(batch, spent)
+    rate = stepper.moments(0.9).rate
+    assert rate == {TEXTURE: pytest.approx(0.02 / 2), ROUGHNESS: pytest.approx(0.02 * 4 / 5)}
+    again = Stepper(p.unknowns, settings(schedule=None, half=4.0))
+    again.restore(*stepper.export())
+    assert again.moments(0.3).rate == pytest.approx({TEXTURE: 0.01, ROUGHNESS: 0})
+
+
+@pytest.mark.parametrize(
+    ("given", "own_rate", "at_half"),
+    [
+        ({}, None, 0.5),  # by steps
+        ({}, 0.01, 0.02**0.5),  # over the budget
+        ({"final": 0.25}, None, 0.5),
+        ({"final": 0.25}, 0.01, 0.5),
+        ({"schedule": "inverse", "half": 80.0}, 0.01, 2 / 3),
+        ({"schedule": "cosine"}, 0.01, 0.51),
+    ],
+)
+def test_what_falls_how_where_nothing_is_said(given, own_rate, at_half):
+    falling = OptimizerConfig(**given).falling(own_rate is not None)
+    assert falling(0.5, 40) == pytest.approx(at_half)
 
 
 def test_bad_settings_are_refused():
     p = problem({TEXTURE: 0.5})
-    for bad in ({"lr": 0.0}, {"beta_1": 1.0}, {"schedule": "cosin"}, {"final": 0.0}):
+    for bad in ({"lr": 0.0}, {"beta_1": 1.0}, {"schedule": "cosin"}, {"final": 0.0}, {"half": 0.0}):
         with pytest.raises(InputError, match=f"optimizer.{next(iter(bad))}"):
             Stepper(p.unknowns, settings(**bad))
 

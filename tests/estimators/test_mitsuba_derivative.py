@@ -7,9 +7,10 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
+import trimesh
 from blurred_gradients import BATCH, LEVEL, made, p_value, references_of, rows, unbiased
-from poses_for_tests import AT, blurred_problem, description
-from scenes_for_tests import without_targets
+from poses_for_tests import AT, COLOUR, PLACE, blurred_problem, description
+from scenes_for_tests import render_targets, without_targets
 from scipy import stats
 
 import isas_cli
@@ -17,6 +18,7 @@ from isas_cli import losses
 from isas_cli.config.schema import BlurConfig, PoseConfig, UnknownConfig
 from isas_cli.estimators.finite_differences import FiniteDifferences
 from isas_cli.estimators.mitsuba import WholeImages
+from isas_cli.rendering import convex
 from isas_cli.runtime.errors import InputError
 
 COUNT = 1500  # of estimates
@@ -108,6 +110,68 @@ def test_mitsubas_own_derivative_does_not_see_over_a_plateau():
     mean, error = plateau[:, 0].mean(), plateau[:, 0].std() / math.sqrt(len(plateau))
     print("slope", mean, "±", error)
     assert mean > 4 * error
+
+
+def lone_ball(*others: str):
+    """The ball under the sky alone, but for ``others`` of the description."""
+    scene = description()
+    for name in {"wall", "lamp"} - set(others):
+        del scene[name]
+    return moved(scene)
+
+
+def moved(scene: dict, **unknowns):
+    pose = PoseConfig(kind="translation", objects=["ball"], directions=[[1, 0, 0]], at=[0.2])
+    unknowns = unknowns or {PLACE: UnknownConfig(start=AT[0]), COLOUR: UnknownConfig(start=AT[1])}
+    return without_targets(scene, unknowns, {PLACE: pose} if PLACE in unknowns else None)
+
+
+@pytest.mark.parametrize(("others", "lost"), (((), False), (("wall",), True)))
+def test_what_is_convex_and_alone_has_no_silhouettes_by_way_of_others(monkeypatch, others, lost):
+    """Nothing is lost there: the same gradient, step by step. Beside a wall it is another one."""
+    p = lone_ball(*others)
+    render_targets(p, 64)
+    assert convex.alone(p) is not lost
+    found = []
+    for answer in (True, False):
+        monkeypatch.setattr(convex, "alone", lambda problem, answer=answer: answer)
+        found.append(rows(WholeImages(p, losses.L2(), 4 * BATCH), p, 3))
+    assert np.abs(found[0]).min() > 1e-5
+    assert np.allclose(*found, rtol=1e-3) is not lost
+
+
+@pytest.fixture(scope="module")
+def bodies(tmp_path_factory):
+    """Files of a convex mesh, a ring, two convex ones in one file, and half of one."""
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    half = ball.copy()
+    half.update_faces(half.triangles_center[:, 2] > 0)
+    made = {
+        "ball": ball,
+        "ring": trimesh.creation.torus(1.0, 0.3, 16, 8),
+        "two": trimesh.util.concatenate([ball, ball.copy().apply_translation([3, 0, 0])]),
+        "half": half,
+    }
+    folder = tmp_path_factory.mktemp("bodies")
+    for name, mesh in made.items():
+        mesh.export(folder / f"{name}.ply")
+    return folder
+
+
+@pytest.mark.parametrize("name", ("ball", "ring", "two", "half"))
+def test_meshes_are_asked_whether_they_are_convex(bodies, name):
+    scene = description()
+    del scene["wall"], scene["lamp"]
+    scene["ball"] = {"type": "ply", "filename": str(bodies / f"{name}.ply")}
+    assert convex.alone(moved(scene, **{PLACE: UnknownConfig(start=0.0)})) is (name == "ball")
+
+
+def test_a_convex_mesh_whose_vertices_are_unknown_may_not_stay_so(bodies):
+    scene = description()
+    del scene["wall"], scene["lamp"]
+    scene["ball"] = {"type": "ply", "filename": str(bodies / "ball.ply")}
+    p = moved(scene, **{"ball.vertices": UnknownConfig(start="sphere")})
+    assert not convex.alone(p)
 
 
 @pytest.mark.slow

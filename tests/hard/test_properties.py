@@ -89,7 +89,11 @@ def test_a_loss_is_least_at_its_target(loss):
     st.lists(st.floats(0, 1), min_size=2, max_size=8),
 )
 def test_a_schedule_falls_from_one_to_its_end(name, final, shares):
-    at = factor(name, final)
+    falling = factor(name, final, 14.0)
+
+    def at(share: float) -> float:
+        return falling(share, 3)
+
     values = [at(share) for share in sorted(shares)]
     assert all(a >= b - 1e-12 for a, b in zip(values, values[1:]))
     assert all(final * (1 - 1e-9) <= value <= 1 + 1e-12 for value in values)

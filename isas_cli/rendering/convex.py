@@ -1,0 +1,36 @@
+"""Whether what a scene has can be seen by way of another surface at all."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import mitsuba as mi
+import numpy as np
+
+from ..unknowns.poses import Pose
+
+if TYPE_CHECKING:
+    from ..scene.problem import Problem
+
+_CONVEX = ("Sphere", "Cube", "Rectangle", "Disk")
+
+
+def alone(problem: "Problem") -> bool:
+    """Whether one convex object is all there is, wherever its unknowns move it: what leaves its
+    surface does not meet it again, so that silhouettes are seen by the camera alone, and none in a
+    shadow or a reflection."""
+    shapes = problem.scene.shapes()
+    moving = [u.kind for u in problem.unknowns if u.kind.moves_geometry]
+    # A pose keeps what is convex so, if it moves all of it.
+    if len(shapes) != 1 or not all(isinstance(kind, Pose) and kind.parts == 1 for kind in moving):
+        return False
+    return shapes[0].class_name() in _CONVEX or (shapes[0].is_mesh() and _is_convex(shapes[0]))
+
+
+def _is_convex(mesh: mi.Mesh) -> bool:
+    import trimesh
+
+    positions = np.array(mesh.vertex_positions_buffer()).reshape(-1, 3)
+    faces = np.array(mesh.faces_buffer()).reshape(-1, 3)
+    welded = trimesh.Trimesh(positions, faces)
+    return bool(welded.is_watertight and welded.body_count == 1 and welded.is_convex)
