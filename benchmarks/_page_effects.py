@@ -162,9 +162,8 @@ def by_scene(table: pandas.DataFrame) -> pandas.DataFrame:
     of the default's, with the same seed, their geometric mean."""
     run = ["scene", "seconds", "seed"]
     usual = (table[SET] == DEFAULT).all(axis="columns")
-    of_default = table[usual].set_index(run)["parameter_rmse"]
-    key = pandas.MultiIndex.from_frame(table[run])
-    share = np.log(table["parameter_rmse"].to_numpy() / of_default.loc[key].to_numpy())
+    table = table.merge(table[usual][[*run, "parameter_rmse"]], on=run, suffixes=("", "_usual"))
+    share = np.log(table["parameter_rmse"] / table["parameter_rmse_usual"])
     ways = table.assign(share=share).groupby(["scene", "seconds", *SET], sort=False)
     found = ways.agg(share=("share", "mean"), seeds=("seed", "size")).reset_index()
     return found.assign(share=np.exp(found["share"]))
