@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pandas
 
+from isas_cli.config.schema import OptimizerConfig
+
 # What steps_or_paths.py sets, and what it is where nothing is said: pixels a step, factor on the
 # rates, how these fall, and to which share, and how slowly Adam's second moments forget.
 SET = ["batch", "factor", "schedule", "final", "beta_2"]
@@ -27,7 +29,7 @@ def facts(results: Path) -> dict:
     )
     return {
         "spending": _spending(spent),
-        "usual": dict(zip(SET, DEFAULT)),
+        "usual": {**dict(zip(SET, DEFAULT)), "half": OptimizerConfig().half},
         "across": auto,
         "scenes": scenes,
         "ladder": ladder,

@@ -49,6 +49,7 @@ BLENDS = (0.0, 0.6, 0.95)  # of start and truth
 SAMPLERS = ("uniform", "ours")
 FACTORS = (1.0, 2.0)
 SETTINGS = ["estimator.batch=16384", "target.spp=64", "evaluation.count=24", "effects=full"]
+SETTINGS += ["optimizer.schedule=exponential"]
 SETTINGS += ["evaluation.pixels=32768", "frames.views=0", "frames.snapshots=0", "report=false"]
 
 

@@ -33,6 +33,7 @@ MEASURES = (ERROR, "image_rmse", "iteration", "paths")
 METHODS = {name: {"sampler": name} for name in ("uniform", "ours", "progress")}
 METHODS[STOCK] = {"sampler": "mitsuba"}
 SETTINGS = ["estimator.batch=65536", "evaluation.count=24", "effects=full"]
+SETTINGS += ["optimizer.schedule=exponential"]
 SETTINGS += ["frames.views=0", "frames.snapshots=0", "report=false"]
 
 

@@ -57,6 +57,7 @@ SMOOTHING, WEIGHT = 0.02, 0.001
 BLUR = {"start": 0.05, "end": 0.005}
 FACTORS = (0.3, 1.0, 3.0, 10.0)  # of the scene's rates
 SETTINGS = ["estimator.batch=16384", "target.spp=256", "evaluation.count=24", "effects=full"]
+SETTINGS += ["optimizer.schedule=exponential"]
 SETTINGS += ["evaluation.pixels=32768", "frames.views=0", "frames.snapshots=0", "report=false"]
 # Where an image's noise is larger than what runs leave of its error.
 QUIET = ["evaluation.spp=16", "evaluation.count=12"]

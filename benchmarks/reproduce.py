@@ -40,6 +40,7 @@ RESULTS = Path(__file__).parent / "results"
 MEASURE = "parameter_rmse"
 COMMON = ["estimator.batch=16384", "target.spp=64", "evaluation.count=24"]
 COMMON += ["evaluation.pixels=32768", "frames.views=1", "frames.snapshots=0"]
+COMMON += ["optimizer.schedule=exponential"]
 COMMON += ["estimator.crossed=false"]  # the paper's estimator
 SAMPLERS = ("uniform", "relevant", "gradient", "ours", "progress")
 

@@ -3,7 +3,7 @@
 Everything as `isas run` has it by default (`sampler=progress`, `effects=auto`), but for the budget,
 targets of 64 paths a pixel, and what a way sets. On all scenes with an unknown texture; contestants
 take turns. Writes results/steps_or_paths.csv (a row per run) and steps_or_paths.png (final
-parameter error over that of the default with the same seed, the seeds' geometric mean, a line per
+parameter error over that of the default with the same seed, the seeds' geometric mean, a dot per
 scene). What is not raced again keeps its rows.
 
     .venv/bin/python benchmarks/steps_or_paths.py pottery bowl
@@ -86,6 +86,8 @@ def measured(
 
 def draw(table: pandas.DataFrame) -> None:
     table = by_scene(table)
+    if table.empty:  # nothing to compare with
+        return
     budgets = sorted(table["seconds"].unique())
     colours = dict(zip(TEXTURES, plt.get_cmap("tab20").colors))
     plt.rcParams.update({"lines.linewidth": 0.8, "lines.markersize": 3})
@@ -96,10 +98,11 @@ def draw(table: pandas.DataFrame) -> None:
         for scene, own in table[table["seconds"] == seconds].groupby("scene", sort=False):
             places = [WAYS.index(way) for way in own[SET].itertuples(index=False, name=None)]
             line = zip(*sorted(zip(places, own["share"].clip(*SHOWN))))
-            ax.plot(*line, "o-", label=scene, color=colours[scene])
+            ax.plot(*line, "o", label=scene, color=colours[scene])
         ax.axhline(1, color="0.7", lw=0.8, zorder=0)
         ax.set(title=f"{seconds:g} s", yscale="log")
-        ax.set_xticks(range(len(WAYS)), map(named, WAYS), fontsize=7)
+        labels = [named(way).replace(", ", "\n") for way in WAYS]
+        ax.set_xticks(range(len(WAYS)), labels, fontsize=6, rotation=45)
         ax.set_yticks(SHOWN + (1,), [f"{share:g}" for share in SHOWN + (1,)])
         ax.yaxis.set_minor_formatter(NullFormatter())
     known = {}

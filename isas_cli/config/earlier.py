@@ -16,6 +16,8 @@ def modern(config: dict[str, Any]) -> dict[str, Any]:
     the sampler that drew their pixels as ``base``. Modules have moved since as well.
     """
     config = _with_unknowns(config)
+    if isinstance(optimizer := config.get("optimizer"), dict) and "half" not in optimizer:
+        config = {**config, "optimizer": {**_OF_OPTIMIZER, **optimizer}}
     sampler, estimator = config.get("sampler"), config.get("estimator")
     if not isinstance(sampler, dict) or not isinstance(estimator or {}, dict):
         return config
@@ -56,6 +58,7 @@ def _with_unknowns(config: dict[str, Any]) -> dict[str, Any]:
     return {**config, "scene": {**scene, "unknowns": found}}
 
 
+_OF_OPTIMIZER = {"half": 40.0}
 _OF_UNKNOWNS = {"during": None, "schedule": None, "final": None, "prior": 1.0}
 # Before both paths of a pixel were differentiated.
 _ONE_WAY = {"two_path": {"crossed": False}}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.resources
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from typing import Any, Dict, List, Optional
 
@@ -82,10 +81,10 @@ class UnknownConfig:
     high], seed: n}``), legal range, own learning rate, and the blur of ``estimator=plateau``;
     ``during``: the shares of the budget between which it moves, [from, to], or several such stages,
     [from, to, from, to]; outside it keeps its value (None: it always moves); ``schedule`` and
-    ``final``: of its own rate, else the optimiser's; ``prior``: what the prior's weights are
-    multiplied with for it; ``levels``: of a grid or a mesh's vertices, how many resolutions it
-    passes through, each twice the last and for twice the time, or the shares of the budget at which
-    it doubles."""
+    ``final``: of its own rate, else as ``OptimizerConfig`` says; ``prior``: what the prior's
+    weights are multiplied with for it; ``levels``: of a grid or a mesh's vertices, how many
+    resolutions it passes through, each twice the last and for twice the time, or the shares of the
+    budget at which it doubles."""
 
     start: Any = None
     # How fast, and within which bounds, an unknown may move is the method's affair.
@@ -295,8 +294,9 @@ class BudgetConfig:
 class OptimizerConfig:
     """Adam. ``lr``: of unknowns without a rate of their own; ``factor``: on all rates, those too;
     ``schedule``: constant, cosine or exponential over the budget, down to ``final`` of the rates
-    (None: 0.02), or inverse, halved after ``half`` steps; None: inverse for unknowns without a rate
-    of their own, exponential for others, and for all where ``final`` is given;
+    (None: 0.02), or inverse, halved after ``half`` steps; None: inverse, but exponential for
+    unknowns that move objects, or whose blur, levels or stages follow the budget, and for all where
+    ``final`` is given;
     ``mask_updates``: leave entries alone whose gradient is exactly zero; ``smoothing``: of the
     gradients of maps and grids over their neighbours, a standard deviation as a share of the side,
     which shrinks as the rate does."""
@@ -322,17 +322,17 @@ class OptimizerConfig:
                 raise InputError(f"optimizer.{name}={getattr(self, name)}: must lie in [0, 1)")
         if not 0 <= self.smoothing < 0.25:
             raise InputError(f"optimizer.smoothing={self.smoothing}: must lie in [0, 0.25)")
-        self.falling()
+        factor(*self.falling(), self.half)
 
     def falling(
-        self, rated: bool = False, schedule: str | None = None, final: float | None = None
-    ) -> Callable[[float, int], float]:
-        """What the rate of an unknown is multiplied with, by share and steps: one that has
-        ``schedule`` and ``final`` of its own, and, where it is ``rated``, a rate."""
+        self, paced: bool = False, schedule: str | None = None, final: float | None = None
+    ) -> tuple[str, float]:
+        """How an unknown's rate falls, and to which share: of one with ``schedule`` and ``final``
+        of its own, and ``paced`` by the budget."""
         final = self.final if final is None else final
-        usual = "exponential" if rated or final is not None else "inverse"
-        end = 0.02 if final is None else final
-        return factor(schedule or self.schedule or usual, end, self.half)
+        usual = "exponential" if paced or final is not None else "inverse"
+        schedules = [each for each in (schedule, self.schedule, usual) if each is not None]
+        return schedules[0], 0.02 if final is None else final
 
 
 @dataclass

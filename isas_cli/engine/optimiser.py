@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import OptimizerConfig
+from ..runtime.schedule import BY_STEPS, factor
 from ..samplers.sampler import Moments
 from ..unknowns.parameters import as_numpy, flat, own, unflat
 from ..unknowns.unknowns import Unknown, Unknowns
@@ -81,10 +82,15 @@ class Stepper:
 
     def __init__(self, unknowns: Unknowns, settings: OptimizerConfig):
         self.unknowns, self.settings = unknowns, settings
-        self._usual = settings.falling()
-        self._own = {
-            u.key: settings.falling(u.lr is not None, u.schedule, u.final) for u in unknowns
+        schedules = {
+            u.key: settings.falling(u.paced or u.kind.moves_geometry, u.schedule, u.final)
+            for u in unknowns
         }
+        self._falling = {key: factor(*each, settings.half) for key, each in schedules.items()}
+        # Whether a larger budget would have changed the steps so far.
+        self.paced = any(name not in BY_STEPS for name, _ in schedules.values()) or any(
+            u.paced for u in unknowns
+        )
         self.scales = [dict.fromkeys(unknowns.keys, 1.0) for _ in unknowns.switches]
         self.restart()
 
@@ -98,7 +104,7 @@ class Stepper:
         for key, value in values.items():
             self.adam[key] = value
         self.nonfinite, self.touched = mi.UInt64(0), mi.UInt64(0)
-        self.moved = dict.fromkeys(self.unknowns.keys, 0)  # steps, by key, at coarser levels too
+        self.steps = 0  # at coarser levels too, unlike ``taken``
         # The steps that each entry has taken part in, for the moments' bias corrections.
         self.visits = {key: dr.zeros(mi.Float, dr.width(flat(values[key]))) for key in values}
         # Opaque: as literals they would be compiled into the first step.
@@ -141,10 +147,11 @@ class Stepper:
         return [key for key, visits in self.visits.items() if not dr.any(visits > 0)]
 
     def rate(self, spent: float) -> float:
-        """The learning rate of unknowns without rate and schedule of their own, at this share of
-        the budget."""
-        longest = max(self.moved.values())
-        return self.settings.lr * self.settings.factor * self._usual(spent, longest)
+        """The learning rate of unknowns without one of their own, at this share of the budget,
+        falling as the first of them says, or the first of all."""
+        unrated = [u.key for u in self.unknowns if u.lr is None]
+        first = (unrated or self.unknowns.keys)[0]
+        return self.settings.lr * self.settings.factor * self._fallen(first, spent)
 
     def _rate(self, unknown: Unknown, spent: float) -> float:
         """0 while it rests."""
@@ -153,7 +160,7 @@ class Stepper:
 
     def _fallen(self, key: str, spent: float) -> float:
         """What an unknown's rate is multiplied with at present."""
-        return self._own[key](spent, self.moved[key])
+        return self._falling[key](spent, self.steps)
 
     def step(self, gradients: dict, spent: float) -> None:
         """One Adam step along ``gradients`` (by key, any scale). Evaluates the new values."""
@@ -180,8 +187,7 @@ class Stepper:
         self.nonfinite += bad
         self.touched += touched
         self.adam.step(rates)
-        for key in rates:
-            self.moved[key] += 1
+        self.steps += 1
         for unknown in self.unknowns:
             if np.isfinite(unknown.low) or np.isfinite(unknown.high):
                 value = self.adam[unknown.key]
@@ -285,7 +291,7 @@ class Stepper:
         levels = {"level": self.level, "scales": self.scales}
         return arrays, {
             "steps": steps,
-            "moved": self.moved,
+            "all_steps": self.steps,
             "scale": self.scale,
             **levels,
             **counters,
@@ -304,7 +310,7 @@ class Stepper:
             self.adam.of(key).state[key] = value, promoted, rate, (steps, *moments, most)
             self.visits[key] = mi.Float(arrays[f"visits/{key}"])
         # Checkpoints of earlier versions lack it: no rate fell by steps.
-        self.moved = dict(state.get("moved", state["steps"]))
+        self.steps = state.get("all_steps", 0)
         self.nonfinite = mi.UInt64(state["nonfinite"])
         self.touched = mi.UInt64(state["touched"])
         dr.make_opaque(self.nonfinite, self.touched)

@@ -262,7 +262,7 @@ class Recorder:
         if not self.loop.evaluator.loss.linear:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
         for entry in self._resumed:
-            if entry.get("earlier_budget"):
+            if entry.get("earlier_budget") and self.loop.stepper.paced:
                 blurred = self.cfg.estimator.name == "plateau"
                 what = "the learning rate and the blurs' widths" if blurred else "the learning rate"
                 warnings.append(

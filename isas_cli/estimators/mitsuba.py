@@ -38,7 +38,7 @@ class Settings(Estimator):
     """``WholeImages``: Mitsuba's own derivative, by the scene's integrator, and where an unknown
     moves objects by ``prb_projective``. A baseline. ``silhouettes``: how those are sampled that are
     seen by way of other surfaces (shadows, reflections): octree (Mitsuba's default, by far the
-    dearest), grid, uniform, or direct: not at all, as where one convex object is all there is."""
+    dearest), grid, uniform, or direct: not at all."""
 
     name: ClassVar[str] = "mitsuba"
     plannable: ClassVar[bool] = False
@@ -81,10 +81,11 @@ class WholeImages:
     that are seen by way of other surfaces (shadows, reflections): guided by an ``octree``
     (Mitsuba's default) or a ``grid``, both built anew each step and far dearer than all the rest
     of it, ``uniform``, or not at all (``direct``: those alone that the camera sees, which is biased
-    where others move). The edge of a shadow that a light without extent throws (a point light) is
-    not differentiated, however silhouettes are sampled: no traced ray meets such a light. What
-    lies behind clear glass is reached by chance alone. What enters or leaves the image at its
-    border is not differentiated. Nothing is frozen: projective integrators cannot be.
+    where others move). Where one convex object is all there is, there are none, and it is
+    ``direct``, whatever is asked for. The edge of a shadow that a light without extent throws (a
+    point light) is not differentiated, however silhouettes are sampled: no traced ray meets such a
+    light. What lies behind clear glass is reached by chance alone. What enters or leaves the image
+    at its border is not differentiated. Nothing is frozen: projective integrators cannot be.
     """
 
     def __init__(

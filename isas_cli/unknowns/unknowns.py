@@ -21,8 +21,8 @@ class Unknown:
     None; ``during``: the shares of the budget at which it begins to move, rests, begins again, …;
     ``seen``: which entries some view sees (bool, same shape), filled in by ``coverage``;
     ``doubled``: the shares of the budget at which its resolution doubles until it is whole;
-    ``schedule``, ``final``: of its rate, or None for the optimiser's; ``prior``: a factor on the
-    prior's weights."""
+    ``schedule``, ``final``: of its rate, or None for what ``OptimizerConfig`` says; ``prior``: a
+    factor on the prior's weights."""
 
     kind: Kind
     start: np.ndarray
@@ -46,6 +46,11 @@ class Unknown:
     def scale(self) -> float:
         """The size, in the unknown's unit, of what it is added to in the scene."""
         return self.kind.scale
+
+    @property
+    def paced(self) -> bool:
+        """Whether its blur, levels or stages follow the budget."""
+        return self.blur is not None or bool(self.doubled) or self.during != (0.0, 1.0)
 
     def moves(self, spent: float) -> bool:
         """Whether it is optimised at this share of the budget."""

@@ -10,6 +10,7 @@ import pandas
 import pytest
 
 from isas_cli.config.compose import compose
+from isas_cli.config.schema import OptimizerConfig
 
 RENDERED = pages.rendered()
 NUMBERS = re.compile(r"\b(nan|inf|np\.)")
@@ -35,8 +36,8 @@ def test_pages_hold_no_number_that_is_none(path):
 
 def test_defaults_that_are_named_are_those_of_the_configuration():
     cfg = compose(["scene=pottery"])
-    rates = cfg.optimizer
-    own = cfg.estimator.batch, rates.factor, rates.schedule, rates.final
+    rates = OptimizerConfig()
+    own = cfg.estimator.batch, rates.factor, *rates.falling(), rates.beta_2
     assert own == _page_effects.DEFAULT
 
 

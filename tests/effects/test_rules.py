@@ -175,7 +175,7 @@ def test_a_convex_object_alone_is_done_with_two_edges():
 
 
 def test_lobes_that_are_off_are_not_there():
-    """Mitsuba's own rule, which materials rely on: a strength of 0 is no lobe to be drawn from."""
+    """A rule that needs no code here, as Mitsuba has it: a strength of 0 is no lobe."""
 
     def lobes(**strengths) -> int:
         return mi.load_dict({"type": "principled", **strengths}).component_count()

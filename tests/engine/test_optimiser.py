@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
-from isas_cli.config.schema import OptimizerConfig
+from isas_cli.config.schema import BlurConfig, OptimizerConfig
 from isas_cli.engine.optimiser import Stepper
 from isas_cli.runtime.budget import Budget
 from isas_cli.runtime.errors import InputError
@@ -162,34 +162,42 @@ def test_schedules_run_over_the_budget(schedule, at_start, half_way, at_end):
 
 
 def test_a_rate_that_falls_by_steps_knows_no_budget():
-    """And each unknown counts its own: one that begins late begins at its whole rate."""
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5})
-    p.unknowns[ROUGHNESS].during = 0.5, 1.0
     stepper = Stepper(p.unknowns, settings(schedule=None, half=4.0))
     batch = gradients(p, np.random.default_rng(5))
-    for spent in (0.0, 0.1, 0.2, 0.6):
-        stepper.step(batch, spent)
-    rate = stepper.moments(0.9).rate
-    assert rate == {TEXTURE: pytest.approx(0.02 / 2), ROUGHNESS: pytest.approx(0.02 * 4 / 5)}
+    for _ in range(4):
+        stepper.step(batch, 0.7)
+    halved = {TEXTURE: pytest.approx(0.01), ROUGHNESS: pytest.approx(0.01)}
+    assert stepper.moments(0.9).rate == halved and stepper.rate(0.9) == halved[TEXTURE]
     again = Stepper(p.unknowns, settings(schedule=None, half=4.0))
     again.restore(*stepper.export())
-    assert again.moments(0.3).rate == pytest.approx({TEXTURE: 0.01, ROUGHNESS: 0})
+    assert again.moments(0.3).rate == halved
+    assert not stepper.paced and Stepper(p.unknowns, settings(schedule="cosine")).paced
 
 
 @pytest.mark.parametrize(
-    ("given", "own_rate", "at_half"),
+    ("given", "own", "at_half"),
     [
-        ({}, None, 0.5),  # by steps
-        ({}, 0.01, 0.02**0.5),  # over the budget
-        ({"final": 0.25}, None, 0.5),
-        ({"final": 0.25}, 0.01, 0.5),
-        ({"schedule": "inverse", "half": 80.0}, 0.01, 2 / 3),
-        ({"schedule": "cosine"}, 0.01, 0.51),
+        ({}, {}, 0.5),  # by steps
+        ({}, {"lr": 0.02}, 0.5),
+        ({}, {"during": (0.1, 1.0)}, 0.02**0.5),  # over the budget
+        ({}, {"doubled": (0.2,)}, 0.02**0.5),
+        ({}, {"blur": BlurConfig(start=0.1, end=0.01)}, 0.02**0.5),
+        ({}, {"final": 0.04}, 0.2),
+        ({"final": 0.04}, {}, 0.2),
+        ({"final": 0.04}, {"final": 0.01}, 0.1),
+        ({"final": 0.04}, {"schedule": "inverse"}, 0.5),
+        ({"schedule": "inverse", "half": 80.0}, {"during": (0.1, 1.0)}, 2 / 3),
+        ({"schedule": "cosine"}, {}, 0.51),
     ],
 )
-def test_what_falls_how_where_nothing_is_said(given, own_rate, at_half):
-    falling = OptimizerConfig(**given).falling(own_rate is not None)
-    assert falling(0.5, 40) == pytest.approx(at_half)
+def test_what_falls_how_where_nothing_is_said(given, own, at_half):
+    p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5})
+    for name, value in own.items():
+        setattr(p.unknowns[ROUGHNESS], name, value)
+    stepper = Stepper(p.unknowns, OptimizerConfig(**given))
+    stepper.steps = 40
+    assert stepper.moments(0.5).rate[ROUGHNESS] == pytest.approx(0.02 * at_half)
 
 
 def test_bad_settings_are_refused():

@@ -104,7 +104,16 @@ def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(
     assert a.keys() == b.keys() and any(name.startswith("second/") for name in a)
     for name in a:
         assert np.array_equal(a[name], b[name]), name
-    for name in ("iteration", "paths", "touched", "nonfinite", "steps", "level", "scales"):
+    for name in (
+        "iteration",
+        "paths",
+        "touched",
+        "nonfinite",
+        "steps",
+        "all_steps",
+        "level",
+        "scales",
+    ):
         assert of_whole[name] == of_cut[name], name
     histories = [records.load(folder).history for folder in (whole, cut)]
     shared = [set(history["iteration"]) for history in histories]
@@ -123,7 +132,7 @@ def finished(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("finished") / "run"
     settings = ["scene=dodoco", "size=tiny", "estimator.batch=512", "frames.views=0"]
     settings += ["evaluation.pixels=64", "budget.iterations=4", f"hydra.run.dir={folder}"]
-    settings += ["sampler=uniform", "effects=full"]
+    settings += ["sampler=uniform", "effects=full", "optimizer.schedule=exponential"]
     assert app.main(["run", *settings]) == 0
     return folder
 
@@ -168,6 +177,22 @@ def test_a_larger_budget_goes_on_where_the_run_ended(finished, capsys):
     (warning,) = [text for text in after.summary["warnings"] if "iterations=4" in text]
     assert "the learning rate followed another schedule" in warning
     assert after.manifest["resumed"][0]["earlier_budget"] == "iterations=4"
+
+
+def test_where_rates_fall_by_steps_a_larger_budget_changes_nothing_before(tmp_path):
+    settings = ["scene=dodoco", "size=tiny", "estimator.batch=512", "frames.views=0"]
+    settings += ["evaluation.pixels=64", "sampler=uniform", "effects=full", "report=false"]
+    ends = []
+    for name, budgets in (("in two", (4, 9)), ("at once", (9,))):
+        folder = tmp_path / name
+        begun = ["run", *settings, f"budget.iterations={budgets[0]}", f"hydra.run.dir={folder}"]
+        assert app.main(begun) == 0
+        for budget in budgets[1:]:
+            assert app.main(["run", f"resume={folder}", f"budget.iterations={budget}"]) == 0
+        summary = records.load(folder).summary
+        assert not [text for text in summary["warnings"] if "schedule" in text]
+        ends.append(summary["final"]["parameter_rmse"])
+    assert ends[0] == pytest.approx(ends[1], rel=1e-4)
 
 
 def test_a_run_killed_while_its_pictures_were_made_is_completed(finished, tmp_path):

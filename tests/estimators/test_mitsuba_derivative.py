@@ -142,14 +142,17 @@ def test_what_is_convex_and_alone_has_no_silhouettes_by_way_of_others(monkeypatc
 
 @pytest.fixture(scope="module")
 def bodies(tmp_path_factory):
-    """Files of a convex mesh, a ring, two convex ones in one file, and half of one."""
+    """Files of a convex mesh, a ring, two convex ones in one file, two that touch, and half of
+    one."""
     ball = trimesh.creation.icosphere(subdivisions=2)
+    cube = trimesh.creation.box()
     half = ball.copy()
     half.update_faces(half.triangles_center[:, 2] > 0)
     made = {
         "ball": ball,
         "ring": trimesh.creation.torus(1.0, 0.3, 16, 8),
         "two": trimesh.util.concatenate([ball, ball.copy().apply_translation([3, 0, 0])]),
+        "touching": trimesh.util.concatenate([cube, cube.copy().apply_translation([1, 1, 1])]),
         "half": half,
     }
     folder = tmp_path_factory.mktemp("bodies")
@@ -158,12 +161,21 @@ def bodies(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("name", ("ball", "ring", "two", "half"))
+@pytest.mark.parametrize("name", ("ball", "ring", "two", "touching", "half"))
 def test_meshes_are_asked_whether_they_are_convex(bodies, name):
     scene = description()
     del scene["wall"], scene["lamp"]
     scene["ball"] = {"type": "ply", "filename": str(bodies / f"{name}.ply")}
     assert convex.alone(moved(scene, **{PLACE: UnknownConfig(start=0.0)})) is (name == "ball")
+
+
+@pytest.mark.parametrize("shape", ("cube", "rectangle", "disk", "cylinder"))
+def test_shapes_that_are_convex_by_their_name(shape):
+    scene = description()
+    del scene["wall"], scene["lamp"]
+    scene["ball"] = {"type": shape, "bsdf": scene["ball"]["bsdf"]}
+    p = moved(scene, **{COLOUR: UnknownConfig(start=0.5)})
+    assert convex.alone(p) is (shape != "cylinder")
 
 
 def test_a_convex_mesh_whose_vertices_are_unknown_may_not_stay_so(bodies):

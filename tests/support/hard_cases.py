@@ -41,7 +41,8 @@ SCENE = """<scene version="3.0.0">
 # The cheapest run that finds a number: what is hard is the case.
 SETTINGS = [
     *("scene=file", "sampler=uniform", "estimator.batch=1024", "budget.iterations=120"),
-    *("optimizer.lr=0.05", "target.spp=256", "evaluation.pixels=256", "evaluation.spp=16"),
+    *("optimizer.lr=0.05", "optimizer.schedule=exponential"),
+    *("target.spp=256", "evaluation.pixels=256", "evaluation.spp=16"),
     *("evaluation.count=4", "frames.views=0", "frames.snapshots=0", "report=false", "effects=full"),
 ]
 

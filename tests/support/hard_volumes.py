@@ -24,6 +24,7 @@ BOX = (
 )
 # A grid goes with fewer paths: it has many entries, and each is to end somewhere sound.
 SHORT = ("budget.iterations=60", "target.spp=64", "estimator.batch=512")
+SHORT += ("optimizer.schedule=exponential",)
 # Of cases whose paths meet ten thousand times as many collisions.
 FEW = ("budget.iterations=12", "target.spp=4", "estimator.batch=64", "evaluation.spp=2")
 
