@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pandas
 
-from isas_cli.config.schema import OptimizerConfig
-
 # What steps_or_paths.py sets, and what it is where nothing is said: pixels a step, factor on the
-# rates, how these fall, and to which share, and how slowly Adam's second moments forget.
-SET = ["batch", "factor", "schedule", "final", "beta_2"]
-DEFAULT = (65536, 1.0, "inverse", 0.02, 0.999)
+# rates, how these fall, to which share and by which steps, and how slowly Adam's second moments
+# forget.
+SET = ["batch", "factor", "schedule", "final", "half", "beta_2"]
+DEFAULT = (65536, 1.0, "inverse", 0.02, 40.0, 0.999)
 
 
 def facts(results: Path) -> dict:
@@ -29,7 +28,7 @@ def facts(results: Path) -> dict:
     )
     return {
         "spending": _spending(spent),
-        "usual": {**dict(zip(SET, DEFAULT)), "half": OptimizerConfig().half},
+        "usual": dict(zip(SET, DEFAULT)),
         "across": auto,
         "scenes": scenes,
         "ladder": ladder,
@@ -173,8 +172,9 @@ def by_scene(table: pandas.DataFrame) -> pandas.DataFrame:
 
 def named(way: tuple) -> str:
     """By what differs from the default."""
-    batch, factor, schedule, final, beta = way
-    words = f"{batch:,} pixels", f"rates × {factor:g}", schedule, f"to {final:g}", f"β₂ {beta:g}"
+    batch, factor, schedule, final, half, beta = way
+    words = [f"{batch:,} pixels", f"rates × {factor:g}", schedule, f"to {final:g}"]
+    words += [f"half after {half:g}", f"β₂ {beta:g}"]
     differ = [word for word, own, usual in zip(words, way, DEFAULT) if own != usual]
     return ", ".join(differ) or "default"
 

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import OptimizerConfig
-from ..runtime.schedule import BY_STEPS, factor
+from ..runtime.schedule import factor
 from ..samplers.sampler import Moments
 from ..unknowns.parameters import as_numpy, flat, own, unflat
 from ..unknowns.unknowns import Unknown, Unknowns
@@ -82,15 +82,15 @@ class Stepper:
 
     def __init__(self, unknowns: Unknowns, settings: OptimizerConfig):
         self.unknowns, self.settings = unknowns, settings
-        schedules = {
-            u.key: settings.falling(u.paced or u.kind.moves_geometry, u.schedule, u.final)
-            for u in unknowns
-        }
-        self._falling = {key: factor(*each, settings.half) for key, each in schedules.items()}
+        self._falling = {}
+        for u in unknowns:
+            # What moves keeps the schedule that scenes found its rates with.
+            paced = u.paced or u.kind.moves_geometry
+            how = settings.falling(paced, u.schedule, u.final)
+            self._falling[u.key] = factor(*how, settings.half)
+        ends = [(falls(0.0, 0), falls(1.0, 0)) for falls in self._falling.values()]
         # Whether a larger budget would have changed the steps so far.
-        self.paced = any(name not in BY_STEPS for name, _ in schedules.values()) or any(
-            u.paced for u in unknowns
-        )
+        self.paced = any(u.paced for u in unknowns) or any(a != b for a, b in ends)
         self.scales = [dict.fromkeys(unknowns.keys, 1.0) for _ in unknowns.switches]
         self.restart()
 
@@ -288,14 +288,8 @@ class Stepper:
             arrays[f"visits/{key}"] = np.array(self.visits[key])
             steps[key] = int(count[0])
         counters = {"nonfinite": int(self.nonfinite[0]), "touched": int(self.touched[0])}
-        levels = {"level": self.level, "scales": self.scales}
-        return arrays, {
-            "steps": steps,
-            "all_steps": self.steps,
-            "scale": self.scale,
-            **levels,
-            **counters,
-        }
+        levels = {"level": self.level, "scales": self.scales, "all_steps": self.steps}
+        return arrays, {"steps": steps, "scale": self.scale, **levels, **counters}
 
     def restore(self, arrays: dict[str, np.ndarray], state: dict) -> None:
         """Take over what ``export`` gave, to the last bit. KeyError where something is missing."""

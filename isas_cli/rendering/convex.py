@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 import mitsuba as mi
 import numpy as np
 
-from ..unknowns.poses import Pose
-
 if TYPE_CHECKING:
     from ..scene.problem import Problem
 
@@ -20,9 +18,8 @@ def alone(problem: "Problem") -> bool:
     surface does not meet it again, so that silhouettes are seen by the camera alone, and none in a
     shadow or a reflection."""
     shapes = problem.scene.shapes()
-    moving = [u.kind for u in problem.unknowns if u.kind.moves_geometry]
-    # A pose keeps what is convex so, if it moves all of it.
-    if len(shapes) != 1 or not all(isinstance(kind, Pose) and kind.parts == 1 for kind in moving):
+    kinds = [u.kind for u in problem.unknowns]
+    if len(shapes) != 1 or any(kind.moves_geometry and not kind.affine for kind in kinds):
         return False
     return shapes[0].class_name() in _CONVEX or (shapes[0].is_mesh() and _is_convex(shapes[0]))
 

@@ -12,7 +12,7 @@ _BY_SHARE: dict[str, Callable[[float, float], float]] = {
     "cosine": lambda t, final: final + (1 - final) * 0.5 * (1 + math.cos(math.pi * t)),
     "exponential": lambda t, final: final**t,
 }
-BY_STEPS: dict[str, Callable[[float], float]] = {"inverse": lambda n: 1 / (1 + n)}
+_BY_STEPS: dict[str, Callable[[float], float]] = {"inverse": lambda n: 1 / (1 + n)}
 
 
 def factor(
@@ -27,12 +27,12 @@ def factor(
     and Monro 1951). Raises InputError for other words and numbers; ``of``: before the settings'
     names there.
     """
-    if schedule not in (known := [*_BY_SHARE, *BY_STEPS]):
+    if schedule not in (known := [*_BY_SHARE, *_BY_STEPS]):
         raise InputError(f"{of}schedule={schedule}: {nearest(schedule, known)}")
     if not 0 < final <= 1:
         raise InputError(f"{of}final={final}: must lie in (0, 1]")
     if not half > 0:
         raise InputError(f"{of}half={half}: must be above 0, in steps")
-    if schedule in BY_STEPS:
-        return lambda t, n: BY_STEPS[schedule](n / half)
+    if schedule in _BY_STEPS:
+        return lambda t, n: _BY_STEPS[schedule](n / half)
     return lambda t, n: _BY_SHARE[schedule](t, final)

@@ -67,8 +67,9 @@ class Kind:
     is added to in the scene, whose rounding limits how finely it can be moved.
 
     ``moves_geometry``: whether it changes what is visible: path replay cannot differentiate it, and
-    no entry of it is ever judged unseen. ``hides``: whether its entries hide each other from view,
-    so that its value decides which are seen. ``axes``: (axis of the array, whether its last entry
+    no entry of it is ever judged unseen. ``affine``: whether it moves all of an object
+    alike, so that what is convex stays so. ``hides``: whether its entries hide each other from
+    view, so that its value decides which are seen. ``axes``: (axis of the array, whether its last entry
     is the first one's neighbour), for each axis along which neighbours are alike.
 
     ``order``: of those that write the same parameter, the lower comes first. ``settings``: what the
@@ -85,6 +86,7 @@ class Kind:
 
     name: ClassVar[str] = "parameter"
     moves_geometry: bool = False
+    affine: bool = False
     hides: bool = False
     period: float | None = None
     scale: float = 1.0

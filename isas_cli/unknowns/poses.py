@@ -114,6 +114,7 @@ class Pose(Kind):
             for id in self.ids:
                 _check_parts(where, id, self.parts, params)
         turns = spec.kind == "rotation"
+        self.affine = self.parts == 1
         self.each = len(spec.directions) if spec.kind == "translation" else 1
         at = np.zeros(self.each) if spec.at is None else np.asarray(spec.at, float)
         if at.shape not in ((self.each,), (self.size,)):

@@ -37,7 +37,7 @@ def test_pages_hold_no_number_that_is_none(path):
 def test_defaults_that_are_named_are_those_of_the_configuration():
     cfg = compose(["scene=pottery"])
     rates = OptimizerConfig()
-    own = cfg.estimator.batch, rates.factor, *rates.falling(), rates.beta_2
+    own = cfg.estimator.batch, rates.factor, *rates.falling(), rates.half, rates.beta_2
     assert own == _page_effects.DEFAULT
 
 

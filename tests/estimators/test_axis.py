@@ -147,6 +147,7 @@ def test_the_record_says_how_derivatives_are_taken():
             "type": "scene",
             "lamp": {"type": "point"},
             "mirror": {"type": "sphere", "bsdf": {"type": "conductor"}},
+            "floor": {"type": "rectangle"},
         }
     )
     moving = types.SimpleNamespace(
