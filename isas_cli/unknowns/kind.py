@@ -69,8 +69,8 @@ class Kind:
     ``moves_geometry``: whether it changes what is visible: path replay cannot differentiate it, and
     no entry of it is ever judged unseen. ``affine``: whether it moves all of an object
     alike, so that what is convex stays so. ``hides``: whether its entries hide each other from
-    view, so that its value decides which are seen. ``axes``: (axis of the array, whether its last entry
-    is the first one's neighbour), for each axis along which neighbours are alike.
+    view, so that its value decides which are seen. ``axes``: (axis of the array, whether its last
+    entry is the first one's neighbour), for each axis along which neighbours are alike.
 
     ``order``: of those that write the same parameter, the lower comes first. ``settings``: what the
     configuration says of it beside ``scene.unknowns``, in a text that changes as that does.
