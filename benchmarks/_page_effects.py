@@ -188,7 +188,7 @@ def _spending(table: pandas.DataFrame) -> list[dict]:
         row |= {"median": own["share"].median()}
         row |= {"least": own["share"].min(), "most": own["share"].max()}
         rows.append(row | {"better": int((own["share"] < 1).sum())})
-    return rows
+    return sorted(rows, key=lambda row: row["seconds"])
 
 
 def _row(row: dict, full: dict) -> dict:

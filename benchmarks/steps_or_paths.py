@@ -47,7 +47,7 @@ WAYS += [
         ("batch", DEFAULT[0] * 4),
     )
 ]
-WAYS += [(*DEFAULT[:4], half, DEFAULT[5]) for half in (20.0, 80.0)]
+WAYS += [(*DEFAULT[:4], 20.0, DEFAULT[5])]
 SETTINGS = ["evaluation.count=1", "frames.views=0", "frames.snapshots=0", "report=false"]
 SETTINGS += ["target.spp=64"]
 
