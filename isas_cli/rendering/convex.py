@@ -18,8 +18,10 @@ def alone(problem: "Problem") -> bool:
     surface does not meet it again, so that silhouettes are seen by the camera alone, and none in a
     shadow or a reflection."""
     shapes = problem.scene.shapes()
+    if len(shapes) != 1:
+        return False
     kinds = [u.kind for u in problem.unknowns]
-    if len(shapes) != 1 or any(kind.moves_geometry and not kind.affine for kind in kinds):
+    if any(kind.moves_geometry and not kind.affine for kind in kinds):
         return False
     return shapes[0].class_name() in _CONVEX or (shapes[0].is_mesh() and _is_convex(shapes[0]))
 
