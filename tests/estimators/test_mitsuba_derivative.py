@@ -112,24 +112,21 @@ def test_mitsubas_own_derivative_does_not_see_over_a_plateau():
     assert mean > 4 * error
 
 
-def lone_ball(*others: str):
-    """The ball under the sky alone, but for ``others`` of the description."""
+def under_a_sky(ball: dict | None = None, others=(), **unknowns):
+    """The ball alone, or what is given for it, but for ``others`` of the description."""
     scene = description()
     for name in {"wall", "lamp"} - set(others):
         del scene[name]
-    return moved(scene)
-
-
-def moved(scene: dict, **unknowns):
+    scene["ball"] = ball or scene["ball"]
+    unknowns = unknowns or {PLACE: AT[0], COLOUR: AT[1]}
     pose = PoseConfig(kind="translation", objects=["ball"], directions=[[1, 0, 0]], at=[0.2])
-    unknowns = unknowns or {PLACE: UnknownConfig(start=AT[0]), COLOUR: UnknownConfig(start=AT[1])}
     return without_targets(scene, unknowns, {PLACE: pose} if PLACE in unknowns else None)
 
 
 @pytest.mark.parametrize(("others", "lost"), (((), False), (("wall",), True)))
 def test_what_is_convex_and_alone_has_no_silhouettes_by_way_of_others(monkeypatch, others, lost):
     """Nothing is lost there: the same gradient, step by step. Beside a wall it is another one."""
-    p = lone_ball(*others)
+    p = under_a_sky(others=others)
     render_targets(p, 64)
     assert convex.alone(p) is not lost
     found = []
@@ -163,27 +160,20 @@ def bodies(tmp_path_factory):
 
 @pytest.mark.parametrize("name", ("ball", "ring", "two", "touching", "half"))
 def test_meshes_are_asked_whether_they_are_convex(bodies, name):
-    scene = description()
-    del scene["wall"], scene["lamp"]
-    scene["ball"] = {"type": "ply", "filename": str(bodies / f"{name}.ply")}
-    assert convex.alone(moved(scene, **{PLACE: UnknownConfig(start=0.0)})) is (name == "ball")
+    mesh = {"type": "ply", "filename": str(bodies / f"{name}.ply")}
+    assert convex.alone(under_a_sky(mesh, **{PLACE: 0.0})) is (name == "ball")
 
 
 @pytest.mark.parametrize("shape", ("cube", "rectangle", "disk", "cylinder"))
 def test_shapes_that_are_convex_by_their_name(shape):
-    scene = description()
-    del scene["wall"], scene["lamp"]
-    scene["ball"] = {"type": shape, "bsdf": scene["ball"]["bsdf"]}
-    p = moved(scene, **{COLOUR: UnknownConfig(start=0.5)})
-    assert convex.alone(p) is (shape != "cylinder")
+    found = {"type": shape, "bsdf": description()["ball"]["bsdf"]}
+    assert convex.alone(under_a_sky(found, **{COLOUR: 0.5})) is (shape != "cylinder")
 
 
 def test_a_convex_mesh_whose_vertices_are_unknown_may_not_stay_so(bodies):
-    scene = description()
-    del scene["wall"], scene["lamp"]
-    scene["ball"] = {"type": "ply", "filename": str(bodies / "ball.ply")}
-    p = moved(scene, **{"ball.vertices": UnknownConfig(start="sphere")})
-    assert not convex.alone(p)
+    mesh = {"type": "ply", "filename": str(bodies / "ball.ply")}
+    vertices = {"ball.vertices": UnknownConfig(start="sphere")}
+    assert not convex.alone(under_a_sky(mesh, **vertices))
 
 
 @pytest.mark.slow
