@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import SceneConfig, TargetConfig
-from ..rendering import coverage, integrators, light, targets
+from ..rendering import coverage, integrators, light, lobes, targets
 from ..runtime import backend
 from ..runtime.errors import InputError
 from ..scene import built, flat, mesh_checks, scene_file
@@ -68,7 +68,9 @@ def problem(
     found = parse(params, wanted, truth_known, scene.poses, of_views)
     written = {key for each in found for key in each.kind.writes}
     single = flat.reduce(mi.traverse(loaded), written)
-    adapted = integrators.adapt(integrator, _where(scene), loaded)
+    own = mi.traverse(loaded)
+    discrete = lobes.touched(loaded, [owner(own, key) for key in written if key in own])
+    adapted = integrators.adapt(integrator, _where(scene), loaded, discrete)
     lights_stay = not any(isinstance(owner(params, key), mi.Emitter) for key in written)
     light.prepare(loaded, adapted.cuts and adapted.samples_lights and lights_stay)
     unknowns = Unknowns(mi.traverse(loaded), found)

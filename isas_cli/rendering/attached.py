@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .light import by_chance, density_toward, gathered, mis_weight, sky_for
+from .lobes import Lobes, scattered
 
 # Paths up to this many edges are unrolled. Longer ones would cost compile time.
 LONGEST = 8
@@ -27,6 +28,7 @@ def radiance(
     draws: tuple[int, int] = (1, 1),
     caustics: bool = True,
     differentiated: int | None = None,
+    lobes: Lobes | None = None,
 ) -> mi.Spectrum:
     """Radiance of one path per ray, the derivative by materials and lights attached.
 
@@ -40,15 +42,16 @@ def radiance(
     later ones it is one. ``caustics``: with the light of ``light.by_chance``.
     ``differentiated``: edges of the longest paths whose derivatives are attached (None: all; 0: the
     radiance alone): call it with derivatives on (``dr.resume_grad``) and propagate from or to the
-    result. Geometry is not differentiated. Traced.
+    result. Geometry is not differentiated. ``lobes``: of materials with discrete lobes whose
+    parameters are differentiated by. Traced.
 
-    β: throughput so far, with the derivatives of all earlier BSDF values; L: radiance so far.
+    β: throughput so far, with the derivatives of all earlier BSDF values; L: radiance so far;
+    used: β as far as where paths go on is concerned, above 0 where only a derivative is left.
     """
-    context = mi.BSDFContext()
     L, β, η = mi.Spectrum(0), mi.Spectrum(1), mi.Float(1)
     sky = sky_for(scene, math.prod(draws))
     active, delta = mi.Bool(True), mi.Bool(True)
-    scattered = mi.Bool(False)
+    spread, used = mi.Bool(False), mi.Spectrum(1)
     pdf, count = mi.Float(1), 1
     differentiated = max_depth if differentiated is None else differentiated
     previous = dr.zeros(mi.SurfaceInteraction3f)
@@ -68,7 +71,7 @@ def radiance(
                 mis = mis_weight(pdf, count * of_light)
         with dr.suspend_grad(when=depth + 1 > differentiated):
             emitted = β * mis * ds.emitter.eval(si, active)
-        L += emitted if caustics else dr.select(by_chance(scattered, delta), 0, emitted)
+        L += emitted if caustics else dr.select(by_chance(spread, delta), 0, emitted)
         active &= si.is_valid()
         if depth + 1 == max_depth:
             break
@@ -84,24 +87,24 @@ def radiance(
 
         # ------------------ Detached BSDF sampling -------------------
         with dr.suspend_grad():
-            sample, weight = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), active)
-            next_ray = si.spawn_ray(si.to_world(sample.wo))
-            η *= sample.eta
-            most = dr.max(dr.detach(β) * weight)
+            drawn = scattered(lobes if differentiated else None, bsdf, si, sampler, active, attach)
+            next_ray = si.spawn_ray(si.to_world(drawn.wo))
+            η *= drawn.eta
+            used *= drawn.used
+            most = dr.max(used)
             active &= most != 0
             # Used or not: the stream stays in step with prb's.
-            number = sampler.next_1d()
+            number, survival = sampler.next_1d(), mi.Float(1)
             if depth >= rr_depth:
                 chance = dr.minimum(most * dr.square(η), 0.95)
                 active &= number < chance
-                weight = dr.select(active, weight * dr.rcp(chance), 0)
-        if attach:  # the sampled weight, with the derivative of the BSDF's value
-            weight = weight * dr.relative_grad(bsdf.eval(context, si, sample.wo, active))
-        β *= weight
+                survival = dr.select(active, dr.rcp(chance), 0)
+                used *= survival
+        β *= drawn.weight * survival + drawn.used * survival * (drawn.factor - 1)
 
         with dr.suspend_grad():
-            previous, pdf, ray = si, sample.pdf, next_ray
-            delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-            scattered |= ~delta
+            previous, pdf, ray = si, drawn.pdf, next_ray
+            delta = drawn.delta
+            spread |= ~delta
             hit = scene.ray_intersect_preliminary(ray, coherent=False, reorder=False, active=active)
     return L

@@ -26,6 +26,7 @@ import mitsuba as mi
 
 from ..runtime.errors import InputError
 from . import attached, replayed, volume
+from .lobes import Lobes
 
 # Mitsuba's class → what it simulates, and whether it differentiates in forward mode.
 _REPLAYED = {
@@ -209,16 +210,16 @@ class Surfaces(Integrator):
 
     cuts = True
 
-    def __init__(self, base: mi.Integrator, paths: Paths):
+    def __init__(self, base: mi.Integrator, paths: Paths, lobes: Lobes | None = None):
         super().__init__(base)
-        self.paths, self.max_depth = paths, paths.depth
+        self.paths, self.max_depth, self.lobes = paths, paths.depth, lobes
         self.rr_depth = _roulette(base, paths)
 
     def cut(self, paths: Paths) -> "Integrator":
-        return _surfaces(self.mitsuba, paths)
+        return _surfaces(self.mitsuba, paths, self.lobes)
 
     def deep(self, paths: Paths) -> "Integrator":
-        return Replayed(self.mitsuba, paths)
+        return Replayed(self.mitsuba, paths, self.lobes)
 
 
 class Unrolled(Surfaces, InOneGo):
@@ -226,8 +227,8 @@ class Unrolled(Surfaces, InOneGo):
 
     derivatives = "short paths unrolled and differentiated in one go"
 
-    def __init__(self, base: mi.Integrator, paths: Paths):
-        super().__init__(base, paths)
+    def __init__(self, base: mi.Integrator, paths: Paths, lobes: Lobes | None = None):
+        super().__init__(base, paths, lobes)
         self.crosses = paths.crossed and paths.lights[0] == paths.lights[1]
 
     def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, None]:
@@ -240,7 +241,9 @@ class Unrolled(Surfaces, InOneGo):
         paths = self.paths
         whole = paths.depth, self.rr_depth, paths.draws(False), paths.caustics, paths.derivative
         with dr.resume_grad():
-            found = [attached.radiance(scene, *path, *whole) for path in zip(samplers, rays)]
+            found = [
+                attached.radiance(scene, *path, *whole, self.lobes) for path in zip(samplers, rays)
+            ]
             with dr.suspend_grad():
                 weights = adjoints([dr.detach(radiance) for radiance in found])
             total = weights[1] * found[0] + weights[0] * found[1]
@@ -251,7 +254,7 @@ class Unrolled(Surfaces, InOneGo):
 
     def radiance(self, scene, sampler, ray) -> mi.Spectrum:
         own = self.paths.derivative, self.rr_depth, self.paths.draws(True), self.paths.caustics
-        return attached.radiance(scene, sampler, ray, *own)
+        return attached.radiance(scene, sampler, ray, *own, lobes=self.lobes)
 
 
 class Twice(Integrator):
@@ -285,7 +288,8 @@ class Replayed(Surfaces, Twice):
     def once(self, mode, scene, sampler, ray, differentiated, *more):
         depth = self.paths.derivative if differentiated else self.paths.depth
         own = depth, self.rr_depth, self.paths.draws(differentiated), self.paths.caustics
-        return replayed.trace(mode, scene, sampler, ray, *own, *more)
+        lobes = self.lobes if differentiated else None
+        return replayed.trace(mode, scene, sampler, ray, *own, *more, lobes=lobes)
 
 
 class Mixed(Surfaces):
@@ -293,9 +297,9 @@ class Mixed(Surfaces):
 
     derivatives = Unrolled.derivatives
 
-    def __init__(self, base: mi.Integrator, paths: Paths):
-        super().__init__(base, paths)
-        self._long, self._short = Replayed(base, paths), Unrolled(base, paths)
+    def __init__(self, base: mi.Integrator, paths: Paths, lobes: Lobes | None = None):
+        super().__init__(base, paths, lobes)
+        self._long, self._short = (kind(base, paths, lobes) for kind in (Replayed, Unrolled))
         self.primal = self._long.primal
         self.backward, self.forward = self._short.backward, self._short.forward
 
@@ -350,10 +354,14 @@ class Medium(Twice):
 
 
 def adapt(
-    base: mi.Integrator | None, where: str = "the scene", scene: mi.Scene | None = None
+    base: mi.Integrator | None,
+    where: str = "the scene",
+    scene: mi.Scene | None = None,
+    lobes: Lobes | None = None,
 ) -> Integrator:
-    """The face of a Mitsuba integrator, for ``scene`` where that is one's own to choose. Raises
-    InputError, naming ``where``, for one whose paths cannot be replayed here."""
+    """The face of a Mitsuba integrator, for ``scene`` where that is one's own to choose. ``lobes``:
+    of materials whose parameters are unknown. Raises InputError, naming ``where``, for one whose
+    paths cannot be replayed here."""
     if type(base).__name__ not in _REPLAYED:
         named = "no integrator" if base is None else f"the integrator {base.class_name()}"
         raise InputError(
@@ -374,7 +382,7 @@ def adapt(
             "surface, under a sky, and nothing else"
         )
     if replayed.handles(base):
-        return _surfaces(base, Paths(base.max_depth, base.max_depth))
+        return _surfaces(base, Paths(base.max_depth, base.max_depth), lobes)
     return Integrator(base)
 
 
@@ -382,6 +390,6 @@ def _roulette(base: mi.Integrator, paths: Paths) -> int:
     return base.rr_depth if paths.roulette is None else paths.roulette
 
 
-def _surfaces(base: mi.Integrator, paths: Paths) -> Surfaces:
+def _surfaces(base: mi.Integrator, paths: Paths, lobes: Lobes | None) -> Surfaces:
     primal, derivative = (attached.handles(each) for each in (paths.depth, paths.derivative))
-    return (Unrolled if primal else Mixed if derivative else Replayed)(base, paths)
+    return (Unrolled if primal else Mixed if derivative else Replayed)(base, paths, lobes)

@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .light import by_chance, density_toward, gathered, mis_weight, sky_for
+from .lobes import Lobes, scattered
 
 _ONCE = dr.ADFlag.ClearEdges | dr.ADFlag.ClearInterior
 
@@ -28,6 +29,7 @@ def trace(
     caustics: bool | mi.Bool = True,
     adjoint: mi.Spectrum | None = None,
     radiance: mi.Spectrum | None = None,
+    lobes: Lobes | None = None,
 ) -> mi.Spectrum:
     """Path replay backpropagation (Vicini et al. 2021, Alg. 2) of surfaces that do not move.
 
@@ -39,13 +41,13 @@ def trace(
     the same paths, from a primal pass with the same random numbers. ``draws``: samples of emitters
     at the first vertex, and directions that each is picked from; at later ones it is one.
     ``caustics``: with the light of ``light.by_chance``. This and ``max_depth`` may be opaque, so
-    that one kernel does for all. Returns the radiance, or in forward mode its derivative,
-    ``(3, N)``. Traced.
+    that one kernel does for all. ``lobes``: of materials with discrete lobes whose parameters are
+    differentiated by; a pass that is to be replayed needs the same. Returns the radiance, or in
+    forward mode its derivative, ``(3, N)``. Traced.
 
     L: radiance so far; in a replay, what the path still brings; β: throughput so far.
     """
     primal = mode == dr.ADMode.Primal
-    context = mi.BSDFContext()
     max_depth = mi.UInt32(max_depth)
     ray, sky = mi.Ray3f(dr.detach(ray)), sky_for(scene, math.prod(draws))
     hit = scene.ray_intersect_preliminary(ray, coherent=True, reorder=False, active=True)
@@ -73,11 +75,10 @@ def trace(
             own = emitted + dr.select(on, β * reflected, 0)
         L = L + own if primal else L - dr.detach(own)
 
-        sample, weight = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), on)
+        drawn = scattered(lobes, bsdf, si, sampler, on, not primal)
         if not primal:
             with dr.resume_grad():
-                value = bsdf.eval(context, si, sample.wo, on)
-                total = own + L * dr.relative_grad(value)
+                total = own + L * drawn.factor
                 if mode == dr.ADMode.Backward:
                     # Paths too short to reach any unknown have no derivative.
                     if dr.grad_enabled(total):
@@ -86,19 +87,19 @@ def trace(
                     # Tangents stay where they are: other vertices are traced after this one.
                     found = found + dr.forward_to(total, flags=_ONCE)
 
-        β = β * weight
-        η = η * sample.eta
+        β = β * drawn.used
+        η = η * drawn.eta
         most = dr.max(β)
         chance = dr.minimum(most * dr.square(η), 0.95)
         late = depth >= rr_depth
         β = dr.select(late, β * dr.rcp(chance), β)
         on &= (most != 0) & (~late | (sampler.next_1d() < chance))
-        next_ray = si.spawn_ray(si.to_world(sample.wo))
+        next_ray = si.spawn_ray(si.to_world(drawn.wo))
         hit = scene.ray_intersect_preliminary(next_ray, coherent=False, reorder=False, active=on)
-        delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        delta = drawn.delta
         previous = dr.detach(si, True)
         spread = tuple(each | ~delta for each in spread)
-        after = on, hit, next_ray, previous, sample.pdf, delta, spread, sampler
+        after = on, hit, next_ray, previous, drawn.pdf, delta, spread, sampler
         return L, found, β, η, depth + 1, *after
 
     state = (
