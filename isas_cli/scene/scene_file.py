@@ -9,11 +9,11 @@ from pathlib import Path
 
 import mitsuba as mi
 
+from ..runtime import backend
 from ..runtime.errors import InputError
-from . import (
-    file_checks,
-    phong,  # noqa: F401  (a BSDF that scenes may name)
-)
+from . import file_checks
+
+backend.plugin(f"{__package__}.phong")
 
 # Which replaying integrator stands for which of the file's.
 _REPLAY = {
@@ -114,8 +114,8 @@ def _unwrapped(state, path: str) -> list:
     if len(inner) != 1 and len(inner) < len(found):
         around = next(n.props.plugin_name() for n in found if n not in inner)
         raise InputError(
-            f"scene.path={path}: integrator '{around}' holds {len(inner)} integrators: give it one, "
-            f"which finds the radiance; valid: {', '.join(_REPLAY)}"
+            f"scene.path={path}: integrator '{around}' holds {len(inner)} integrators: give it "
+            f"one, which finds the radiance; valid: {', '.join(_REPLAY)}"
         )
     return inner
 
