@@ -15,9 +15,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .runtime import llvm
+
 if TYPE_CHECKING:
     from .records import Run
 
+llvm.prepare()
 __version__ = "0.1.0"
 __all__ = ["load", "run"]
 

@@ -32,7 +32,6 @@ def main(arguments: list[str]) -> int:
             phases = experiment.Phases(display)
             problem = experiment.built(typed, phases, [cfg])
             phases.begin("probe")
-            # Mitsuba's types exist only once the backend has started.
             from ..engine.workshop import plan_of
 
             plan = plan_of(problem, cfg, budget)

@@ -19,7 +19,6 @@ def main(folder: Path, output: Path | None) -> int:
     typed = schema.typed(cfg)
     with interrupt.prompt():
         backend.start(typed.variant, typed.threads)
-        # Mitsuba's types exist only once the backend has started.
         from ..scene import export
 
         path, told = export.write(typed.scene, arrays, output or folder / "result")

@@ -21,6 +21,7 @@ import numpy as np
 
 from ..rendering import rays
 from ..rendering.integrators import Paths
+from ..rendering.kernels import recorded
 from ..rendering.pixels import PixelDistribution, Tiles
 from ..runtime import streams
 from ..runtime.backend import sync
@@ -303,7 +304,7 @@ class Probe:
                 dr.eval(seen)
                 return seen
 
-        return dr.freeze(kernel)
+        return recorded(kernel, self.problem)
 
 
 def _some(entries: np.ndarray) -> np.ndarray:

@@ -12,10 +12,10 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import SceneConfig, TargetConfig
-from ..rendering import coverage, integrators, light, lobes, targets
+from ..rendering import coverage, integrators, light, lobes, targets, trial
 from ..runtime import backend
 from ..runtime.errors import InputError
-from ..scene import built, flat, mesh_checks, scene_file
+from ..scene import built, flat, lenses, mesh_checks, scene_file
 from ..scene.photos import building, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
@@ -78,7 +78,7 @@ def problem(
         scene.name,
         loaded,
         adapted,
-        dr.gather(mi.SensorPtr, loaded.sensors_dr(), dr.arange(mi.UInt32, len(sizes))),
+        lenses.of(loaded, range(len(sizes)), written),
         sizes,
         views,
         unknowns,
@@ -93,6 +93,8 @@ def problem(
         flat=single,
     )
     check(result)
+    if scene.path is not None:  # the builders' scenes hold nothing that would refuse
+        trial.look(result, _where(scene))
     if taken is not None:
         phase("targets")
         _take(taken, result, every)
@@ -126,10 +128,9 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
         )
     if not taken.held:
         return
-    others = dr.arange(mi.UInt32, len(taken.held)) + count
     held = replace(
         problem,
-        sensors=dr.gather(mi.SensorPtr, problem.scene.sensors_dr(), others),
+        sensors=lenses.of(problem.scene, range(count, count + len(taken.held))),
         film_sizes=sizes[count:],
         views=replace(Views.of(sizes[count:]), given=building.given(taken.held)),
         names=tuple(each.camera.name for each in taken.held),

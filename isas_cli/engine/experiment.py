@@ -121,7 +121,6 @@ class Phases:
 def built(typed: Config, phases: Phases, cfgs: Iterable[DictConfig] = ()) -> "Problem":
     """The problem of a configuration, its phases timed. Raises InputError before there are targets
     where the sampler of one of ``cfgs``, which are to run on it, cannot."""
-    # Mitsuba's types exist only once the backend has started.
     from . import assemble, footprint
 
     def check(problem: "Problem") -> None:
@@ -178,7 +177,6 @@ def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
             status = loop.run(recorder.hooks(stop))
         except NumericalError as error:
             recorder.close("numerical failure")
-            # Mitsuba's types exist only once the backend has started.
             from . import replay
 
             found = replay.again(loop, loop.position.iteration - 1)

@@ -126,10 +126,10 @@ class _Pass:
             dr.eval(view, column, row, pixel, probability)
             return pixel
 
-        self._draw = recorded(draw, freeze)
+        self._draw = recorded(draw, problem, freeze)
         # A frozen function evaluates all that its arguments hold, which nothing else does for a
         # scene: new values would be counted where they are first used.
-        self._evaluate = dr.freeze(lambda scene, one: one + 1)
+        self._evaluate = recorded(lambda scene, one: one + 1, None)
 
     def _settle(self) -> None:
         self._evaluate(self.loop.problem.scene, dr.opaque(mi.Float, 1))

@@ -24,6 +24,7 @@ from ..unknowns.parameters import as_numpy, flat, unflat
 from . import experiment, resumption
 from .display import Display
 from .loop import Loop
+from .workshop import Workshop
 
 # Pixels that are told apart, of as many as there are.
 _MOST = 5
@@ -76,9 +77,6 @@ def of(folder: Path, iteration: int | None = None) -> Replay:
         problem = experiment.built(typed, phases, [cfg])
         resumption.check_same(problem, machine, run.manifest, folder)
         phases.begin("replay")
-        # Mitsuba's types exist only once the backend has started.
-        from .workshop import Workshop
-
         loop = Workshop(problem).loop(cfg, typed, budget, run.manifest.get("plan"))
         try:
             loop.restore(arrays, state)

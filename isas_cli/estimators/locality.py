@@ -60,7 +60,8 @@ class Locality:
         self.problem, self.blur = problem, blur
         self._items = list(_items(problem, blur, batch))
         self._kernels = [
-            recorded(_kernel(batch, item.pose.parts, item.reach), freeze) for item in self._items
+            recorded(_kernel(batch, item.pose.parts, item.reach), problem, freeze)
+            for item in self._items
         ]
 
     def differences(self, θ: np.ndarray, pair: Pair, place: tuple, terms: mi.Float) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from ..rendering import convex
 from ..rendering.pixels import PixelDistribution
 from ..rendering.projective import projective
-from ..rendering.volume import Emission
+from ..rendering.volume import only_emits
 from ..runtime import streams
 from ..runtime.errors import InputError
 from ..samplers.sampler import Sampler
@@ -232,7 +232,7 @@ def _check_shapes(problem: "Problem") -> None:
 
 def _integrator(problem: "Problem", silhouettes: str) -> mi.Integrator:
     own = problem.integrator
-    if isinstance(own.mitsuba, Emission):
+    if only_emits(own.mitsuba):
         raise InputError(
             "estimator=mitsuba renders by Mitsuba's integrators, none of which has a medium that "
             "only emits and absorbs: take estimator=two_path"

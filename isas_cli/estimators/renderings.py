@@ -46,7 +46,7 @@ class Renderings:
         half: int = 1,
     ):
         self.problem, self.blur = problem, blur
-        wrap = partial(recorded, freeze=freeze)
+        wrap = partial(recorded, problem=problem, freeze=freeze)
         self._draw = wrap(_draw_kernel(batch))
         self.spp, self.half = spp, half
         self._trace = {

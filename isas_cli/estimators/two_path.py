@@ -174,7 +174,7 @@ class TwoPath:
                     motion.add(leaves[moved.key], view, slope, jitter[0])
                 lost[0] += sum(dr.count(each) for each in missed)
 
-        self._kernel = recorded(kernel, freeze, problem.unknowns.sizes)
+        self._kernel = recorded(kernel, problem, freeze)
 
     @property
     def paths_per_step(self) -> int:

@@ -20,6 +20,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..rendering.kernels import recorded
 from ..runtime.errors import InputError, nearest
 from ..unknowns.parameters import flat, unflat
 from ..unknowns.unknowns import Unknowns
@@ -170,7 +171,7 @@ class OnUnknowns:
 
     def __init__(self, prior: Prior, laid_out: dict[str, tuple], factors: dict[str, float]):
         self.prior, self.laid_out, self.factors = prior, laid_out, factors
-        self._slope = dr.freeze(self._traced_slope)
+        self._slope = recorded(self._traced_slope, None)
         self._found: dict[tuple, Neighbours] = {}
 
     def _around(self, key: str, value) -> Neighbours:

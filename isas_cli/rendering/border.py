@@ -33,7 +33,7 @@ class Border:
         return max(each.count for each in self._outlines.values())
 
     def _made(self, kernel, freeze: bool, *own) -> None:
-        self._kernel, self._own = recorded(kernel, freeze, self.problem.unknowns.sizes), own
+        self._kernel, self._own = recorded(kernel, self.problem, freeze), own
 
     @property
     def paths_per_step(self) -> int:

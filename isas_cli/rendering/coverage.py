@@ -18,6 +18,8 @@ from ..unknowns.kind import THRESHOLD, WELL_SEEN
 from ..unknowns.parameters import as_numpy
 from ..unknowns.unknowns import Unknown
 from . import rays
+from .integrators import Integrator
+from .kernels import recorded
 from .renderer import Renderer
 
 _LANES = 1 << 20
@@ -45,8 +47,7 @@ def fill_in(problem: Problem, seed: int) -> None:
     Raises InputError for an unknown that no view sees: nothing could be learnt about it. Where
     something moves that cannot be told, and all entries of such an unknown count.
     """
-    kinds = [u for u in problem.unknowns if u.kind.carried]
-    judged = [u for u in kinds if not u.kind.moves_geometry]
+    judged = replayed(problem)
     arrays = cached(_key(problem, seed), lambda: _judge(problem, judged, seed)) if judged else {}
     for unknown in problem.unknowns:
         unknown.seen = np.ones(unknown.start.shape, bool)
@@ -59,6 +60,12 @@ def fill_in(problem: Problem, seed: int) -> None:
                 f"scene.unknowns['{unknown.key}']: no view sees it, so no image can tell its "
                 "value; turn a camera towards it or take it off the list"
             )
+
+
+def replayed(problem: Problem) -> list[Unknown]:
+    """The unknowns that path replay differentiates by: what paths carry and no geometry moves."""
+    carried = [u for u in problem.unknowns if u.kind.carried]
+    return [u for u in carried if not u.kind.moves_geometry]
 
 
 def _key(problem: Problem, seed: int) -> str:
@@ -115,24 +122,15 @@ def measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[
     lanes = min(visited, _LANES)
     passes = -(-visited // lanes)
     samples = _SAMPLES if visited <= _LANES else 1
-    run = dr.freeze(_pass(problem, lanes))
+    run = Pass(problem, lanes)
     largest: dict[str, np.ndarray] = {}
     for signed in (False, True):
         unknowns.attach(unknowns.values_of(values))
         sums: dict[str, np.ndarray] = {}
         for i in range(passes * samples):
             chunk, stride = i % passes, total / visited
-            run(
-                problem.scene,
-                problem.sensors,
-                problem.views,
-                unknowns.leaves,
-                problem.mask,
-                dr.opaque(mi.UInt32, int(chunk * lanes * stride)),
-                dr.opaque(mi.Float64, stride),
-                dr.opaque(mi.UInt32, streams.seed(seed, 2 * i + signed, "coverage")),
-                dr.opaque(mi.Bool, signed),
-            )
+            own = streams.seed(seed, 2 * i + signed, "coverage")
+            run(int(chunk * lanes * stride), stride, own, signed)
             dr.sync_thread()
             for key, gradient in unknowns.taken().items():
                 if key in values:
@@ -162,21 +160,12 @@ def missed(
     counts = {key: max(entries.size, 1) for key, entries in left.items()}
     worst, number = 1.0, 0
     lanes = int(np.clip(_EACH * max(counts.values()), *_FIRST))
-    run, stride = dr.freeze(_pass(problem, lanes)), total / lanes
+    run, stride = Pass(problem, lanes), total / lanes
 
     def trace(number: int) -> None:
         unknowns.attach(unknowns.values_of(values))
-        run(
-            problem.scene,
-            problem.sensors,
-            problem.views,
-            unknowns.leaves,
-            problem.mask,
-            dr.opaque(mi.UInt32, int(np.random.default_rng(number).random() * stride)),
-            dr.opaque(mi.Float64, stride),
-            dr.opaque(mi.UInt32, streams.seed(0, number, "coverage")),
-            dr.opaque(mi.Bool, True),
-        )
+        first = int(np.random.default_rng(number).random() * stride)
+        run(first, stride, streams.seed(0, number, "coverage"), True)
         sync()
 
     for _ in range(_WARM_UP):
@@ -235,11 +224,23 @@ def unmoved(problem: Problem, cut: Problem) -> str | None:
     return key
 
 
-def _pass(problem: Problem, lanes: int):
-    """A function that adds derivatives of ``lanes`` pixels, ``stride`` apart, to the leaves'
-    gradients: all with weight 1, or ``signed``, each with a random sign."""
-    integrator = problem.integrator
+class Pass:
+    """Adds derivatives of ``lanes`` pixels, ``stride`` apart from the ``first``, to the leaves'
+    gradients (``Unknowns.attach`` first): all with weight 1, or ``signed``, each with a random
+    sign."""
 
+    def __init__(self, problem: Problem, lanes: int):
+        self.problem = problem
+        self._kernel = recorded(_kernel(problem.integrator, lanes), problem)
+
+    def __call__(self, first: int, stride: float, seed: int, signed: bool) -> None:
+        p = self.problem
+        opaque = dr.opaque(mi.UInt32, first), dr.opaque(mi.Float64, stride)
+        drawn = dr.opaque(mi.UInt32, seed), dr.opaque(mi.Bool, signed)
+        self._kernel(p.scene, p.sensors, p.views, p.unknowns.leaves, p.mask, *opaque, *drawn)
+
+
+def _kernel(integrator: Integrator, lanes: int):
     def kernel(scene, sensors, views, leaves, mask, first, stride, seed, signed):
         with dr.suspend_grad():
             chosen = first + mi.UInt32(mi.Float64(dr.arange(mi.UInt32, lanes)) * stride)

@@ -314,7 +314,7 @@ class Medium(Twice):
     def __init__(self, base: mi.Integrator, medium: mi.Medium, paths: Paths | None = None):
         super().__init__(base)
         self.medium, self.has_forward = medium, True
-        self.emits = isinstance(base, volume.Emission)
+        self.emits = volume.only_emits(base)
         self.cuts = not self.emits
         self.paths = paths or self.paths
         self.max_depth, self.rr_depth = self.paths.depth, _roulette(base, self.paths)
@@ -376,7 +376,7 @@ def adapt(
     medium = volume.medium_of(scene) if scene is not None and not base.hide_emitters else None
     if "media" in _REPLAYED[type(base).__name__][0] and medium is not None:
         return Medium(base, medium)
-    if isinstance(base, volume.Emission):
+    if volume.only_emits(base):
         raise InputError(
             f"{where}: the integrator emission is for one medium in a cube or sphere without a "
             "surface, under a sky, and nothing else"

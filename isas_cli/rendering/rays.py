@@ -5,11 +5,12 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
+from ..scene.lenses import Lenses
 from ..scene.views import Views
 
 
 def spawn(
-    sensors: mi.SensorPtr,
+    sensors: mi.SensorPtr | Lenses,
     views: Views,
     view: mi.UInt32,
     column: mi.UInt32,
@@ -27,7 +28,7 @@ def spawn(
 
 
 def through(
-    sensors: mi.SensorPtr,
+    sensors: mi.SensorPtr | Lenses,
     views: Views,
     view: mi.UInt32,
     column: mi.UInt32,
@@ -43,8 +44,11 @@ def through(
         (mi.Float(column) + within.x) / mi.Float(width),
         (mi.Float(row) + within.y) / mi.Float(height),
     )
-    sensor = dr.gather(mi.SensorPtr, sensors, view)
-    ray, weight = sensor.sample_ray_differential(0.0, 0.0, position, aperture)
+    if isinstance(sensors, Lenses):
+        ray, weight = sensors.rays(view, position, aperture)
+    else:
+        sensor = dr.gather(mi.SensorPtr, sensors, view)
+        ray, weight = sensor.sample_ray_differential(0.0, 0.0, position, aperture)
     weight = weight * views.brightness(view)
     if views.motion is not None:
         ray.o, ray.d = _moved(ray, dr.detach(views.motion), view)

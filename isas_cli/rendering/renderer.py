@@ -10,6 +10,7 @@ import numpy as np
 
 from ..scene.problem import Problem
 from . import rays
+from .kernels import recorded
 
 # Lanes per pass: large enough to fill the cores, small enough for a few hundred MB.
 _LANES = 1 << 20
@@ -44,7 +45,7 @@ class Renderer:
                 dr.eval(total, bad)
             return total, bad
 
-        self._kernel = dr.freeze(kernel)
+        self._kernel = recorded(kernel, problem)
 
     def pixels(
         self, pixel: mi.UInt32, spp: int, seed: Callable[[int], int], done=lambda paths: None

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
-from mitsuba.python.ad.integrators.common import RBIntegrator
+
+from ..runtime import backend
 
 # σ̄ over the medium's largest σ. Were they equal, a constant grid would never have a null collision,
 # and its derivative would lack these. And the least σ̄ times the shell's size, where a medium
@@ -18,23 +19,12 @@ from mitsuba.python.ad.integrators.common import RBIntegrator
 # variance smaller, and costs less than it saves up to here (benchmarks/majorant.py).
 _MARGIN, _FEWEST = 1.1, {"scatters": 8.0, "emits": 25.0}
 
-
-class Emission(RBIntegrator):
-    """Integrator "emission" of a scene's description: its medium emits and absorbs (``emitted``),
-    and the albedo is the radiance that it emits. Itself it renders nothing. ``strange``: what it
-    was given that means nothing to it."""
-
-    hide_emitters = False
-
-    def __init__(self, props: mi.Properties):
-        names = ("max_depth", "rr_depth", "hide_emitters")
-        strange = [name for name in names if name in props]
-        super().__init__(props)
-        self.strange = strange
-        self.max_depth, self.rr_depth = 1, 2**32 - 1  # nothing scatters
+backend.plugin(f"{__package__}.emission")
 
 
-mi.register_integrator("emission", Emission)
+def only_emits(integrator: mi.Integrator) -> bool:
+    """Whether it is ``emission.Emission``, for which there is ``emitted``."""
+    return type(integrator).__name__ == "Emission"
 
 
 def medium_of(scene: mi.Scene) -> mi.Medium | None:

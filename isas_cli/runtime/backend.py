@@ -1,13 +1,21 @@
-"""Starting Mitsuba: variant, LLVM library, threads. Nothing is imported before start().
+"""Starting Mitsuba: variant, LLVM library, threads.
 
-Every other module may `import mitsuba` inside functions or after start() only: Dr.Jit loads
-its LLVM library when it is first imported, once per process.
+Every module may `import mitsuba` at its top, and be imported before start(), in any order:
+
+- Dr.Jit loads its LLVM library when it is first imported, once per process. Whoever does that,
+  ``llvm.prepare`` finds the library for it.
+- Mitsuba's types exist only once there is a variant. Annotations do not need them, functions run
+  later, and modules whose classes derive from one are plugins (``plugin``), which start() imports.
+
+What a command imports before it has checked its settings does without Mitsuba all the same, whose
+import takes a second.
 """
 
 from __future__ import annotations
 
 import functools
 import glob
+import importlib
 import os
 import platform
 import subprocess
@@ -78,6 +86,8 @@ def start(variant: str = "auto", threads: int = 0) -> Backend:
         where = f"LLVM at {library.path}" if library else f"CUDA on {gpu}"
         raise InputError(f"variant={variant}: Dr.Jit cannot use {where} (its message is above)")
     mi.set_variant(variant)
+    while _waiting:
+        importlib.import_module(_waiting.pop())
     every = _every_thread()
     if dr.thread_count() != (threads or every):
         dr.set_thread_count(threads or every)
@@ -88,6 +98,20 @@ def start(variant: str = "auto", threads: int = 0) -> Backend:
         threads=dr.thread_count(),
         device=gpu or _cpu_name(),
     )
+
+
+_waiting: list[str] = []  # plugins
+
+
+def plugin(module: str) -> None:
+    """Have a module imported as soon as there is a variant: it adds to Mitsuba a plugin of isas's
+    own, whose class derives from one of Mitsuba's."""
+    import mitsuba as mi
+
+    if mi.variant() is None:
+        _waiting.append(module)
+    else:
+        importlib.import_module(module)
 
 
 @functools.cache
@@ -144,7 +168,7 @@ def _load_llvm() -> llvm.Library:
     library = llvm.find()
     current = os.environ.get(llvm.VARIABLE)
     if "drjit" in sys.modules and current != str(library.path):
-        raise RuntimeError("drjit was imported before backend.start(): it has loaded its LLVM")
+        raise RuntimeError("drjit was imported before isas_cli: it has loaded its LLVM")
     os.environ[llvm.VARIABLE] = str(library.path)
     return library
 

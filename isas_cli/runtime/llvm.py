@@ -10,7 +10,9 @@ system library.
 
 from __future__ import annotations
 
+import contextlib
 import glob
+import importlib.abc
 import importlib.metadata
 import os
 import re
@@ -84,6 +86,23 @@ def find() -> Library:
     if system is None:
         raise InputError(f"no LLVM library of version {OLDEST} or newer was found: {INSTALL}")
     return system
+
+
+def prepare() -> None:
+    """See to it that Dr.Jit, whenever it is first imported, and by whom, loads the library that
+    ``find`` finds. Where there is none it is left to itself: what needs one says so later."""
+    if "drjit" not in sys.modules and not any(isinstance(f, _First) for f in sys.meta_path):
+        sys.meta_path.insert(0, _First())
+
+
+class _First(importlib.abc.MetaPathFinder):
+    """Finds no module: it is asked before others are."""
+
+    def find_spec(self, name: str, path=None, target=None) -> None:
+        if name == "drjit":
+            sys.meta_path.remove(self)
+            with contextlib.suppress(InputError):
+                os.environ[VARIABLE] = str(find().path)
 
 
 def _from_user(path: Path) -> Library:

@@ -47,7 +47,7 @@ class Differences(Gradient):
 
     def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
         super().prepare(problem, loss, batch, freeze)
-        wrap = partial(recorded, freeze=freeze)
+        wrap = partial(recorded, problem=problem, freeze=freeze)
         samples = self.stage1.spp
         paths = 1 if self.smooth == "image" else 2
         self._trace = wrap(_trace_kernel(problem.integrator, samples, paths))

@@ -85,7 +85,7 @@ class Multiresolution(Sampler):
         def combine(weights, cells):
             return pyramid(weights, cells, [share**d for d in range(levels + 1)])
 
-        self._combine = recorded(combine, freeze)
+        self._combine = recorded(combine, problem, freeze)
 
     def resolution(self, problem, batch: int) -> int:
         return self.base.resolution(problem, batch)

@@ -121,7 +121,7 @@ class Sampler:
         def expand(weights, cells, tiles, floor):
             return PixelDistribution.from_weights(cells.upsample(weights, tiles), tiles, floor)
 
-        self._expand = recorded(expand, freeze)
+        self._expand = recorded(expand, problem, freeze)
 
     @property
     def name(self) -> str:

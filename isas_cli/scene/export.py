@@ -42,7 +42,7 @@ _COLOURS = ".base_color", ".reflectance", ".diffuse_reflectance", ".diffuse"
 # What tells its index of refraction as one inside and one outside.
 _REFRACTING = "dielectric", "roughdielectric", "thindielectric", "plastic", "roughplastic"
 # Plugins that Mitsuba has not: where they are registered, and what their files need.
-_OURS = {"phong": "isas_cli.scene.phong", "emission": "isas_cli.rendering.volume"}
+_OURS = {"phong": "isas_cli.scene.phong", "emission": "isas_cli.rendering.emission"}
 _NEEDS = {
     "phong": "after mitsuba.set_variant, import isas_cli.scene.phong, then load the scene",
     "emission": "isas alone renders it, with scene=file",

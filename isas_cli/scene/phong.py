@@ -6,7 +6,7 @@ r the mirror direction of ω_i. The paper names a roughness α beside the expone
 connect them; here they are by the usual relation of a Phong lobe to a microfacet one, in which
 α = 1 is n = 0. Parameters ``diffuse`` ρ_d, ``specular`` ρ_s and ``roughness`` α are textures,
 colours or numbers, and can be unknown. Energy is conserved where ρ_d + ρ_s ≤ 1. It reflects on the
-side of the normal alone.
+side of the normal alone. Importing it needs a variant (``backend.plugin``).
 """
 
 from __future__ import annotations

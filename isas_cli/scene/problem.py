@@ -13,7 +13,7 @@ from ..runtime.cache import digest
 from ..scene.views import Views
 from ..unknowns.parameters import own
 from ..unknowns.unknowns import Unknowns
-from . import weights
+from . import lenses, weights
 
 if TYPE_CHECKING:
     from ..rendering.integrators import Integrator
@@ -30,13 +30,13 @@ class Problem:
     ``kept``: where some views are left out (``only``), the numbers of the others;
     ``flat``: parameters that held pictures of one colour and now hold few texels;
     ``names``: of the views, where they have any; ``held_out``: the same with views of which nothing
-    is learnt, or None.
+    is learnt, or None; ``freezes``: whether Dr.Jit can record kernels that trace the scene.
     """
 
     name: str
     scene: mi.Scene
     integrator: "Integrator"
-    sensors: mi.SensorPtr
+    sensors: mi.SensorPtr | lenses.Lenses
     film_sizes: list[tuple[int, int]]
     views: Views
     unknowns: Unknowns
@@ -50,6 +50,7 @@ class Problem:
     flat: list[str] = field(default_factory=list)
     names: tuple[str, ...] = ()
     held_out: "Problem | None" = None
+    freezes: bool = True
 
     @property
     def truth_known(self) -> bool:
@@ -82,7 +83,7 @@ class Problem:
         sizes = [self.film_sizes[view] for view in views]
         return replace(
             self,
-            sensors=dr.gather(mi.SensorPtr, self.sensors, mi.UInt32(views)),
+            sensors=lenses.only(self.sensors, mi.UInt32(views)),
             film_sizes=sizes,
             views=Views.of(sizes),
             targets=dr.ravel(dr.gather(mi.Color3f, self.targets, pixels)),

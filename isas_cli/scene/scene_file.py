@@ -9,11 +9,11 @@ from pathlib import Path
 
 import mitsuba as mi
 
+from ..runtime import backend
 from ..runtime.errors import InputError
-from . import (
-    file_checks,
-    phong,  # noqa: F401  (a BSDF that scenes may name)
-)
+from . import file_checks
+
+backend.plugin(f"{__package__}.phong")
 
 # Which replaying integrator stands for which of the file's.
 _REPLAY = {
@@ -28,6 +28,8 @@ _REPLAY = {
     "prbvolpath": ("prbvolpath", 6),
     "emission": ("emission", None),
 }
+# Integrators that hand on what one inside them finds, and add channels of their own.
+_WRAPPERS = ("aov", "moment", "stokes")
 _DIRECT = 2  # camera, surface, light: whatever the file says
 
 
@@ -104,12 +106,24 @@ def _properties(described: dict) -> mi.Properties:
     return found
 
 
+def _unwrapped(state, path: str) -> list:
+    """The file's integrators without those around them. Raises InputError where they do not hold
+    exactly one."""
+    found = [node for node in state.nodes if node.type == mi.ObjectType.Integrator]
+    inner = [node for node in found if node.props.plugin_name() not in _WRAPPERS]
+    if len(inner) != 1 and len(inner) < len(found):
+        around = next(n.props.plugin_name() for n in found if n not in inner)
+        raise InputError(
+            f"scene.path={path}: integrator '{around}' holds {len(inner)} integrators: give it "
+            f"one, which finds the radiance; valid: {', '.join(_REPLAY)}"
+        )
+    return inner
+
+
 def _integrator(state, path: str, max_depth: int | None) -> dict:
     """Described as for ``mi.load_dict``."""
     described = {"type": "prb"}
-    for node in state.nodes:
-        if node.type != mi.ObjectType.Integrator:
-            continue
+    for node in _unwrapped(state, path):
         kind = node.props.plugin_name()
         if kind not in _REPLAY:
             raise InputError(

@@ -172,6 +172,34 @@ def test_a_late_start_is_a_defect_not_an_input_error(usable, monkeypatch):
         backend.start("llvm_ad_rgb")
 
 
+def test_every_module_can_be_imported_before_mitsuba_is_started(usable):
+    """In a process of its own, where nothing has told Dr.Jit which LLVM to load."""
+    code = """
+import importlib, pathlib, sys
+import isas_cli
+from isas_cli.runtime import backend, llvm
+root = pathlib.Path(isas_cli.__file__).parent
+plugins = {"isas_cli.scene.phong", "isas_cli.rendering.emission"}
+for path in sorted(root.rglob("*.py")):
+    name = ".".join(path.relative_to(root.parent).with_suffix("").parts)
+    if path.name != "__main__.py" and name not in plugins:
+        importlib.import_module(name.removesuffix(".__init__"))
+import mitsuba as mi
+assert mi.variant() is None and not plugins & set(sys.modules)
+machine = backend.start("llvm_ad_rgb")
+assert plugins <= set(sys.modules)
+assert machine.llvm_path == llvm.find().path
+mapped = {line.split()[-1] for line in open("/proc/self/maps") if "libLLVM" in line}
+assert {str(machine.llvm_path.resolve())} == mapped, mapped
+assert mi.load_dict({"type": "phong"}) is not None
+"""
+    environment = {k: v for k, v in os.environ.items() if k != llvm.VARIABLE}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment
+    )
+    assert done.returncode == 0, done.stderr
+
+
 def test_importing_the_backend_imports_no_mitsuba():
     code = "import sys, isas_cli.runtime.backend, isas_cli.cli.doctor; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

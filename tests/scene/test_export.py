@@ -16,7 +16,7 @@ from isas_cli.config.compose import compose, translate
 from isas_cli.config.schema import PoseConfig, SceneConfig, TargetConfig, UnknownConfig
 from isas_cli.engine import assemble
 from isas_cli.rendering import rays
-from isas_cli.rendering.volume import Emission
+from isas_cli.rendering.emission import Emission
 from isas_cli.runtime import backend, images
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene import built, export, scene_file

@@ -38,8 +38,8 @@ class PerPath:
                 dr.eval(found)
                 return found
 
-        self._derivative = recorded(derivative, True, p.unknowns.sizes)
-        self._residual = recorded(residual, True, p.unknowns.sizes)
+        self._derivative = recorded(derivative, p)
+        self._residual = recorded(residual, p)
 
     def derivatives(self, base: int, iteration: int, purpose: str = "stage1_adjoint") -> np.ndarray:
         """∂I/∂θ_k by one forward pass per unknown entry with that entry's unit tangent:

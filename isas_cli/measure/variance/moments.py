@@ -93,8 +93,7 @@ def measure(
     half = max(1, paths // 2)
     copies = max(1, min(_LANES // tiles.count, half // _TANGENTS))
     passes = -(-half // copies)
-    kernel = _kernel(problem, loss, copies)
-    kernel = recorded(kernel, freeze)
+    kernel = recorded(_kernel(problem, loss, copies), problem, freeze)
     halves = []
     for which in (0, 1):
         sums = [dr.zeros(mi.Float, tiles.count) for _ in range(2 * len(_PAIRS))]

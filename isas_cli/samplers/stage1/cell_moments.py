@@ -32,7 +32,7 @@ class Stage1:
 
     def __init__(self, problem: Problem, loss, cells: Cells, samples: int, freeze: bool = True):
         self.problem, self.cells, self.samples = problem, cells, samples
-        wrap = partial(recorded, freeze=freeze, sizes=problem.unknowns.sizes)
+        wrap = partial(recorded, problem=problem, freeze=freeze)
         self._residual = wrap(_residual_kernel(problem.integrator, loss, samples))
         self._derivative = wrap(_derivative_kernel(problem.integrator, samples))
         self._sensitivity = wrap(_sensitivity_kernel(problem.integrator, samples))

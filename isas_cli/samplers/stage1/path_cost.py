@@ -34,7 +34,7 @@ class PathCost:
                 dr.eval(mean)
                 return mean
 
-        self._kernel = recorded(kernel, freeze)
+        self._kernel = recorded(kernel, problem, freeze)
 
     def __call__(self, seed: int, iteration: int) -> mi.Float:
         """Work per path of every cell, ``(C,) float32``, at the scene's present values."""

@@ -53,7 +53,7 @@ class Product:
                 dr.eval(mean)
                 return mean
 
-        self._kernel = recorded(kernel, freeze, problem.unknowns.sizes)
+        self._kernel = recorded(kernel, problem, freeze)
 
     def along(self, values: dict, tangents: dict, seed: int, iteration: int) -> mi.Float:
         """Mean of (Σ_c ⟨∂ℒ/∂I⟩_c ⟨dI_c/dθ⟩·tangent)² per cell at ``values``."""

@@ -1,0 +1,81 @@
+"""Whether Dr.Jit can freeze kernels that trace a scene, found out by trying."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+
+from ..runtime.backend import sync
+from ..runtime.errors import InputError
+from ..scene.problem import Problem
+from .coverage import Pass, replayed
+from .renderer import Renderer
+
+_LANES = 64
+_CALLS = 3  # the first records, the second may again, the third runs what was recorded
+
+
+def look(problem: Problem, where: str) -> None:
+    """Set ``problem.freezes`` by tracing a few of its pixels, with derivatives, and warn of what it
+    costs where it is False. Leaves the unknowns at their starts; ``where`` names the scene.
+
+    Dr.Jit records the arrays that it finds in a kernel's arguments. Some of Mitsuba's plugins show
+    it none of theirs, and what uses them raises, often when the whole kernel has run: gradients
+    have been added to and cannot be had back. So nothing is tried that counts. The kernel is traced
+    without being frozen first, as some plugins make arrays when they are first used, which are in
+    place then.
+
+    Raises InputError where not even that works: Mitsuba cannot trace the scene.
+    """
+    unknowns = problem.unknowns
+    differentiated = {u.key: u.start for u in replayed(problem)}
+
+    def seconds(tried: Problem) -> float:
+        """Of the quickest of a few calls."""
+        run, spent = _traced(tried, bool(differentiated)), []
+        for _ in range(_CALLS):
+            unknowns.attach(unknowns.values_of(differentiated))
+            sync()
+            begun = time.perf_counter()
+            run()
+            sync()
+            spent.append(time.perf_counter() - begun)
+        return min(spent)
+
+    unknowns.write(unknowns.starts())
+    try:
+        anew = seconds(replace(problem, freezes=False))
+    except RuntimeError as error:
+        raise InputError(
+            f"{where}: Mitsuba cannot trace paths through it: {_first_line(error)}"
+        ) from error
+    try:
+        seconds(problem)
+    except RuntimeError:
+        problem.freezes = False
+        problem.warnings.append(
+            "Dr.Jit cannot freeze kernels for a plugin of this scene: every pass is traced anew, "
+            f"which is billed, about {max(1, round(1000 * anew))} ms each"
+        )
+    finally:
+        unknowns.write(unknowns.starts())
+
+
+def _traced(problem: Problem, differentiated: bool) -> Callable[[], None]:
+    if differentiated:
+        run, apart = Pass(problem, _LANES), problem.views.total / _LANES
+        return lambda: run(0, apart, 0, False)
+    renderer = Renderer(problem)
+    pixel = dr.arange(mi.UInt32, min(_LANES, problem.views.total))
+    return lambda: renderer.pixels(pixel, 1, lambda sample: sample)
+
+
+def _first_line(error: BaseException) -> str:
+    """Of what was said first in a chain of errors."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return str(error).strip().splitlines()[0]
