@@ -15,7 +15,7 @@ def main(folder: Path, output: Path | None) -> int:
     InputError; returns 0."""
     run = records.load(folder)
     arrays = run.parameters()
-    cfg, _ = resumption.configuration(folder, run.config, {})
+    cfg, _ = resumption.configuration(folder, run, {})
     typed = schema.typed(cfg)
     with interrupt.prompt():
         backend.start(typed.variant, typed.threads)

@@ -192,6 +192,9 @@ class Stepper:
             if np.isfinite(unknown.low) or np.isfinite(unknown.high):
                 value = self.adam[unknown.key]
                 self.adam[unknown.key] = dr.clip(dr.detach(value), unknown.low, unknown.high)
+            value = dr.detach(self.adam[unknown.key])
+            if (projected := unknown.kind.projected(value)) is not value:
+                self.adam[unknown.key] = projected
         dr.eval(self.adam.state, self.nonfinite, self.touched, self.visits)
 
     def _along(self, key: str, gradient) -> np.ndarray:

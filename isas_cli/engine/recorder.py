@@ -61,7 +61,7 @@ class Recorder:
         loop, typed = self.loop, self.typed
         with loop.clock.unbilled("writing"):
             self._take(RunWriter(self.folder, overwrite=typed.overwrite))
-            self._config()
+            self._config(self.cfg)
             self.writer.manifest(
                 manifest.describe(
                     machine,
@@ -92,7 +92,7 @@ class Recorder:
             rows = self.writer.rows
             if rows:
                 self._first, loop.last = rows[0], rows[-1]
-            self._config()
+            self._config(earlier.recorded)
             entry = manifest.continuation(
                 machine, state["iteration"], loop.clock.seconds, earlier.earlier_budget
             )
@@ -124,8 +124,8 @@ class Recorder:
             self._renderer,
         )
 
-    def _config(self) -> None:
-        self.writer.config(OmegaConf.to_yaml(self.cfg, resolve=True))
+    def _config(self, cfg: DictConfig) -> None:
+        self.writer.config(OmegaConf.to_yaml(cfg, resolve=True))
 
     def hooks(self, stop) -> Hooks:
         return Hooks(self._evaluated, self._stepped, stop)

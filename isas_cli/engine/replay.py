@@ -69,7 +69,7 @@ def of(folder: Path, iteration: int | None = None) -> Replay:
     Raises InputError where there is no such run or its scene has changed since."""
     run = records.load(folder)
     arrays, state = records.load_checkpoint(folder)
-    cfg, _ = resumption.configuration(folder, run.config, {})
+    cfg, _ = resumption.configuration(folder, run, {})
     typed, budget = experiment.checked(cfg)
     machine = experiment.started([cfg], typed)
     with Display(budget) as display:

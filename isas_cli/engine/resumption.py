@@ -14,10 +14,10 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from .. import records
-from ..config import schema
+from ..config import paths, schema
 from ..config.roles import meaning, resuming
 from ..config.schema import Config
-from ..records import manifest
+from ..records import Run, manifest
 from ..records.files import RELATIVE
 from ..runtime.budget import Budget
 from ..runtime.errors import InputError
@@ -55,11 +55,13 @@ class Spent(InputError):
 
 @dataclass(frozen=True)
 class Continuation:
-    """A run to go on with: its configuration as changed, its manifest, the budget it had so far
-    where that has changed, and its checkpoint."""
+    """A run to go on with: its configuration as changed, with files where they are found from
+    here, and as it is recorded; its manifest, the budget it had so far where that has changed, and
+    its checkpoint."""
 
     folder: Path
     cfg: DictConfig
+    recorded: DictConfig
     manifest: dict
     earlier_budget: str | None
     arrays: dict[str, np.ndarray]
@@ -76,7 +78,7 @@ def prepare(folder: Path, changes: dict) -> Continuation:
     run = records.load(folder)
     if manifest.alive(run.manifest):
         raise InputError(f"{folder} is still being written: its process has not ended")
-    cfg, before = configuration(folder, run.config, changes)
+    cfg, before = configuration(folder, run, changes)
     arrays, state = records.load_checkpoint(folder)
     budget = _budget(cfg)
     spent = (sum(state["billed"].values()), state["iteration"], state["paths"])
@@ -86,7 +88,8 @@ def prepare(folder: Path, changes: dict) -> Continuation:
         # Going on would drop the rows after the checkpoint and make none of them again.
         raise InputError(f"{folder}: more than that is spent: {_larger(budget, *spent)}")
     earlier = None if before == budget else str(before)
-    return Continuation(folder, cfg, run.manifest, earlier, arrays, state)
+    recorded = changed(_read(run.config), changes)
+    return Continuation(folder, cfg, recorded, run.manifest, earlier, arrays, state)
 
 
 def _larger(budget: Budget, seconds: float, iterations: int, paths: int) -> str:
@@ -107,17 +110,23 @@ def _budget(cfg: DictConfig) -> Budget:
     return Budget(cfg.budget.seconds, cfg.budget.iterations, cfg.budget.paths)
 
 
-def configuration(folder: Path, recorded: dict, changes: dict) -> tuple[DictConfig, Budget]:
-    """The configuration ``recorded`` in ``folder``, as changed, and the budget before that."""
+def configuration(folder: Path, run: Run, changes: dict) -> tuple[DictConfig, Budget]:
+    """The configuration of the ``run`` recorded in ``folder``, as changed, with files where they
+    are found from here, and the budget before that."""
     try:
-        cfg = OmegaConf.merge(OmegaConf.structured(Config), recorded)
+        cfg = _read(run.config)
         before = _budget(cfg)
         schema.typed(cfg)
     # The latter two: a number beyond all floats, and what is nested too deeply.
     except (OmegaConfBaseException, OverflowError, RecursionError) as error:
         reason = str(error).split("\n")[0]
         raise InputError(f"{folder}/config.yaml does not give a run: {reason}") from error
+    paths.locate(cfg, run.manifest.get("folder"))
     return changed(cfg, changes), before
+
+
+def _read(recorded: dict) -> DictConfig:
+    return OmegaConf.merge(OmegaConf.structured(Config), recorded)
 
 
 def changed(cfg: DictConfig, changes: dict) -> DictConfig:

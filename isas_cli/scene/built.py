@@ -12,6 +12,7 @@ import mitsuba as mi
 from ..config.schema import SceneConfig
 from ..runtime import allowed
 from ..runtime.errors import InputError, nearest
+from . import instances
 from .photos import building
 from .photos.photographs import Photographs
 
@@ -32,7 +33,9 @@ def description(scene: SceneConfig, taken: Photographs | None = None) -> dict[st
 
 def load(dictionary: dict[str, Any]) -> mi.Scene:
     """Nothing is merged: two materials that start equal stay two unknowns."""
-    return mi.load_dict(dictionary, optimize=False)
+    settings = mi.parser.ParserConfig(mi.variant())
+    settings.merge_equivalent = settings.merge_meshes = False
+    return instances.instantiate(settings, mi.parser.parse_dict(settings, dictionary))[0]
 
 
 def _check_arguments(scene: SceneConfig, build: Callable) -> None:

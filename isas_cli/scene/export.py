@@ -7,7 +7,6 @@ import importlib
 import re
 import shutil
 import tempfile
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,13 +25,11 @@ from ..unknowns.parameters import as_numpy
 from ..unknowns.specs import parse
 from ..unknowns.unknowns import Unknowns
 from ..unknowns.vertices import POSITIONS
-from . import built, mesh_files, scene_file
+from . import built, instances, mesh_files, scene_file
 from .photos import building, photographs
 from .photos.photographs import Photographs
 from .views import Views
 
-# Of nodes that the file gives no id: by it an object is found that was made from one.
-_OWN = "isas-node-"
 # Plugins in Python, of which Mitsuba does not know what they are.
 _PYTHON = {"phong": mi.ObjectType.BSDF} | dict.fromkeys(
     ("prb", "prb_basic", "prbvolpath", "emission"), mi.ObjectType.Integrator
@@ -83,25 +80,14 @@ def _write(
     folder: Path,
 ) -> tuple[Path, list[str]]:
     settings, state = parsed()
-    named = _name(state)
-    mi.parser.transform_all(settings, state)
     with backend.loading():
-        loaded = mi.parser.instantiate(settings, state)
-    loaded = loaded[0] if isinstance(loaded, (list, tuple)) else loaded
-    places = {node.props.id(): number for number, node in enumerate(state.nodes)}
-    first = mi.traverse(loaded)
-    made_from = {thing: places[thing.id()] for thing in first.hierarchy if thing.id() in places}
-    for thing in (*loaded.emitters(), *loaded.shapes(), *loaded.sensors()):
-        if thing.id().startswith(_OWN):
-            thing.set_id("")
-    scene_file.name_all(loaded)
+        loaded, made_from = instances.instantiate(settings, state)
     unknowns, views = _unknowns(scene, taken, loaded)
     # A run that was stopped may have left a coarse version.
     whole = unknowns.arrays(unknowns.values_of(arrays))
     unknowns.write(unknowns.values_of(whole))
     # What was instantiated has been used up.
     settings, written = parsed()
-    _name(written)
     mi.parser.transform_all(settings, written)
     params = mi.traverse(loaded)
     found = []
@@ -112,8 +98,6 @@ def _write(
     # Found files keep their names.
     brought = {path.name: path.resolve() for path in found}
     for node in written.nodes:
-        if node.props.id() in named:
-            node.props.set_id("")
         if "filename" in node.props:
             node.props["filename"] = _bring(node.props["filename"], folder, brought)
         if (kind := node.props.plugin_name()) in _OURS:
@@ -253,19 +237,6 @@ def _keep_ids(path: Path, state) -> None:
         if node.props.id():
             thing.set("id", node.props.id())
     tree.write(path, encoding="utf-8")
-
-
-def _name(state) -> set[str]:
-    """Gives every node an id of its own; returns those that are new."""
-    found = set()
-    used = Counter(node.props.id() for node in state.nodes)
-    things = {value.index() for _, value in state.root.props.items()}
-    for number, node in enumerate(state.nodes):
-        # Within what a program described, two may have the same.
-        if not node.props.id() or (used[node.props.id()] > 1 and number not in things):
-            node.props.set_id(f"{_OWN}{number}")
-            found.add(node.props.id())
-    return found
 
 
 def _channels(pixels: np.ndarray) -> list[str]:

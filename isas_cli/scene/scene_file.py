@@ -11,7 +11,7 @@ import mitsuba as mi
 
 from ..runtime import backend
 from ..runtime.errors import InputError
-from . import file_checks
+from . import file_checks, instances
 
 backend.plugin(f"{__package__}.phong")
 
@@ -48,12 +48,9 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str
         for node in state.nodes:
             if node.type == mi.ObjectType.Integrator:
                 node.props = _properties(described)
-        mi.parser.transform_all(settings, state)
-        loaded = mi.parser.instantiate(settings, state)
-    loaded = loaded[0] if isinstance(loaded, (list, tuple)) else loaded
+        loaded, _ = instances.instantiate(settings, state)
     if not isinstance(loaded, mi.Scene):
         raise InputError(f"scene.path={path}: holds no <scene>")
-    name_all(loaded)
     return loaded, loaded.integrator() or mi.load_dict(described), description
 
 
@@ -68,6 +65,8 @@ def parse(path: str) -> tuple[mi.parser.ParserConfig, mi.parser.ParserState]:
     mi.file_resolver().prepend(str(file.resolve().parent))
     with _said(path):
         state = mi.parser.parse_file(settings, str(file))
+        # Older versions call properties otherwise.
+        mi.parser.transform_upgrade(settings, state)
         file_checks.check(state, f"scene.path={path}")
     for node in state.nodes:
         if node.props.plugin_name() == "bitmap" and "format" not in node.props:
@@ -84,18 +83,6 @@ def _said(path: str) -> Iterator[None]:
         # Mitsuba begins with a place in its own source.
         text = re.sub(r"^\[\w+\.cpp:\d+\] ", "", " ".join(str(error).split()))
         raise InputError(f"scene.path={path}: Mitsuba cannot load it: {text}") from error
-
-
-def name_all(scene: mi.Scene) -> None:
-    """Give objects without an id one in the file's order: Mitsuba would call them by their
-    address in memory, and keys and content hash would differ from run to run."""
-    kinds = (("emitter", scene.emitters()), ("shape", scene.shapes()), ("sensor", scene.sensors()))
-    taken = {thing.id() for _, things in kinds for thing in things}
-    for kind, things in kinds:
-        for number, thing in enumerate(things):
-            name = f"{kind}_{number}"
-            if not thing.id() and name not in taken:
-                thing.set_id(name)
 
 
 def _properties(described: dict) -> mi.Properties:

@@ -19,7 +19,8 @@ import numpy as np
 from ..config.schema import PoseConfig
 from ..runtime import images
 from ..runtime.errors import InputError
-from .parameters import as_numpy, like, owner, role, usual
+from .parameters import as_numpy, like
+from .ranges import role, usual
 
 if TYPE_CHECKING:
     from ..scene.topology import Topology
@@ -123,8 +124,8 @@ class Kind:
         value = loaded.params[key]
         self._type = type(value)
         self.present = as_numpy(value)
-        *self.range, self.unit = usual(key, owner(loaded.params, key))
-        self.role = role(key, owner(loaded.params, key))
+        *self.range, self.unit = usual(loaded.params, key)
+        self.role = role(loaded.params, key)
 
     def value(self, array: np.ndarray):
         """``array`` as the Dr.Jit value that estimators differentiate by, the *leaf*."""
@@ -180,6 +181,14 @@ class Kind:
     def refusal(self, array: np.ndarray) -> str | None:
         """Why the unknown cannot start at, or be, ``array``, which lies in the legal range."""
         return None
+
+    def normal(self, array: np.ndarray) -> np.ndarray:
+        """Of values that mean the same as ``array``, the one that the unknown starts at."""
+        return array
+
+    def projected(self, leaf):
+        """``leaf`` after a step, within the range: the value next to it that it may have."""
+        return leaf
 
     def seen(self, sensitivity: np.ndarray) -> np.ndarray:
         """Which entries count as seen, bool, from the images' ``sensitivity`` to each (in the

@@ -6,52 +6,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-# By the last word of a key that is here: range outside which the parameter means nothing (or gains
-# energy), and unit. Roughness stays above 0.03: below about that the principled lobe's derivative
-# dies.
-_USUAL = {
-    "base_color": (0.0, 1.0, ""),
-    "reflectance": (0.0, 1.0, ""),
-    "diffuse_reflectance": (0.0, 1.0, ""),
-    "specular_reflectance": (0.0, 1.0, ""),
-    "albedo": (0.0, 1.0, ""),
-    "diffuse": (0.0, 1.0, ""),
-    "specular": (0.0, 1.0, ""),
-    "roughness": (0.03, 1.0, ""),
-    "alpha": (0.03, 1.0, ""),
-    "metallic": (0.0, 1.0, ""),
-    "spec_trans": (0.0, 1.0, ""),
-    "radiance": (0.0, np.inf, "radiance"),
-    "intensity": (0.0, np.inf, "intensity"),
-    "irradiance": (0.0, np.inf, "irradiance"),
-    "sigma_t": (0.0, np.inf, "1 / scene unit"),
-}
-
-_LIGHTS = ("radiance", "intensity", "irradiance")
-_COLOURS = ("base_color", "reflectance", "albedo", "diffuse", "specular")
-_COLOURS += ("diffuse_reflectance", "specular_reflectance")
-
 
 def owner(params: mi.SceneParameters, key: str):
     """The object of the scene that holds the parameter."""
     return params.properties[key][2]
-
-
-def usual(key: str, holder) -> tuple[float, float, str]:
-    """Lowest and highest legal value and the unit of a parameter that ``holder`` holds."""
-    # Numbers of a light or a medium ('scale', 'data') have names that say nothing: none is
-    # negative.
-    positive = isinstance(holder, (mi.Emitter, mi.Medium))
-    default = (0.0 if positive else -np.inf, np.inf, "")
-    return next((_USUAL[word] for word in reversed(key.split(".")) if word in _USUAL), default)
-
-
-def role(key: str, holder) -> str:
-    """``light`` or ``colour``, which brightness can move between, or nothing."""
-    words = key.split(".")
-    if isinstance(holder, mi.Emitter) or any(word in _LIGHTS for word in words):
-        return "light"
-    return "colour" if any(word in _COLOURS for word in words) else ""
 
 
 def moves_geometry(params: mi.SceneParameters, key: str) -> bool:
@@ -75,7 +33,8 @@ def is_differentiable(params: mi.SceneParameters, key: str) -> bool:
         return False
     if isinstance(owner(params, key), (mi.Sensor, mi.Film)):
         return False
-    return not params.flags(key) & mi.ParamFlags.NonDifferentiable
+    fixed = mi.ParamFlags.NonDifferentiable | mi.ParamFlags.ReadOnly
+    return not params.flags(key) & fixed
 
 
 def is_grid(params: mi.SceneParameters, key: str) -> bool:

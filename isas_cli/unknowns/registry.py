@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .direction import Direction
 from .environment import Environment
 from .exposure import Exposure
 from .grid import Grid
@@ -12,7 +13,10 @@ from .texture import Texture
 from .value import Value
 from .vertices import Vertices
 
-_KINDS: list[type[Kind]] = [Pose, Vertices, Exposure, Motion, Environment, Texture, Grid, Value]
+_KINDS: list[type[Kind]] = [
+    *(Pose, Vertices, Exposure, Motion, Direction, Environment, Texture, Grid),
+    Value,  # whatever no other kind has taken
+]
 
 
 def register(kind: type[Kind]) -> type[Kind]:

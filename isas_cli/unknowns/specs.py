@@ -12,6 +12,7 @@ from ..runtime.errors import InputError, nearest
 from . import registry
 from .kind import Kind, Loaded
 from .parameters import as_numpy, is_float, moves_geometry
+from .ranges import around
 from .smoothing import stable
 from .unknowns import Unknown
 
@@ -179,6 +180,11 @@ def _check_stages(unknowns: list[Unknown]) -> None:
 
 def _unfit(params: mi.SceneParameters, key: str, valid: list[str]) -> str:
     """Why no kind offers ``key``, and what is valid."""
+    if key in params and params.flags(key) & mi.ParamFlags.ReadOnly:
+        return (
+            f"'{key}' follows from other numbers of the file, by which nothing is differentiated; "
+            f"valid: {', '.join(valid)}"
+        )
     if key in params and moves_geometry(params, key):
         return (
             f"'{key}' moves geometry, whose visibility path replay does not differentiate; move "
@@ -196,13 +202,14 @@ def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
     reason = kind.refusal(start)
     if reason:
         raise InputError(f"{where}.start: {reason}")
+    start = kind.normal(start)
     if spec.lr is not None and not spec.lr > 0:
         raise InputError(f"{where}.lr={spec.lr}: must be above 0")
     truth = kind.present if truth_known else None
     if truth is not None and (truth.min() < low or truth.max() > high):
         raise InputError(
             f"{where}: the scene's own value, the truth, is outside its range "
-            f"[{low:g}, {high:g}]; give a range that holds it"
+            f"[{low:g}, {high:g}]; give range: {around(low, high, truth)}"
         )
     reason = truth is not None and kind.refusal(truth)
     if reason:

@@ -19,7 +19,7 @@ from isas_cli.rendering import rays
 from isas_cli.rendering.emission import Emission
 from isas_cli.runtime import backend, images
 from isas_cli.runtime.errors import InputError
-from isas_cli.scene import built, export, scene_file
+from isas_cli.scene import built, export, instances, scene_file
 from isas_cli.scene.views import Views
 from isas_cli.unknowns.specs import parse
 from isas_cli.unknowns.unknowns import Unknowns
@@ -171,7 +171,7 @@ def same(path, own, noisy: bool = False) -> None:
 def alike(path, own) -> None:
     """That the file holds what ``own`` does: parameters, materials, lights, the length of paths."""
     found = mi.load_file(str(path), optimize=False)
-    scene_file.name_all(found)
+    instances.name_all(found)
     got, wanted = mi.traverse(found), mi.traverse(own)
     assert set(got.keys()) == set(wanted.keys())
     pairs = {key: (numbers(got[key]), numbers(wanted[key])) for key in wanted.keys()}
@@ -211,7 +211,7 @@ def described(name: str) -> tuple[SceneConfig, mi.Scene, Unknowns]:
     """A small scene of ours, as configured and loaded."""
     config = schema.typed(compose([f"scene={name}", "size=tiny"])).scene
     loaded = built.load(built.description(config))
-    scene_file.name_all(loaded)
+    instances.name_all(loaded)
     specs = parse(mi.traverse(loaded), config.unknowns, True, config.poses)
     return config, loaded, Unknowns(mi.traverse(loaded), specs)
 

@@ -1,0 +1,187 @@
+"""Which values mean something: ranges that physics, or a plugin of Mitsuba, gives its parameters.
+
+A range belongs to what takes the number: a texture's is that of the parameter that it feeds, and a
+mesh attribute's that of the material that reads it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+import mitsuba as mi
+import numpy as np
+
+from .parameters import as_numpy, owner
+
+_UNIT, _SIGNED = (0.0, 1.0), (-1.0, 1.0)
+_POSITIVE, _ANY = (0.0, np.inf), (-np.inf, np.inf)
+# Below about that a glossy lobe's derivative dies.
+_GLOSS = (0.03, 1.0)
+# An index of refraction on this side of 1, where the surface would vanish, or on the other.
+_DENSER, _THINNER = (1.001, np.inf), (0.1, 0.999)
+
+# By the class of what holds the parameter and its name there, or by the name alone.
+_OF_BSDFS = {
+    **dict.fromkeys(("base_color", "reflectance", "diffuse", "specular"), _UNIT),
+    **dict.fromkeys(("diffuse_reflectance", "specular_reflectance"), _UNIT),
+    **dict.fromkeys(("specular_transmittance", "transmittance"), _UNIT),
+    **dict.fromkeys(("opacity", "weight"), _UNIT),
+    **dict.fromkeys(("metallic", "anisotropic", "spec_tint", "spec_trans", "flatness"), _UNIT),
+    **dict.fromkeys(("sheen", "sheen_tint", "clearcoat", "clearcoat_gloss"), _UNIT),
+    "diff_trans": (0.0, 2.0),
+    **dict.fromkeys(("roughness", "alpha", "alpha_u", "alpha_v"), _GLOSS),
+    "eta": _DENSER,
+    ("Conductor", "eta"): _POSITIVE,
+    ("Conductor", "k"): _POSITIVE,
+    ("RoughConductor", "eta"): _POSITIVE,
+    ("RoughConductor", "k"): _POSITIVE,
+    # The index that it stands for has an infinite derivative at 0.
+    ("Principled", "specular"): (0.001, 1.0),
+    # Directions as colours.
+    "normalmap": _UNIT,
+    **dict.fromkeys(("longitudinal_roughness", "azimuthal_roughness"), _GLOSS),
+    **dict.fromkeys(("eumelanin", "pheomelanin", "sigma_a"), _POSITIVE),
+}
+_OF_EMITTERS = dict.fromkeys(("cutoff_angle", "beam_width"), (0.0, 90.0))
+_OF_MEDIA = {"albedo": _UNIT}
+_OF_PHASES = {
+    "g": (-0.99, 0.99),
+    "weight": _UNIT,
+    # Second moments of the projected area of flakes, at most 1.
+    "S": _SIGNED,
+    "values": _POSITIVE,
+}
+_OF_SHAPES = {"opacities": _UNIT}
+_TABLES = (
+    (mi.BSDF, _OF_BSDFS, _ANY),
+    # None of what is left is negative: colours, strengths, densities.
+    (mi.Emitter, _OF_EMITTERS, _POSITIVE),
+    (mi.Medium, _OF_MEDIA, _POSITIVE),
+    (mi.PhaseFunction, _OF_PHASES, _ANY),
+    (mi.Shape, _OF_SHAPES, _ANY),
+)
+_UNITS = {
+    **{word: word for word in ("radiance", "intensity", "irradiance")},
+    "sigma_t": "1 / scene unit",
+}
+
+_LIGHTS = ("radiance", "intensity", "irradiance")
+_COLOURS = ("base_color", "reflectance", "albedo", "diffuse", "specular")
+_COLOURS += ("diffuse_reflectance", "specular_reflectance")
+
+
+def usual(params: mi.SceneParameters, key: str) -> tuple[float, float, str]:
+    """Lowest and highest legal value and the unit of a parameter; -inf and inf where nothing is
+    known of it."""
+    low, high, unit = *_ANY, ""
+    for holder, word, factor in fed(params, key):
+        a, b = _of(holder, word, params[key])
+        low, high = max(low, a / factor), min(high, b / factor)
+        unit = unit or _UNITS.get(word, "")
+    return (low, high, unit) if low < high else (*_ANY, unit)
+
+
+def _of(holder: mi.Object, word: str, value) -> tuple[float, float]:
+    for kind, table, default in _TABLES:
+        if isinstance(holder, kind):
+            found = table.get((holder.class_name(), word), table.get(word, default))
+            below = found is _DENSER and as_numpy(value).max() < 1
+            return _THINNER if below else found
+    return _ANY
+
+
+def fed(params: mi.SceneParameters, key: str) -> list[tuple[mi.Object, str, float]]:
+    """What takes the numbers of a parameter: materials, lights and the like, each with its name for
+    what it takes, and the factor that they are multiplied with on the way."""
+    holder = owner(params, key)
+    name = key.rpartition(".")[2]
+    if isinstance(holder, mi.Shape) and name.startswith(("vertex_", "face_")):
+        return _by_attribute(params, holder, name) or [(holder, name, 1.0)]
+    if not isinstance(holder, (mi.Texture, mi.Volume)):
+        return [(holder, name, 1.0)]
+    return [(*end, 1.0) for end in _ends(_uses(params), holder)]
+
+
+def role(params: mi.SceneParameters, key: str) -> str:
+    """``light`` or ``colour``, which brightness can move between, or nothing."""
+    ends = fed(params, key)
+    if any(isinstance(holder, mi.Emitter) or word in _LIGHTS for holder, word, _ in ends):
+        return "light"
+    return "colour" if any(word in _COLOURS for _, word, _ in ends) else ""
+
+
+def _by_attribute(params, shape: mi.Shape, name: str) -> list[tuple[mi.Object, str, float]]:
+    """Of what reads the attribute ``name`` of ``shape``."""
+    uses, found = _uses(params), []
+    own = [part for part in (shape.bsdf(), shape.emitter()) if part is not None]
+    for texture in uses:
+        # It does not tell its attribute otherwise.
+        read = texture.class_name() == "MeshAttribute" and re.search(
+            r'name = "?([\w.]+)"?', str(texture)
+        )
+        if not read or read[1] != name:
+            continue
+        scale = float(mi.traverse(texture)["scale"])
+        if scale > 0:
+            ends = _ends(uses, texture)
+            found += [(*end, scale) for end in ends if _within(uses, end[0], own)]
+    return found
+
+
+def _within(uses: dict, thing: mi.Object, wholes: list[mi.Object]) -> bool:
+    return thing in wholes or any(_within(uses, user, wholes) for user, _ in uses.get(thing, ()))
+
+
+def _ends(uses: dict, thing: mi.Object) -> list[tuple[mi.Object, str]]:
+    """Through all textures that hold it, such as a chequerboard: what is no texture."""
+    found = []
+    for holder, word in uses.get(thing, ()):
+        nested = isinstance(holder, (mi.Texture, mi.Volume))
+        found += _ends(uses, holder) if nested else [(holder, word)]
+    return found
+
+
+def _uses(params: mi.SceneParameters) -> dict[mi.Object, list[tuple[mi.Object, str]]]:
+    """Of every object, which others hold it, each with its name for it. A scene that merely lists
+    it does not."""
+    found: dict = {}
+    for holder in params.hierarchy:
+        if isinstance(holder, mi.Scene):
+            continue
+        callback = _Held()
+        holder.traverse(callback)
+        for word, thing in callback.found:
+            found.setdefault(thing, []).append((holder, word))
+    return found
+
+
+class _Held(mi.TraversalCallback):
+    """The objects that one holds, by name."""
+
+    def __init__(self):
+        super().__init__()
+        self.found: list[tuple[str, mi.Object]] = []
+
+    def put(self, name, value, flags, cpptype=None) -> None:
+        if isinstance(value, mi.Object):
+            self.found.append((name, value))
+
+    def put_object(self, name, obj, flags) -> None:
+        self.put(name, obj, flags)
+
+    def put_value(self, name, value, flags, cpptype=None) -> None:
+        pass
+
+
+def around(low: float, high: float, values: np.ndarray) -> str:
+    """``[low, high]``, widened to hold ``values``, to three digits."""
+    least, most = (_outward(float(x), up) for x, up in ((values.min(), 0), (values.max(), 1)))
+    return f"[{min(low, least):g}, {max(high, most):g}]"
+
+
+def _outward(x: float, up: bool) -> float:
+    if x == 0 or not math.isfinite(x):
+        return x
+    unit = 10.0 ** (math.floor(math.log10(abs(x))) - 2)
+    return (math.ceil if up else math.floor)(x / unit) * unit
