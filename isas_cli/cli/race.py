@@ -12,7 +12,8 @@ import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
-from ..config.compose import compose, options, override, translate
+from ..config.compose import compose, options, translate
+from ..config.grammar import override
 from ..config.roles import meaning
 from ..engine import resumption
 from ..records import write_atomically
