@@ -3,8 +3,10 @@
 import pytest
 from omegaconf import OmegaConf
 
+from isas_cli.cli import race
 from isas_cli.config import method, schema
 from isas_cli.config.compose import compose, instantiate, options, translate
+from isas_cli.runtime.budget import Budget
 from isas_cli.runtime.errors import InputError
 
 GROUPS = {"sampler", "estimator", "optimizer", "budget"}
@@ -68,10 +70,20 @@ def test_a_word_counts_instead(words, found):
 
 
 def test_a_budget_counts_instead_of_the_scenes():
-    assert composed("scene=cup").budget == {"seconds": 7, "iterations": None, "paths": None}
-    assert composed("scene=cup", "budget.iterations=9").budget.seconds is None
-    assert composed("scene=cup", "sampler=mitsuba").budget.seconds == 7  # as in a race of both
-    assert composed("scene=cup", "~scene.method").budget.seconds is None
+    assert composed("scene=cup").budget == {"seconds": None, "iterations": 400, "paths": None}
+    assert composed("scene=cup", "budget.seconds=9").budget.iterations is None
+    assert composed("scene=cup", "sampler=mitsuba").budget.iterations == 400
+    assert composed("scene=cup", "~scene.method").budget.iterations is None
+
+
+def test_a_race_is_of_equal_time(tmp_path):
+    own = {"samplers": "[plateau,mitsuba]", "hydra.run.dir": str(tmp_path)}
+    _, entries, _ = race._fresh(own, ["scene=cup"])
+    assert [entry.cfg.estimator.name for entry in entries] == ["plateau", "mitsuba"]
+    assert [entry.cfg.estimator.batch for entry in entries] == [2048, 65536]
+    assert {entry.budget for entry in entries} == {Budget(seconds=60)}
+    _, entries, _ = race._fresh(own, ["scene=cup", "budget.iterations=3"])
+    assert {entry.budget for entry in entries} == {Budget(iterations=3)}
 
 
 def test_what_is_told_is_what_holds():
@@ -81,7 +93,7 @@ def test_what_is_told_is_what_holds():
         *("sampler=uniform", "estimator=plateau", "estimator.spp=4"),
         *("optimizer.schedule=cosine", "optimizer.final=0.01"),
     ]
-    assert method.taken(composed("scene=cup", "sampler=mitsuba")) == ["budget.seconds=7"]
+    assert method.taken(composed("scene=cup", "sampler=mitsuba")) == ["budget.iterations=400"]
 
 
 @pytest.mark.parametrize("typed", ["scene.method.sampler=ours", "scene.method={}"])
