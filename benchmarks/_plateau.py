@@ -42,7 +42,7 @@ import pandas
 
 RESULTS = _plateau_table.RESULTS
 COMMON = ["evaluation.count=20", "report=false", "frames.views=0", "frames.snapshots=0"]
-COMMON += ["evaluation.pixels=4096", "evaluation.spp=16"]
+COMMON += ["evaluation.pixels=4096", "evaluation.spp=16", "~scene.method"]
 METHODS = {
     "plateau": ["sampler=plateau"],
     "plateau_loss": ["sampler=plateau", "sampler.smooth=loss"],

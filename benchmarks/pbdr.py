@@ -159,6 +159,7 @@ def shape_measured(run: records.Run) -> dict:
 def shapes(seeds: list[int], seconds: float) -> pandas.DataFrame:
     """A row for each method on SHAPE: medians and ranges."""
     settings = ["evaluation.count=8", "frames.views=0", "frames.snapshots=0", "report=false"]
+    settings += ["~scene.method"]
     at_once = json.dumps(specs(SHAPE, during=None))
     found = []
     sides = (

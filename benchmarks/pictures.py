@@ -17,7 +17,7 @@ RESULTS = Path(__file__).parent / "results"
 COMMON = ["evaluation.count=2", "frames.views=1", "frames.snapshots=0", "report=false"]
 TITLES = {"start": "start", "result": "result", "target": "truth"}
 CUP = ["sampler=plateau", "size=paper", "target.spp=512", "frames.spp=256", "optimizer.final=0.01"]
-CUP += ["estimator.batch=2048", "sampler.spp=4", "optimizer.schedule=cosine"]
+CUP += ["estimator.batch=2048", "sampler.spp=4", "optimizer.schedule=cosine", "~scene.method"]
 # File → settings, what is shown, and how wide.
 STRIPS = {
     "readme_pottery": (

@@ -33,7 +33,7 @@ HERE = Path(__file__).parent
 
 
 def measure(task: str, rounds: int, steps: int, sides: list[str], more: list[str]) -> list[dict]:
-    overrides = [f"scene={task}", "target.spp=16", "budget.seconds=1", *more]
+    overrides = [f"scene={task}", "~scene.method", "target.spp=16", "budget.seconds=1", *more]
     command = [sys.executable, str(HERE / "_plateau_cost.py"), str(rounds), str(steps)]
     found = _rows.collect([*command, ",".join(sides), *overrides])
     return [{"task": task} | row for row in found]

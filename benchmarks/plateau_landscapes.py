@@ -32,7 +32,7 @@ def isas(*arguments: str) -> None:
 def draw(task: str, folder: Path) -> None:
     iterations, along = TASKS[task]
     run = [f"scene={task}", "sampler=plateau", f"budget.iterations={iterations}"]
-    run += ["estimator.batch=16384", "evaluation.count=40", "frames.views=0"]
+    run += ["~scene.method", "estimator.batch=16384", "evaluation.count=40", "frames.views=0"]
     isas("run", *run, "frames.snapshots=0", "report=false", f"hydra.run.dir={folder}")
     isas("landscape", str(folder), "--along", *along)
     plot = Image.open(folder / "plots" / "landscape.png").convert("RGB").quantize(64)

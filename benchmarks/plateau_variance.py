@@ -123,6 +123,7 @@ def child(task: str, chosen: argparse.Namespace) -> None:
     from _plateau_cost import loops
 
     common = [f"scene={task}", "sampler=plateau", "target.spp=256", "budget.seconds=1"]
+    common += ["~scene.method"]
     common += ["size=tiny"] if chosen.quick else []
     paths, rounds, steps = PATHS, chosen.rounds, chosen.steps
     if chosen.quick:

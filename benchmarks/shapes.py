@@ -59,7 +59,7 @@ def methods(scene: str) -> dict[str, dict]:
 
 FACTORS = (0.3, 1.0, 3.0)  # of the scene's rate, 0.03
 SETTINGS = ["evaluation.count=6", "frames.views=0", "frames.snapshots=0", "report=false"]
-SETTINGS += ["optimizer.schedule=cosine", "optimizer.final=0.1"]
+SETTINGS += ["optimizer.schedule=cosine", "optimizer.final=0.1", "~scene.method"]
 
 
 def measured(run: records.Run) -> dict:
@@ -104,7 +104,7 @@ def steps(rounds: int = 5) -> pandas.DataFrame:
     from isas_cli.engine.experiment import Phases
     from isas_cli.engine.workshop import Workshop
 
-    views = ["scene=kirby", "scene.arguments.resolution=512", "target.spp=1"]
+    views = ["scene=kirby", "~scene.method", "scene.arguments.resolution=512", "target.spp=1"]
     views += ["evaluation.pixels=64", "evaluation.spp=2", "budget.iterations=100"]
     sides = {
         OURS: ["estimator=silhouettes", "sampler=uniform", "estimator.shadows=0"],

@@ -43,15 +43,16 @@ KINDS = {
     "long paths": ["scene=earth", "sampler=uniform"],
     "through glass": ["scene=caustic_failure", "sampler=relevant"],
     "a pose": [
-        *("scene=cup", "sampler=plateau", "estimator.batch=2048", "estimator.spp=4"),
+        *("scene=cup", "~scene.method", "sampler=plateau"),
+        *("estimator.batch=2048", "estimator.spp=4"),
         'scene.unknowns={"cup.angle": {"start": 170, "blur": {"start": 60, "end": 60}}}',
     ],
     "many poses": [
-        *("scene=sort", "sampler=plateau", "estimator.batch=2048"),
+        *("scene=sort", "~scene.method", "sampler=plateau", "estimator.batch=2048"),
         'scene.unknowns={"cubes.place": {"start": {"uniform": [-0.4, 0.4], "seed": 1}, '
         '"blur": {"start": 0.12, "end": 0.12, "reach": 0.3}}}',
     ],
-    "a mesh": ["scene=kirby", "estimator=silhouettes", "sampler=uniform"],
+    "a mesh": ["scene=kirby", "~scene.method", "estimator=silhouettes", "sampler=uniform"],
     "a volume": ["scene=smoke", "sampler=ours"],
     "Mitsuba's own loop": ["scene=pottery", "sampler=mitsuba"],
 }

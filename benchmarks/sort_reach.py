@@ -75,7 +75,7 @@ def main() -> None:
 
     overrides = ["scene=sort", "sampler=plateau", "sampler.scheme=separate", "budget.seconds=1"]
     # Each pair by itself, with a residual of its own.
-    overrides += ["sampler.residual_spp=2"]
+    overrides += ["sampler.residual_spp=2", "~scene.method"]
     overrides += ["target.spp=256", f"estimator.batch={1024 if chosen.quick else 65536}"]
     loop = loops({"separate": [*overrides, *(["size=tiny"] if chosen.quick else [])]})["separate"]
     loop._look(0)

@@ -12,7 +12,8 @@ import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
-from ..config.compose import compose, options, override, translate
+from ..config.compose import compose, options, translate
+from ..config.grammar import override
 from ..config.roles import meaning
 from ..engine import resumption
 from ..records import write_atomically
@@ -84,6 +85,8 @@ def _fresh(own: dict[str, str], overrides: list[str]):
         raise InputError(f"seed={own['seed']}: whole numbers, such as seed=[1,2,3]")
     _distinct("seed", seeds)
     common = translate(overrides)
+    if not any(each.lstrip("+").startswith("budget") for each in common):
+        common.append("budget.seconds=null")  # equal time, and not the scene's iterations
     entries, folder, planned = [], None, []
     for difference in differing:
         more = translate([f"{key}={override(value)}" for key, value in difference.items()])

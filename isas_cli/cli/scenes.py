@@ -27,9 +27,10 @@ def main() -> int:
     for name in options("scene"):
         node = OmegaConf.load(Path(schema.folder()) / "scene" / f"{name}.yaml")
         unknowns = "\n".join(node.get("unknowns") or {}) or "scene.unknowns=…"
-        table.add_row(
-            name, node.get("description", ""), unknowns, "\n".join(node.get("sizes") or [])
-        )
+        problem = node.get("description", "")
+        if method := node.get("method"):
+            problem += f" Takes estimator={method.estimator.name} sampler={method.sampler}."
+        table.add_row(name, problem, unknowns, "\n".join(node.get("sizes") or []))
     console.print(table)
     for group in ("sampler", "loss"):
         table = Table(group, "what it does", title=f"{group}=NAME")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..config.compose import compose, options, override, pixel_samplers, translate
+from ..config.compose import compose, options, pixel_samplers, translate
+from ..config.grammar import override
 from ..config.roles import meaning
 from ..runtime import interrupt
 from ..runtime.errors import InputError

@@ -16,7 +16,9 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ..runtime import allowed
 from ..runtime.errors import InputError, nearest
-from . import schema
+from . import dropped, method, schema
+from .grammar import literal
+from .method import options
 from .schema import PRESETS
 
 # These take keys that no schema can list; '++' lets Hydra add them.
@@ -54,8 +56,9 @@ def translate(overrides: Iterable[str]) -> list[str]:
     """Overrides as typed → overrides as Hydra's grammar takes them.
 
     ``scene.unknowns={"a.b": {"start": 0.5}}`` is JSON, whose quoted keys Hydra's grammar does not
-    know: it is rewritten with bare keys. Otherwise nothing can be added with '+' or removed with
-    '~': what is not in the configuration has no effect, and all that is in it is needed.
+    know: it is rewritten with bare keys. Otherwise nothing can be added with '+', as what is not in
+    the configuration has no effect, or removed with '~', as all that is in it is needed, but for
+    unknowns, poses and what the scene takes by itself.
     """
     return [_translate(override) for override in _unpacked(list(overrides))]
 
@@ -102,13 +105,25 @@ def _translate(override: str) -> str:
     key, equals, value = bare.partition("=")
     if key in _PATHS and value and value[0] not in "'\"":
         sweep = key == "scene.path" and "," in value and not _exists(value)
-        return bare if sweep else f"{key}={_hydra(value)}"
+        return bare if sweep else f"{key}={literal(value)}"
     if bare.startswith("hydra") or bare.startswith("~hydra"):
         return override
+    if bare == "~scene.method":
+        return method.NONE
+    if bare.startswith("~") and (removed := dropped.translated(bare)):
+        return removed
     if bare.startswith("~"):
-        raise InputError(f"{bare}: a setting cannot be removed, only changed: KEY=VALUE")
+        raise InputError(
+            f"{bare}: a setting cannot be removed, only changed: KEY=VALUE; unknowns can: "
+            "~scene.unknowns.KEY, or all of them: ~scene.unknowns"
+        )
     if not equals or not key:
         raise InputError(f"'{override}' is no setting: give KEY=VALUE, such as scene=pottery")
+    if key.startswith("scene.method"):
+        raise InputError(
+            f"{bare}: is what the scene takes where nothing else is said: say sampler=NAME, "
+            "estimator=NAME, …, or ~scene.method for none of it"
+        )
     if key in _LABELS:
         raise InputError(
             f"{bare}: names a choice and makes none: say {key.rpartition('.')[0]}=NAME"
@@ -134,7 +149,8 @@ def _translate_named(override: str, setting: str, entry_type: type) -> str:
             raise InputError(f"{override}: no valid JSON: {error}") from error
         return "++" + override  # perhaps it is in Hydra's own notation
     entries = list(parsed.values()) if isinstance(parsed, dict) else []
-    if not entries or not all(isinstance(entry, dict) for entry in entries):
+    # Null: taken out.
+    if not entries or not all(isinstance(entry, dict | None) for entry in entries):
         example = '{"key": {"start": 0.5}}: keys of the scene, each with a start and, if wanted, a '
         example += "range and an lr"
         if setting != _UNKNOWNS:
@@ -142,13 +158,13 @@ def _translate_named(override: str, setting: str, entry_type: type) -> str:
         raise InputError(f"{override}: give {example}")
     fields = [f.name for f in dataclasses.fields(entry_type)]
     for key, entry in parsed.items():
-        for name in entry:
+        for name in entry or {}:
             if name not in fields:
                 raise InputError(
                     f"{setting[:-1]}['{key}'].{name}: no such entry; {nearest(name, fields)}"
                 )
-        _check_entry(f"{setting[:-1]}['{key}']", entry_type, entry)
-    return f"++{setting}{_hydra(parsed)}"
+        _check_entry(f"{setting[:-1]}['{key}']", entry_type, entry or {})
+    return f"++{setting}{literal(parsed)}"
 
 
 def _check_entry(where: str, entry_type: type, entry: dict) -> None:
@@ -168,33 +184,10 @@ def _check_entry(where: str, entry_type: type, entry: dict) -> None:
         raise InputError(f"{where}{field}: {str(error).splitlines()[0]}") from error
 
 
-def override(value) -> str:
-    """A setting's value in Hydra's override grammar; plain words as they are."""
-    if isinstance(value, str) and re.fullmatch(r"[\w.+/-]+", value):
-        return value
-    return _hydra(value)
-
-
-def _hydra(value) -> str:
-    """A JSON value in Hydra's override grammar."""
-    if isinstance(value, dict):
-        return "{" + ",".join(f"{_key(k)}:{_hydra(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ",".join(_hydra(v) for v in value) + "]"
-    if isinstance(value, str):
-        # A backslash escapes only before a quote and at the end.
-        escaped = re.sub(r"(\\*)('|$)", lambda m: 2 * m[1] + ("\\'" if m[2] else ""), value)
-        return f"'{escaped}'"
-    return json.dumps(value)
-
-
-def _key(key: str) -> str:
-    return re.sub(r"([\\()\[\]{}:=, \t])", r"\\\1", key)
-
-
 def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
     """The composed configuration. Raises InputError, one line, when it cannot be."""
     schema.register()
+    overrides = complete(overrides)
     try:
         with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
             cfg = hydra_compose("config", overrides, return_hydra_config=hydra)
@@ -202,12 +195,12 @@ def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
     except (HydraException, *_REFUSALS, OSError, ValueError) as error:
         text = explain(error, overrides).replace(_BASE_OF_HYDRA, _BASE)
         raise InputError(text[:_LONGEST]) from error
-    return cfg
+    return dropped.settled(cfg)
 
 
-def options(group: str) -> list[str]:
-    """Names that a configuration group offers, in alphabetical order."""
-    return sorted(p.stem for p in (Path(schema.folder()) / group).glob("*.yaml"))
+def complete(overrides: list[str]) -> list[str]:
+    """Translated overrides with what the scene takes by itself, as Hydra composes them."""
+    return method.completed(dropped.expanded(overrides))
 
 
 def pixel_samplers() -> list[str]:

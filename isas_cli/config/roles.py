@@ -88,6 +88,7 @@ def _table(schema: type, prefix: str = "") -> dict[str, Meaning]:
         kind, named = hints[each.name], ""
         if typing.get_origin(kind) is dict:
             kind, named = typing.get_args(kind)[1], ".*"
+            kind = next(iter(typing.get_args(kind)), kind)  # of an optional one
         if dataclasses.is_dataclass(kind):
             found |= _table(kind, f"{key}{named}.")
     return found

@@ -245,13 +245,15 @@ class PhotosConfig:
 @dataclass
 class SceneConfig:
     """Where the scene comes from and what in it is unknown. ``weights``: of the views in the loss,
-    see scene/weights.py."""
+    see scene/weights.py; ``method``: what a run of it takes where nothing else is said, see
+    config/method.py. Of ``poses`` and ``unknowns`` null goes before anything is done."""
 
     # Texts and menus; of the rest the content's hash tells the problem.
     name: str = setting(MISSING, Role.RECORD)
     description: str = setting("", Role.RECORD)
     builder: Optional[str] = None
     sizes: Dict[str, Any] = setting(dict, Role.RECORD)
+    method: Optional[Dict[str, Any]] = setting(dict, Role.RECORD)
     arguments: Dict[str, Any] = field(default_factory=dict)
     path: Optional[str] = None
     max_depth: Optional[int] = None
@@ -259,8 +261,8 @@ class SceneConfig:
     masks: Optional[List[str]] = None
     weights: Any = None
     photos: PhotosConfig = field(default_factory=PhotosConfig)
-    poses: Dict[str, PoseConfig] = field(default_factory=dict)
-    unknowns: Dict[str, UnknownConfig] = field(default_factory=dict)
+    poses: Dict[str, Optional[PoseConfig]] = field(default_factory=dict)
+    unknowns: Dict[str, Optional[UnknownConfig]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _at_least(-1, scene__max_depth=self.max_depth)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from ..config import schema
+from ..config import method, schema
 from ..config.compose import instantiate
 from ..config.schema import Config
 from ..records import trackers
@@ -192,7 +192,9 @@ def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
 
 
 def _tell(recorder: "Recorder") -> None:
-    """What is simulated."""
+    """What the scene takes by itself, and what is simulated."""
+    if of_scene := method.taken(recorder.cfg):
+        recorder.display.say(f"scene={recorder.cfg.scene.name} takes {' '.join(of_scene)}")
     plan = recorder.loop.plan
     told = "paths", "differentiated", "caustics", "roulette", "light samples", "finish"
     for effect in told:

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..rendering import convex
+from ..rendering.own_film import OwnFilm
 from ..rendering.pixels import PixelDistribution
 from ..rendering.projective import projective
 from ..rendering.volume import only_emits
@@ -100,16 +101,17 @@ class WholeImages:
         self.problem, self.loss, self.batch = problem, loss, batch
         self.smooth, self.samples = smooth, samples
         self.blur = Blur(problem, "estimator=plateau") if smooth else None
-        _check_films(problem)
+        _check_sensors(problem)
         if problem.views.altered:
             raise InputError(
-                "estimator=mitsuba renders through Mitsuba's films, which know no exposure and no "
-                "other pose of a view: take estimator=two_path, or photos.exposure=fixed, "
+                "estimator=mitsuba renders whole images as Mitsuba does, which knows no exposure "
+                "and no other pose of a view: take estimator=two_path, or photos.exposure=fixed, "
                 "photos.refine=false and files that give no exposures"
             )
         _check_shapes(problem)
         self.integrator = _integrator(problem, silhouettes)
         self.spp = max(1, batch // problem.views.total)
+        self._sensors = [OwnFilm(sensor) for sensor in problem.scene.sensors()][: self._views]
 
     @property
     def paths_per_step(self) -> int:
@@ -157,9 +159,9 @@ class WholeImages:
         with dr.suspend_grad():
             seed = int(rng.integers(1 << 32))
             p = self.problem
-            image = mi.render(
-                p.scene, sensor=view, integrator=p.integrator.mitsuba, spp=self.spp, seed=seed
-            )
+            how = p.integrator.mitsuba
+            sensor = self._sensors[view]
+            image = mi.render(p.scene, sensor=sensor, integrator=how, spp=self.spp, seed=seed)
             dr.eval(image)
         return image
 
@@ -173,7 +175,7 @@ class WholeImages:
             image = mi.render(
                 p.scene,
                 p.unknowns.params,
-                sensor=view,
+                sensor=self._sensors[view],
                 integrator=self.integrator,
                 # What is only differentiated need not be rendered well.
                 spp=self.spp if images is None else 1,
@@ -203,17 +205,14 @@ class WholeImages:
         return adjoint
 
 
-def _check_films(problem: "Problem") -> None:
-    """Raises InputError for films that show another image than the targets, whose pixels are plain
-    means over their squares."""
-    for number, sensor in enumerate(problem.scene.sensors()):
-        film = sensor.film()
-        if not str(film.rfilter()).startswith("BoxFilter") or "pixel_format = rgb," not in str(
-            film
-        ):
+def _check_sensors(problem: "Problem") -> None:
+    """Raises InputError for cameras whose silhouettes Mitsuba cannot sample."""
+    for number, sensor in enumerate(problem.scene.sensors() if problem.unknowns.moving else ()):
+        if sensor.class_name() != "PerspectiveCamera":
             raise InputError(
-                f"sensor {number}: Mitsuba's own renderings go through the film, which must have a "
-                'box filter (rfilter type="box") and pixel_format="rgb" to be compared with targets'
+                f"sensor {number} is no perspective camera, and Mitsuba's derivative of what moves "
+                f"('{problem.unknowns.moving[0]}') is for these alone: take estimator=plateau or "
+                "estimator=finite_differences"
             )
 
 

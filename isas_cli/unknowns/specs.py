@@ -164,8 +164,23 @@ def parse(
         found.append(_unknown(offered[key](key, loaded), spec, loaded, truth_known))
     for kind in registry.kinds():
         kind.check(loaded, list(specs))
+    _check_shared([unknown.kind for unknown in found])
     _check_stages(found)
     return found
+
+
+def _check_shared(kinds: list[Kind]) -> None:
+    """Raise InputError where two write one parameter and neither is made to build on the other, as
+    poses are: what the first has put there would be lost."""
+    writer: dict[tuple, str] = {}
+    for kind in kinds:
+        for name in kind.writes:
+            other = writer.setdefault((name, kind.order), kind.key)
+            if other != kind.key:
+                raise InputError(
+                    f"scene.unknowns: '{other}' and '{kind.key}' both write the scene's parameter "
+                    f"'{name}', so that one of them would have no effect: leave one out"
+                )
 
 
 def _check_stages(unknowns: list[Unknown]) -> None:

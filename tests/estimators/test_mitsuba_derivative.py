@@ -84,8 +84,8 @@ def test_paths_are_counted_as_they_are_traced(smooth, monkeypatch):
     p, render, traced = blurred_problem(glows=True), mi.render, []
 
     def counted(*given, sensor, spp, **more):
-        width, height = p.film_sizes[sensor]
-        traced.append((spp + more.get("spp_grad", 0)) * width * height)
+        width, height = sensor.film().crop_size()
+        traced.append((spp + more.get("spp_grad", 0)) * int(width) * int(height))
         return render(*given, sensor=sensor, spp=spp, **more)
 
     monkeypatch.setattr(mi, "render", counted)

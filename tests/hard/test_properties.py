@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
-from isas_cli.config.compose import compose, override, translate
+from isas_cli.config.compose import compose, translate
+from isas_cli.config.grammar import override
 from isas_cli.config.schema import OptimizerConfig
 from isas_cli.engine.optimiser import Stepper
 from isas_cli.losses import L1, L2, RelativeL2

@@ -111,7 +111,6 @@ def test_an_object_is_moved_to_where_the_file_has_it(folder, capsys):
     [
         (["sampler=uniform"], "'ball.x' moves objects"),
         (["sampler=differences"], "sampler=differences looks at blurred renderings"),
-        (["sampler=mitsuba"], "sensor 0: Mitsuba's own renderings go through the film"),
         (["estimator.batch=1048576", "sampler.residual_spp=4098"], "estimator.residual_spp=4098"),
     ],
 )

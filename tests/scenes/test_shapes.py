@@ -77,4 +77,4 @@ def test_a_rate_of_100_ends_with_finite_numbers_and_says_what_happened(tmp_path)
 
 def test_samplers_that_read_moments_are_refused(tmp_path):
     with pytest.raises(InputError, match="take sampler=ours, relevant or uniform"):
-        isas_cli.run("scene=kirby", "estimator=silhouettes", f"hydra.run.dir={tmp_path}")
+        isas_cli.run("scene=kirby", "sampler=progress", f"hydra.run.dir={tmp_path}")

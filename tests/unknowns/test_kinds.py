@@ -306,3 +306,21 @@ def test_nothing_outside_names_a_kind():
         found += [(path.name, kind) for kind in imported(ast.parse(text)) & KINDS]
         found += [(path.name, line) for line in text.splitlines() if re.search(TELLING, line)]
     assert found == []
+
+
+def test_two_that_write_one_parameter_are_refused(toys, folder, capsys):
+    """One would be lost. Poses build on what moves before them."""
+    both = {GRID: {"start": 0.5}, LOG: {"start": -1.0}}
+    message = refused(capsys, both, "sampler=uniform")
+    assert f"'{GRID}' and '{LOG}' both write the scene's parameter '{GRID}'" in message
+
+    def parsed(**specs) -> list[str]:
+        params = mi.traverse(mi.load_file("scene.xml"))
+        turn, shift = PoseConfig("rotation", ["box"]), PoseConfig("translation", ["box"])
+        poses = {"turn": turn, "shift": shift}
+        given = {"turn": {"start": 1.0}, "shift": {"start": 0.1}, **specs}
+        given = {key: UnknownConfig(**each) for key, each in given.items()}
+        return [u.key for u in parse(params, given, True, poses)]
+
+    assert parsed() == ["turn", "shift"]
+    assert parsed(**{"box.swelling": {"start": 0.1}}) == ["turn", "shift", "box.swelling"]

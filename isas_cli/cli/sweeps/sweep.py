@@ -22,8 +22,8 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from ...config import schema
-from ...config.compose import compose, explain
+from ...config import dropped, schema
+from ...config.compose import complete, compose, explain
 from ...runtime import interrupt
 from ...runtime.errors import InputError, nearest
 from .. import one
@@ -55,8 +55,7 @@ def _sweep(typed: list[str]) -> int:
     with _explained(typed):
         settings = compose([_first(o) for o in _parsed(typed)], hydra=True).hydra
         params = [f"{name}={value}" for name, value in (settings.sweeper.params or {}).items()]
-        # The last word on a setting counts.
-        overrides = list({o.get_key_element(): o for o in _parsed([*params, *typed])}.values())
+        overrides = _last(_parsed([*params, *typed]))
     searching = settings.runtime.choices["hydra/sweeper"] == "optuna"
     with interrupt.graceful() as stop:
         sweep = Sweep(launchers.launcher(settings), stop)
@@ -91,6 +90,16 @@ def _parsed(overrides: list[str]) -> list[Override]:
     with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
         parser = OverridesParser.create(GlobalHydra.instance().config_loader())
         return parser.parse_overrides(overrides)
+
+
+def _last(overrides: list[Override]) -> list[Override]:
+    """The last word on each setting, and all words on those that hold names of their own."""
+    found = {}
+    for number, override in enumerate(overrides):
+        setting = override.get_key_element()
+        several = setting.lstrip("+~") in dropped.SETTINGS
+        found[(setting, number if several else 0)] = override
+    return list(found.values())
 
 
 def _first(override: Override) -> str:
@@ -136,12 +145,13 @@ def _other(flags: list[str], overrides: list[str]) -> int:
     def run(cfg: DictConfig) -> None:
         folder = HydraConfig.get().runtime.output_dir
         try:
-            ends.append(one.run(cfg, folder))
+            ends.append(one.run(dropped.settled(cfg), folder))
         except Exception as error:  # Hydra would add lines of its own, or take it for its own
             ends.append(error)
             one.remove_empty(Path(folder))
 
     main = hydra.main(version_base="1.3", config_path=schema.folder(), config_name="config")
+    overrides = complete(overrides)
     with one.argv(["isas run", *overrides, *flags]), _errors_raised(), _explained(overrides):
         try:
             main(run)()

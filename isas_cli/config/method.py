@@ -1,0 +1,82 @@
+"""What a scene takes by itself, where nothing else is said: ``method`` in its YAML.
+
+Sampler, estimator (``name``) with settings, settings of the optimiser, a budget. They are composed
+like words that were typed before all others, so that what is typed counts instead.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from . import schema
+from .grammar import override
+from .schema import PRESETS
+
+# Taken out as a whole.
+NONE = "scene.method=null"
+# Chosen for the estimator that the scene names; another one's are its own.
+_OF_ESTIMATOR = ("estimator", "optimizer")
+
+
+def completed(overrides: list[str]) -> list[str]:
+    """``overrides``, as Hydra's grammar takes them, after what their scene takes by itself.
+
+    A word that is typed leaves out its own setting; another estimator, also by a preset such as
+    ``sampler=mitsuba``, what is set for the scene's; a budget, the scene's; ``NONE``, all.
+    """
+    typed = dict(o.lstrip("+").partition("=")[::2] for o in overrides)
+    if NONE in overrides or "scene" not in typed:
+        return overrides
+    own = _flat(said(typed["scene"], "method"))
+    preset = typed.get("sampler") in PRESETS
+    chosen = typed.get("estimator", typed["sampler"] if preset else own.get("estimator"))
+
+    def left(key: str) -> bool:
+        group, dot, _ = key.partition(".")
+        if group == "budget":
+            return not any(each.partition(".")[0] == group for each in typed)
+        if dot and group in _OF_ESTIMATOR and chosen != own.get("estimator"):
+            return False
+        return key not in typed and not (key == "estimator" and preset)
+
+    return [f"{key}={override(value)}" for key, value in own.items() if left(key)] + overrides
+
+
+def taken(cfg: DictConfig) -> list[str]:
+    """What ``cfg`` has from its scene, as it would be typed."""
+    own = _flat(cfg.scene.method or OmegaConf.create())
+    same = own.get("estimator") == cfg.estimator.name
+    found = []
+    for key, value in own.items():
+        group, dot, _ = key.partition(".")
+        held = OmegaConf.select(cfg, key if dot else f"{key}.name")
+        if held == value and (same or not dot or group not in _OF_ESTIMATOR):
+            found.append(f"{key}={override(value)}")
+    return found
+
+
+def options(group: str) -> list[str]:
+    """Names that a configuration group offers, in alphabetical order."""
+    return sorted(p.stem for p in (Path(schema.folder()) / group).glob("*.yaml"))
+
+
+def said(scene: str, group: str) -> DictConfig:
+    """What the YAML of a scene of isas's own says of ``group``; nothing of other scenes."""
+    if scene not in options("scene"):
+        return OmegaConf.create()
+    found = OmegaConf.load(Path(schema.folder()) / "scene" / f"{scene}.yaml").get(group)
+    return found or OmegaConf.create()
+
+
+def _flat(method: DictConfig) -> dict[str, Any]:
+    """``{"estimator": {"name": "plateau", "spp": 4}}`` → ``{"estimator": "plateau",
+    "estimator.spp": 4}``."""
+    found = {}
+    for group, value in method.items():
+        several = value.items() if isinstance(value, DictConfig) else (("name", value),)
+        for name, each in several:
+            found[group if name == "name" else f"{group}.{name}"] = each
+    return found

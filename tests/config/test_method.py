@@ -1,0 +1,108 @@
+"""What a scene takes by itself, and the words that count instead."""
+
+import pytest
+from omegaconf import OmegaConf
+
+from isas_cli.cli import race
+from isas_cli.config import method, schema
+from isas_cli.config.compose import compose, instantiate, options, translate
+from isas_cli.runtime.budget import Budget
+from isas_cli.runtime.errors import InputError
+
+GROUPS = {"sampler", "estimator", "optimizer", "budget"}
+OWN = [name for name in options("scene") if method.said(name, "method")]
+# What path replay does not differentiate.
+MOVING = ["caustic", "cup", "dodoco_b", "global_illumination", "kirby", "object_joint_shape"]
+MOVING += ["occlusion", "shadowplay", "shadows", "sort"]
+
+
+def composed(*words: str):
+    cfg = compose(translate(words))
+    schema.typed(cfg)
+    return cfg
+
+
+def test_the_scenes_that_path_replay_cannot_solve_take_something_else():
+    assert OWN == MOVING
+
+
+@pytest.mark.parametrize("scene", OWN)
+def test_all_of_it_is_in_the_configuration_and_fits(scene):
+    cfg, own = composed(f"scene={scene}", "name=x"), method.said(scene, "method")
+    assert set(own) <= GROUPS
+    assert cfg.sampler.name == own.sampler
+    for group in GROUPS & set(own) - {"sampler"}:
+        assert own[group].items() <= cfg[group].items()
+    instantiate(cfg.estimator, "estimator").fits(instantiate(cfg.sampler, "sampler"))
+    words = method.taken(cfg)
+    # Typed, they are the same configuration.
+    typed = composed(f"scene={scene}", "name=x", "~scene.method", *words)
+    assert {**typed, "scene": 0} == {**cfg, "scene": 0}
+    assert method.taken(typed) == [] and typed.scene.unknowns == cfg.scene.unknowns
+
+
+def settings(cfg) -> tuple:
+    return cfg.sampler.name, cfg.estimator.name, cfg.estimator.batch, cfg.optimizer.schedule
+
+
+@pytest.mark.parametrize(
+    "words, found",
+    {
+        "": ("uniform", "plateau", 2048, "cosine"),
+        "sampler=plateau": ("plateau", "plateau", 2048, "cosine"),
+        "sampler=differences": ("differences", "plateau", 2048, "cosine"),
+        "sampler=plateau sampler.base=differences": ("differences", "plateau", 2048, "cosine"),
+        "estimator=plateau": ("uniform", "plateau", 2048, "cosine"),
+        "estimator.batch=16": ("uniform", "plateau", 16, "cosine"),
+        "optimizer.schedule=constant": ("uniform", "plateau", 2048, "constant"),
+        # Another estimator has no use for what is set for this one.
+        "sampler=mitsuba": ("mitsuba", "mitsuba", 65536, None),
+        "estimator=mitsuba": ("uniform", "mitsuba", 65536, None),
+        "sampler=uniform estimator=finite_differences": (
+            *("uniform", "finite_differences", 65536, None),
+        ),
+        "sampler=ours estimator=two_path": ("ours", "two_path", 65536, None),
+        "~scene.method": ("progress", "two_path", 65536, None),
+    }.items(),
+)
+def test_a_word_counts_instead(words, found):
+    assert settings(composed("scene=cup", *words.split())) == found
+
+
+def test_a_budget_counts_instead_of_the_scenes():
+    assert composed("scene=cup").budget == {"seconds": None, "iterations": 400, "paths": None}
+    assert composed("scene=cup", "budget.seconds=9").budget.iterations is None
+    assert composed("scene=cup", "sampler=mitsuba").budget.iterations == 400
+    assert composed("scene=cup", "~scene.method").budget.iterations is None
+
+
+def test_a_race_is_of_equal_time(tmp_path):
+    own = {"samplers": "[plateau,mitsuba]", "hydra.run.dir": str(tmp_path)}
+    _, entries, _ = race._fresh(own, ["scene=cup"])
+    assert [entry.cfg.estimator.name for entry in entries] == ["plateau", "mitsuba"]
+    assert [entry.cfg.estimator.batch for entry in entries] == [2048, 65536]
+    assert {entry.budget for entry in entries} == {Budget(seconds=60)}
+    _, entries, _ = race._fresh(own, ["scene=cup", "budget.iterations=3"])
+    assert {entry.budget for entry in entries} == {Budget(iterations=3)}
+
+
+def test_what_is_told_is_what_holds():
+    assert method.taken(composed("scene=pottery")) == []
+    told = method.taken(composed("scene=cup", "estimator.batch=16", "budget.paths=1e6"))
+    assert told == [
+        *("sampler=uniform", "estimator=plateau", "estimator.spp=4"),
+        *("optimizer.schedule=cosine", "optimizer.final=0.01"),
+    ]
+    assert method.taken(composed("scene=cup", "sampler=mitsuba")) == ["budget.iterations=400"]
+
+
+@pytest.mark.parametrize("typed", ["scene.method.sampler=ours", "scene.method={}"])
+def test_it_is_no_setting_of_its_own(typed):
+    with pytest.raises(InputError, match="say sampler=NAME, estimator=NAME, …, or ~scene.method"):
+        composed("scene=cup", typed)
+
+
+def test_a_scene_without_one_keeps_the_usual_choices():
+    usual = composed("scene=pottery")
+    assert (usual.sampler.name, usual.estimator.name) == ("progress", "two_path")
+    assert OmegaConf.to_container(usual.scene.method) == {}
