@@ -68,8 +68,7 @@ def problem(
     found = parse(params, wanted, truth_known, scene.poses, of_views)
     written = {key for each in found for key in each.kind.writes}
     single = flat.reduce(mi.traverse(loaded), written)
-    own = mi.traverse(loaded)
-    discrete = lobes.touched(loaded, [owner(own, key) for key in written if key in own])
+    discrete = lobes.touched(params, sorted(written & set(params.keys())))
     adapted = integrators.adapt(integrator, _where(scene), loaded, discrete)
     lights_stay = not any(isinstance(owner(params, key), mi.Emitter) for key in written)
     light.prepare(loaded, adapted.cuts and adapted.samples_lights and lights_stay)

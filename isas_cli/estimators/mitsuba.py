@@ -109,6 +109,7 @@ class WholeImages:
                 "photos.refine=false and files that give no exposures"
             )
         _check_shapes(problem)
+        _warn(problem)
         self.integrator = _integrator(problem, silhouettes)
         self.spp = max(1, batch // problem.views.total)
         self._sensors = [OwnFilm(sensor) for sensor in problem.scene.sensors()][: self._views]
@@ -227,6 +228,20 @@ def _check_shapes(problem: "Problem") -> None:
                     " Mitsuba's derivative reaches shapes alone; take estimator=plateau with "
                     "estimator.gradient=kernel, or estimator=finite_differences"
                 )
+
+
+def _warn(problem: "Problem") -> None:
+    """Of unknowns by which Mitsuba's derivative is wrong (benchmarks/derivatives.md)."""
+    lobes = problem.integrator.lobes
+    wrong = {*(lobes.keys if lobes else problem.integrator.misses)}
+    wrong |= {unknown.key for unknown in problem.unknowns if unknown.kind.aside}
+    told = (
+        "Mitsuba's own derivative by "
+        + ", ".join(f"'{key}'" for key in sorted(wrong))
+        + " is wrong (benchmarks/derivatives.md): compare with estimator=two_path"
+    )
+    if wrong and told not in problem.warnings:
+        problem.warnings.append(told)
 
 
 def _integrator(problem: "Problem", silhouettes: str) -> mi.Integrator:

@@ -206,9 +206,8 @@ class ByShape:
     ) -> dict:
         """The gradient at ``values``, by key; the same at all the share ``spent`` of the budget."""
         unknowns = self.problem.unknowns
-        unknowns.attach(values)
-        self.inside.accumulate(distribution, seed, iteration)
-        total = unknowns.taken()
+        total = self.inside.gradients(values, distribution, seed, iteration)
+        unknowns.taken()  # what follows begins anew
         for number, (key, purposes, border) in enumerate(self.borders):
             place = iteration * len(self.borders) + number
             seeds = [
@@ -219,7 +218,8 @@ class ByShape:
             positions = self._still.get(key)
             border.accumulate(unknowns.params[key] if positions is None else positions, seeds)
             for name, gradient in unknowns.taken().items():
-                total[name] += gradient
+                if not unknowns[name].kind.aside:
+                    total[name] += gradient
         return total
 
 

@@ -19,6 +19,7 @@ from ..unknowns import exposure, motion, smoothing
 from ..unknowns.blur import Blur
 from ..unknowns.exposure import Exposure
 from ..unknowns.motion import Motion
+from .aside import Aside
 from .estimator import Estimator
 
 if TYPE_CHECKING:
@@ -82,7 +83,8 @@ class TwoPath:
 
     By a photograph's exposure e, where I = k e L with a known k (``Views.given``), the derivative
     is ⟨∂ℒ/∂I⟩ k ⟨L⟩, with L from the other path, or from a third one where that does not tell it.
-    By a camera's pose it is a blurred difference, of two more paths (``unknowns.motion``).
+    By a camera's pose it is a blurred difference, of two more paths (``unknowns.motion``), and by
+    numbers that Mitsuba does not differentiate by a plain one (``aside``).
 
     Symbols: N → ``batch`` (pixels a step; 2 N light paths, more with derivative sampling);
     p → ``PixelDistribution``; θ → ``problem.unknowns``, whose gradients receive the estimate.
@@ -108,9 +110,16 @@ class TwoPath:
             )
         self.problem, self.loss, self.batch = problem, loss, batch
         integrator = problem.integrator
+        if integrator.misses:
+            raise InputError(
+                f"scene.unknowns: '{integrator.misses[0]}' is of a material with mirrors, clear "
+                "glass or gaps, whose derivative is not taken where media are, emitters are hidden "
+                "or meshes move: take sampler=finite_differences, with a blur"
+            )
         exposed, moved = (problem.unknowns.of(kind) for kind in (Exposure, Motion))
         self._moved = moved
         self.blur = Blur(problem, "estimator.blurred=true") if blurred else None
+        self._aside = Aside(problem, loss, batch, freeze)
         # Beside that whose derivative is counted.
         third = exposed is not None and not integrator.crosses
         self._paths = 1 + third + 2 * (moved is not None)
@@ -179,7 +188,8 @@ class TwoPath:
     @property
     def paths_per_step(self) -> int:
         """Light paths of one estimate."""
-        return (self._paths + self.problem.integrator.paths_per_derivative) * self.batch
+        paths = self._paths + self.problem.integrator.paths_per_derivative
+        return paths * self.batch + self._aside.paths_per_step
 
     @property
     def nonfinite(self) -> int:
@@ -199,21 +209,29 @@ class TwoPath:
 
         Without bias for ∂(κ ⋆ ℒ)/∂θ (PRDPT Eq. 8 in the space of the loss), with 0 outside an
         unknown's range, where values are clamped. Waits where it is blurred."""
-        unknowns = self.problem.unknowns
         if self.blur is None:
-            unknowns.attach(values)
-            self.accumulate(distribution, seed, iteration)
-            return unknowns.gradients()
+            return self.gradients(values, distribution, seed, iteration)
         θ = self.blur.vector(values)
         rng = np.random.default_rng(streams.seed(seed, iteration, "offset"))
         at = θ + smoothing.blurred(self.blur.widths(θ, spent), rng)
-        unknowns.attach(self.blur.clamped(at))
-        self.accumulate(distribution, seed, iteration)
-        found = self.blur.vector(unknowns.gradients())
+        found = self.gradients(self.blur.clamped(at), distribution, seed, iteration)
+        found = self.blur.vector(found)
         return self.blur.values(np.where(self.blur.inside(at), found, 0))
 
+    def gradients(
+        self, values: dict, distribution: PixelDistribution, seed: int, iteration: int
+    ) -> dict:
+        """The estimate at ``values``, by key, without blur."""
+        drawn = distribution, seed, iteration
+        sides = self._aside.sides(values, *drawn)
+        self.problem.unknowns.attach(values)
+        aside = self._aside.gradients(sides, *drawn)
+        self.accumulate(*drawn)
+        return self.problem.unknowns.gradients() | aside
+
     def accumulate(self, distribution: PixelDistribution, seed: int, iteration: int) -> None:
-        """Add one estimate to the gradients of the unknowns' leaves (``Unknowns.attach`` first)."""
+        """Add what paths carry to the gradients of the unknowns' leaves (``Unknowns.attach``
+        first)."""
         p = self.problem
         seeds = [
             dr.opaque(mi.UInt32, streams.seed(seed, iteration, purpose))

@@ -46,6 +46,8 @@ class Integrator:
     ``moves``: whether derivatives by what moves surfaces are among its own, silhouettes left out.
     ``samples_lights``: whether light is sampled where a path scatters. ``crosses``: whether both
     paths of a ``pair`` are differentiated.
+    ``lobes``: of materials whose parameters are unknown; ``misses``: keys of unknowns whose
+    derivative is wrong, as Mitsuba does not take these lobes apart.
     ``max_depth``: edges of the longest path (2^32 - 1: no limit); ``paths_per_derivative``: light
     paths behind one estimate of a pixel's derivative.
     """
@@ -56,6 +58,9 @@ class Integrator:
     moves = False
     samples_lights = True
     crosses = False
+
+    lobes: Lobes | None = None
+    misses: tuple[str, ...] = ()
 
     def __init__(self, base: mi.Integrator):
         self.mitsuba = base
@@ -383,7 +388,9 @@ def adapt(
         )
     if replayed.handles(base):
         return _surfaces(base, Paths(base.max_depth, base.max_depth), lobes)
-    return Integrator(base)
+    found = Integrator(base)
+    found.misses = lobes.keys if lobes else ()
+    return found
 
 
 def _roulette(base: mi.Integrator, paths: Paths) -> int:

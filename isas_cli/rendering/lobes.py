@@ -26,6 +26,10 @@ from typing import NamedTuple
 import drjit as dr
 import mitsuba as mi
 
+from ..unknowns.parameters import owner
+from ..unknowns.ranges import held
+from ..unknowns.routes import discrete
+
 # The least chance of a lobe, and what a path's weight is in a replay where its value is 0.
 _LEAST, _OFF = 0.05, 1e-5
 _BELOW_ONE = 1 - 2**-24
@@ -105,11 +109,11 @@ class _Lobe:
             self.pdf, self.mass = self.pdf * by, self.mass * by
 
 
-class Lobes:
-    """BSDFs with discrete lobes that are taken apart."""
+class Lobes(NamedTuple):
+    """``bsdfs`` with discrete lobes, to be taken apart, and the ``keys`` of the unknowns in them."""
 
-    def __init__(self, bsdfs: Iterable[mi.BSDF]):
-        self.bsdfs = list(bsdfs)
+    bsdfs: tuple[mi.BSDF, ...]
+    keys: tuple[str, ...]
 
 
 def _drawn(
@@ -171,24 +175,7 @@ class _Named(NamedTuple):
 
 
 def _named(bsdf: mi.BSDF) -> _Named:
-    class Names(mi.TraversalCallback):
-        def __init__(self):
-            super().__init__()
-            self.parts = {}
-
-        def put_object(self, name, thing, flags):
-            self.parts[name] = thing
-
-        def put_value(self, name, value, flags, kind):
-            pass
-
-        def put(self, name, value, flags, kind=None):
-            if isinstance(value, mi.Object):
-                self.put_object(name, value, flags)
-
-    found = Names()
-    bsdf.traverse(found)
-    return _Named(bsdf, found.parts)
+    return _Named(bsdf, dict(held(bsdf)))
 
 
 def _apart(node: _Named, si, numbers: mi.Point2f, active: mi.Bool) -> list[_Lobe]:
@@ -265,10 +252,10 @@ def _turned(lobe: _Lobe, flip: mi.Vector3f, here: mi.Bool) -> _Lobe:
 def _leaf(node: _Named, si, numbers, active) -> list[_Lobe]:
     """Of a material without parts, or of one that turns the frame of what it holds."""
     bsdf, found = node.bsdf, []
-    discrete = discrete_components(bsdf)
-    smooth = [k for k in range(bsdf.component_count()) if k not in discrete]
+    sharp = discrete(bsdf)
+    smooth = [k for k in range(bsdf.component_count()) if k not in sharp]
     rest = mi.Float(1)
-    for component in discrete:
+    for component in sharp:
         sample, value = bsdf.sample(_only(component), si, mi.Float(0.5), numbers, active)
         valid = active & (dr.detach(sample.pdf) > 0)
         value = dr.select(valid, value, 0)
@@ -281,7 +268,7 @@ def _leaf(node: _Named, si, numbers, active) -> list[_Lobe]:
         wo, eta = dr.detach(sample.wo), dr.detach(sample.eta)
         found.append(_Lobe(share, valid, value, wo, eta, chance, chance, value))
     # What honours no component is one lobe, as it is drawn whole.
-    every = [None] if not discrete else smooth
+    every = [None] if not sharp else smooth
     for component in every if smooth else ():
         context = mi.BSDFContext() if component is None else _only(component)
         share = dr.detach(dr.maximum(rest, 0)) / len(every)
@@ -306,20 +293,15 @@ def _only(component: int) -> mi.BSDFContext:
 _OF_CLASS = {"MaskBSDF": _mask, "BlendBSDF": _blend, "TwoSidedBRDF": _two_sided}
 
 
-def discrete_components(bsdf: mi.BSDF) -> list[int]:
-    """Numbers of the lobes of a BSDF that have no density."""
-    flags = (bsdf.flags(number) for number in range(bsdf.component_count()))
-    return [k for k, own in enumerate(flags) if mi.has_flag(own, mi.BSDFFlags.Delta)]
-
-
-def touched(scene: mi.Scene, holders: Iterable) -> Lobes | None:
-    """Those of a scene's materials with discrete lobes that hold one of ``holders``, objects whose
-    parameters are unknown, at any depth; None where there are none."""
-    wanted, found = list(holders), []
-    for thing in mi.traverse(scene).hierarchy:
-        if not isinstance(thing, mi.BSDF) or not discrete_components(thing):
-            continue
-        held = mi.traverse(thing).hierarchy
-        if any(one is other for one in wanted for other in held):
-            found.append(thing)
-    return Lobes(found) if found else None
+def touched(params: mi.SceneParameters, keys: Iterable[str]) -> Lobes | None:
+    """The materials with discrete lobes, at any depth, that the parameters ``keys`` are of; None
+    where there are none."""
+    wanted, found, inside = {key: owner(params, key) for key in keys}, [], set()
+    for thing in params.hierarchy:
+        if isinstance(thing, mi.BSDF) and discrete(thing):
+            own = mi.traverse(thing).hierarchy
+            mine = {key for key, holder in wanted.items() if holder in own}
+            if mine:
+                found.append(thing)
+                inside |= mine
+    return Lobes(tuple(found), tuple(k for k in wanted if k in inside)) if found else None

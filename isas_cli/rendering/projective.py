@@ -25,6 +25,7 @@ class Attached(Integrator):
         self.max_depth, self.rr_depth = base.max_depth, base.rr_depth
         self.hide_emitters, self.paths = base.hide_emitters, base.paths
         self.primal = base.primal
+        self.misses = base.lobes.keys if base.lobes else base.misses
         self.direct = base.max_depth == 2
         self.projective = without_film(base)
 

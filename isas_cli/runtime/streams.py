@@ -36,8 +36,9 @@ PURPOSES = (
     "pose_offset",
     "reflected_edge",
     "reflected",
+    "aside",
 )
-_SLOTS = 32  # purposes per iteration, a power of two above len(PURPOSES)
+_SLOTS = 32  # purposes per iteration, a power of two, at least len(PURPOSES)
 _BLOCK = 2**32 // _SLOTS  # iterations whose slots fit into 32 bits
 
 

@@ -78,7 +78,8 @@ class Kind:
     ``doublings``: how often a coarser version of it may double its resolution before it is whole;
     ``undivided``: what a user is told who wants levels of what has none. ``levels``: how many it
     passes through, as configured.
-    ``carried``: whether a path's derivative by it is among those that integrators take.
+    ``carried``: whether a path's derivative by it is among those that integrators take; ``aside``:
+    why it is not, where estimators take differences of renderings instead, or nothing.
     ``uniform``: whether Adam divides the steps of all entries by one number, and steps go along
     ``smoothed``. ``texture``: whose texels, laid out on meshes, are the unknown; the meshes are
     checked for it. ``role``: ``light``, ``colour`` or nothing, see ``Unknowns.traded``.
@@ -101,6 +102,7 @@ class Kind:
     levels: int = 1
     undivided: ClassVar[str] = "one level; leave it out"
     carried: bool = True
+    aside: str = ""
     role: str = ""
 
     @classmethod

@@ -149,11 +149,16 @@ def _uses(params: mi.SceneParameters) -> dict[mi.Object, list[tuple[mi.Object, s
     for holder in params.hierarchy:
         if isinstance(holder, mi.Scene):
             continue
-        callback = _Held()
-        holder.traverse(callback)
-        for word, thing in callback.found:
+        for word, thing in held(holder):
             found.setdefault(thing, []).append((holder, word))
     return found
+
+
+def held(holder: mi.Object) -> list[tuple[str, mi.Object]]:
+    """The objects that one holds, each by its name there."""
+    callback = _Held()
+    holder.traverse(callback)
+    return callback.found
 
 
 class _Held(mi.TraversalCallback):

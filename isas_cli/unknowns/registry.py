@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from . import routes
 from .direction import Direction
 from .environment import Environment
 from .exposure import Exposure
@@ -42,6 +43,7 @@ def offered(loaded: Loaded) -> dict[str, type[Kind]]:
     found: dict[str, type[Kind]] = {}
     for kind in _KINDS:
         for key in kind.keys(loaded):
-            found.setdefault(key, kind)
+            if key not in loaded.params or not routes.refusal(loaded.params, key):
+                found.setdefault(key, kind)
     place = {key: number for number, key in enumerate(loaded.params.keys())}
     return dict(sorted(found.items(), key=lambda entry: place.get(entry[0], -1)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..config.schema import PoseConfig
 from ..runtime.errors import InputError, nearest
-from . import registry
+from . import registry, routes
 from .kind import Kind, Loaded
 from .parameters import as_numpy, is_float, moves_geometry
 from .ranges import around
@@ -200,6 +200,8 @@ def _unfit(params: mi.SceneParameters, key: str, valid: list[str]) -> str:
             f"'{key}' follows from other numbers of the file, by which nothing is differentiated; "
             f"valid: {', '.join(valid)}"
         )
+    if key in params and (reason := routes.refusal(params, key)):
+        return f"'{key}': {reason}; valid: {', '.join(valid)}"
     if key in params and moves_geometry(params, key):
         return (
             f"'{key}' moves geometry, whose visibility path replay does not differentiate; move "

@@ -214,7 +214,13 @@ class Unknowns:
         for key in (*made, *(own & leaves.keys())):
             self.params[key] = written[key]
         self.params.update()
-        self.leaves = {k: self.params[k] if k in own else origins[k] for k in self.keys}
+        self.leaves = {k: self._kept(k, origins[k]) if k in own else origins[k] for k in self.keys}
+
+    def _kept(self, key: str, leaf):
+        """``leaf`` as the scene keeps it; itself where Mitsuba keeps something else, made from it,
+        such as the index of refraction that a principled material's ``specular`` stands for."""
+        kept = self.params[key]
+        return kept if _nodes(kept) == _nodes(leaf) else leaf
 
     def gradients(self) -> dict:
         """Gradients of the leaves, by key. Read after the frozen call, never returned from it."""
@@ -239,3 +245,9 @@ class Unknowns:
             dr.set_grad(leaf, tangents[key])
             dr.enqueue(dr.ADMode.Forward, leaf)
         dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
+
+
+def _nodes(value) -> list[int]:
+    """Where the entries of a value stand in the graph of derivatives; 0: nowhere."""
+    value = value.array if dr.is_tensor_v(value) else value
+    return [each.index_ad for each in (value if dr.size_v(value) > 1 else [value])]

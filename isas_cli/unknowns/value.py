@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from .kind import Kind
+from . import routes
+from .kind import Kind, Loaded
 from .parameters import is_differentiable, is_grid, moves_geometry
 
 
@@ -21,3 +22,8 @@ class Value(Kind):
             # Its numbers have places in space, of which nothing here knows.
             and not is_grid(params, key)
         )
+
+    def __init__(self, key: str, loaded: Loaded):
+        super().__init__(key, loaded)
+        self.aside = routes.aside(loaded.params, key)
+        self.carried = not self.aside

@@ -1,0 +1,114 @@
+"""Differences of renderings by single numbers whose derivative no path carries."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..rendering import rays
+from ..rendering.kernels import recorded
+from ..rendering.pixels import PixelDistribution
+from ..runtime import streams
+from ..unknowns.parameters import as_numpy
+from ..unknowns.unknowns import Unknown
+
+if TYPE_CHECKING:
+    from ..scene.problem import Problem
+
+# Of the range, or of the number where that has no end, to each side; and the least of it.
+_STEP, _LEAST = 0.01, 1e-3
+
+
+class Aside:
+    """∂ℒ/∂θ_k for each entry k of the unknowns that Mitsuba does not differentiate by itself
+    (``Kind.aside``), beside path replay for all others: from the same drawn pixels,
+
+        1/N Σ_i ⟨∂ℒ/∂I⟩_{j_i} (I_{j_i}(θ + h e_k) - I_{j_i}(θ - h e_k)) / 2h / p_{j_i} .
+
+    Both sides along paths of the same random numbers, ∂ℒ/∂I from a path of its own. h is a
+    hundredth of the unknown's range; at the range's ends the difference is to one side.
+
+    Bias: O(h²) of the images' third derivative, O(h) at an end, beside that of a loss whose
+    derivative is not linear. Entries k cost two paths a pixel each, and one for all.
+    """
+
+    def __init__(self, problem: "Problem", loss, batch: int, freeze: bool):
+        self.problem, self.batch = problem, batch
+        self.unknowns = [u for u in problem.unknowns if u.kind.aside]
+        integrator = problem.integrator
+
+        def shown(scene, sensors, views, leaves, distribution, targets, mask, seeds):
+            """Radiance of a path of each drawn pixel, and what ∂ℒ/∂I it makes over p N."""
+            with dr.suspend_grad():
+                view, column, row, probability = distribution.draw(batch, seeds[0])
+                pixel = views.index(view, column, row)
+                dr.eval(view, column, row, pixel, probability)
+                stream = rays.stream(seeds[1], batch)
+                ray, weight = rays.spawn(sensors, views, view, column, row, stream)
+                radiance = integrator.primal(scene, stream, ray)[0] * weight
+                dr.eval(radiance)
+                target = dr.gather(mi.Color3f, targets, pixel)
+                residual = loss.derivative(radiance, target) / (probability * batch)
+                if mask is not None:
+                    residual *= dr.gather(mi.Float, mask, pixel)
+                dr.eval(residual)
+            return radiance, residual
+
+        self._shown = recorded(shown, problem, freeze)
+
+    @property
+    def paths_per_step(self) -> int:
+        """Light paths of one estimate."""
+        entries = sum(unknown.start.size for unknown in self.unknowns)
+        return self.batch * (1 + 2 * entries if entries else 0)
+
+    def sides(self, values: dict, distribution: PixelDistribution, seed: int, iteration: int):
+        """By key, for each entry, the difference of both sides' images over 2h. Leaves the scene at
+        other values than ``values``. Evaluates."""
+        return {
+            unknown.key: self._slopes(unknown, values, distribution, seed, iteration)
+            for unknown in self.unknowns
+        }
+
+    def gradients(self, slopes: dict, distribution, seed: int, iteration: int) -> dict:
+        """The estimate by key, of the scene's types, from ``sides``; with the scene at the values
+        again. Waits."""
+        if not slopes:
+            return {}
+        residual = self._render(distribution, seed, iteration, "primal")[1]
+        found = {}
+        for unknown in self.unknowns:
+            each = [dr.sum(residual * s, axis=None) for s in slopes[unknown.key]]
+            sums = np.array([float(one[0]) for one in each]) * float(self.problem.share[0])
+            found[unknown.key] = sums.reshape(unknown.start.shape).astype(np.float32)
+        return self.problem.unknowns.values_of(found)
+
+    def _slopes(self, unknown: Unknown, values: dict, *drawn) -> list[mi.Color3f]:
+        unknowns, array, found = self.problem.unknowns, as_numpy(values[unknown.key]), []
+        for entry in range(array.size):
+            images, places = [], _sides(unknown, float(array.flat[entry]))
+            for place in places:
+                moved = array.copy()
+                moved.flat[entry] = place
+                unknowns.write(values | unknowns.values_of({unknown.key: moved}))
+                images.append(self._render(*drawn, "aside")[0])
+            found.append((images[1] - images[0]) / (places[1] - places[0]))
+        return found
+
+    def _render(self, distribution, seed: int, iteration: int, purpose: str):
+        p = self.problem
+        seeds = [
+            dr.opaque(mi.UInt32, streams.seed(seed, iteration, each)) for each in ("draw", purpose)
+        ]
+        where = p.scene, p.sensors, p.views, p.unknowns.leaves
+        return self._shown(*where, distribution, p.targets, p.mask, seeds)
+
+
+def _sides(unknown: Unknown, place: float) -> tuple[float, float]:
+    wide = unknown.high - unknown.low
+    step = _STEP * (wide if np.isfinite(wide) else abs(place))
+    step = max(step, _LEAST)
+    return max(unknown.low, place - step), min(unknown.high, place + step)

@@ -1,0 +1,60 @@
+"""By which parameters a path's derivative is none, or a wrong one, and what is done instead.
+
+Path replay differentiates the values of materials and lights along directions that stay. What
+Mitsuba makes of a parameter on the side, in plain numbers, it does not see, nor what moves the
+directions of mirrors and clear glass. benchmarks/derivatives.py measures all that Mitsuba has.
+"""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+
+from .ranges import fed
+
+# By the class of what takes the parameter and its name there: why a path's derivative is not all.
+_ASIDE = {
+    ("RoughPlastic", "alpha"): "Mitsuba makes tables of it, through which no derivative flows",
+    ("RoughPlastic", "eta"): "Mitsuba makes tables of it, through which no derivative flows",
+}
+# What turns the frame that a material scatters in.
+_TURNING = "normalmap", "nested_texture"
+
+
+def aside(params: mi.SceneParameters, key: str) -> str:
+    """Why differences of renderings are taken by the parameter beside path replay; or nothing."""
+    reasons = (_ASIDE.get((holder.class_name(), word)) for holder, word, _ in fed(params, key))
+    return next(filter(None, reasons), "")
+
+
+def refusal(params: mi.SceneParameters, key: str) -> str:
+    """Why no estimator has the right derivative by the parameter, and what to do; or nothing."""
+    name = key.rpartition(".")[2]
+    if name == "vertex_texcoords":
+        return "no derivative by texture coordinates is taken: find the texture itself"
+    if name.startswith(("vertex_", "face_")) and _channels(params, key) not in (1, 3):
+        return (
+            f"it holds {_channels(params, key)} numbers each, and Mitsuba's mesh_attribute shows "
+            "1 or 3: write the colours without alpha"
+        )
+    turns = set(_TURNING) & set(key.split("."))  # of no other need one ask what takes it
+    for holder, word, _ in fed(params, key) if turns else ():
+        if word in _TURNING and discrete(holder):
+            return (
+                "it turns what mirrors and clear glass show, which path replay does not "
+                "differentiate: give the material under it a roughness"
+            )
+    return ""
+
+
+def _channels(params: mi.SceneParameters, key: str) -> int:
+    """Numbers a vertex or face of a mesh attribute."""
+    shape, name = params.properties[key][2], key.rpartition(".")[2]
+    count = shape.vertex_count() if name.startswith("vertex_") else shape.face_count()
+    return int(np.prod(np.shape(params[key]))) // max(1, count)
+
+
+def discrete(bsdf: mi.BSDF) -> list[int]:
+    """The numbers of a material's lobes that have no density."""
+    flags = (bsdf.flags(number) for number in range(bsdf.component_count()))
+    return [k for k, own in enumerate(flags) if mi.has_flag(own, mi.BSDFFlags.Delta)]
