@@ -32,15 +32,16 @@ _OF_BSDFS = {
     "diff_trans": (0.0, 2.0),
     **dict.fromkeys(("roughness", "alpha", "alpha_u", "alpha_v"), _GLOSS),
     "eta": _DENSER,
-    ("Conductor", "eta"): _POSITIVE,
-    ("Conductor", "k"): _POSITIVE,
+    # Metals' lie on both sides of 1.
+    ("SmoothConductor", "eta"): _POSITIVE,
     ("RoughConductor", "eta"): _POSITIVE,
-    ("RoughConductor", "k"): _POSITIVE,
+    "k": _POSITIVE,
     # The index that it stands for has an infinite derivative at 0.
     ("Principled", "specular"): (0.001, 1.0),
     # Directions as colours.
     "normalmap": _UNIT,
     **dict.fromkeys(("longitudinal_roughness", "azimuthal_roughness"), _GLOSS),
+    "scale_tilt": (-90.0, 90.0),
     **dict.fromkeys(("eumelanin", "pheomelanin", "sigma_a"), _POSITIVE),
 }
 _OF_EMITTERS = dict.fromkeys(("cutoff_angle", "beam_width"), (0.0, 90.0))

@@ -11,7 +11,7 @@ from ..config.schema import PoseConfig
 from ..runtime.errors import InputError, nearest
 from . import registry
 from .kind import Kind, Loaded
-from .parameters import as_numpy, is_float, moves_geometry
+from .parameters import as_numpy, is_float, moves_geometry, read
 from .ranges import around
 from .smoothing import stable
 from .unknowns import Unknown
@@ -67,7 +67,7 @@ def _start_of_another(
             "{uniform: [low, high], seed: 1}"
         )
     other, params = spec["of"], loaded.params
-    valid = [k for k in params.keys() if k != key and is_float(params[k])]
+    valid = [k for k in params.keys() if k != key and is_float(read(params, k))]
     if other not in valid:
         raise InputError(
             f"{where}.of={other}: no other parameter that holds numbers; "
