@@ -53,7 +53,7 @@ _OF_PHASES = {
     "S": _SIGNED,
     "values": _POSITIVE,
 }
-_OF_SHAPES = {"opacities": _UNIT}
+_OF_SHAPES = {"opacities": _UNIT, "color": _UNIT}
 _TABLES = (
     (mi.BSDF, _OF_BSDFS, _ANY),
     # None of what is left is negative: colours, strengths, densities.

@@ -13,9 +13,8 @@ from isas_cli import records
 from isas_cli.runtime import backend, images
 from isas_cli.scene import built, scene_file
 
-FILM = (
-    '<film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>'
-)
+SIDES = '<integer name="width" value="8"/><integer name="height" value="8"/>'
+FILM = f'<film type="hdrfilm">{SIDES}</film>'
 PLACE = '<transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>'
 CAMERA = f'<sensor type="perspective">{PLACE}{FILM}</sensor>'
 SKY = '<emitter type="constant"/>'
@@ -122,7 +121,9 @@ def test_an_older_file_means_what_mitsuba_makes_of_it(folder, rng, version):
     assert integrator.max_depth == 3 and integrator.hide_emitters
     assert "ball.bsdf.reflectance.data" in mi.traverse(a)  # in floating point
     assert str(mi.traverse(a)) == str(mi.traverse(b))
-    assert all(str(mi.traverse(a)[key]) == str(mi.traverse(b)[key]) for key in mi.traverse(a).keys())
+    assert all(
+        str(mi.traverse(a)[key]) == str(mi.traverse(b)[key]) for key in mi.traverse(a).keys()
+    )
     # What Mitsuba renders from the file itself.
     whole = mi.load_file(str(folder / "0.xml"), optimize=False)
     pictures = [np.array(mi.render(each, spp=4, seed=1)) for each in (a, whole)]
