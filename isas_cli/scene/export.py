@@ -96,6 +96,7 @@ def _write(
         found += Place(params, key, made_from, written).put(folder)
     _paint(loaded, folder / "painted")
     told = _stand(written, views) if views is not None else []
+    told += _deepen(written, scene)
     # Found files keep their names.
     brought = {path.name: path.resolve() for path in found}
     for node in written.nodes:
@@ -198,6 +199,23 @@ def _paint(loaded: mi.Scene, folder: Path) -> None:
         name = re.sub(r"[^\w.-]", "_", shape.id())
         for file, content in mesh_files.painted(name, points, faces, coordinates, colour).items():
             (folder / file).write_bytes(content)
+
+
+def _deepen(state, scene: SceneConfig) -> list[str]:
+    """Lets paths be as long as the configuration says of a file's; says where that cannot be."""
+    if scene.path is None or scene.max_depth is None:
+        return []
+    integrators = [node for node in state.nodes if node.type == mi.ObjectType.Integrator]
+    for node in integrators:
+        if node.props.plugin_name() == "direct":  # whose paths have no other length
+            hidden = node.props.get("hide_emitters", False)
+            node.props = mi.Properties("path")
+            node.props["hide_emitters"] = hidden
+        if node.props.plugin_name() in scene_file.DEEP:
+            node.props["max_depth"] = scene.max_depth
+    if integrators:
+        return []
+    return [f"the file names no integrator: render it with max_depth={scene.max_depth}"]
 
 
 def _stand(state, views: Views) -> list[str]:

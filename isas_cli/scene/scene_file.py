@@ -29,6 +29,8 @@ _REPLAY = {
     "prbvolpath": ("prbvolpath", 6),
     "emission": ("emission", None),
 }
+# Those whose paths may have any length.
+DEEP = tuple(name for name in _REPLAY if name not in ("direct", "direct_projective", "emission"))
 _DIRECT = 2  # camera, surface, light: whatever the file says
 
 
