@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -19,7 +20,7 @@ from ..scene import built, flat, lenses, mesh_checks, scene_file
 from ..scene.photos import building, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
-from ..unknowns.parameters import owner
+from ..unknowns.parameters import owner, read
 from ..unknowns.specs import narrow_blurs, parse
 from ..unknowns.unknowns import Unknown, Unknowns
 
@@ -182,11 +183,12 @@ def _content_hash(
     as a bitmap's wrap mode or an integrator's hidden emitters.
     """
     hashed = hashlib.blake2b(digest_size=16)
-    hashed.update(str(scene).encode())
-    hashed.update(f"{integrator} {getattr(integrator, 'hide_emitters', None)}".encode())
+    told = f"{scene}{integrator} {getattr(integrator, 'hide_emitters', None)}"
+    # Objects that say nothing of themselves tell their address.
+    hashed.update(re.sub(r"\[0x[0-9a-f]+\]", "", told).encode())
     hashed.update(description.encode())
     for key in sorted(params.keys()):
-        value = params[key]
+        value = read(params, key)
         hashed.update(key.encode())
         if dr.is_array_v(value) and not dr.is_special_v(value):
             hashed.update(np.ascontiguousarray(np.array(value)).tobytes())

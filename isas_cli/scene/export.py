@@ -4,10 +4,12 @@ with what was found in it."""
 from __future__ import annotations
 
 import importlib
+import math
 import re
 import shutil
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -28,6 +30,7 @@ from ..unknowns.vertices import POSITIONS
 from . import built, instances, mesh_files, scene_file
 from .photos import building, photographs
 from .photos.photographs import Photographs
+from .places import Place, channels
 from .views import Views
 
 # Plugins in Python, of which Mitsuba does not know what they are.
@@ -36,8 +39,6 @@ _PYTHON = {"phong": mi.ObjectType.BSDF} | dict.fromkeys(
 )
 # What of a material is its colour, as a picture.
 _COLOURS = ".base_color", ".reflectance", ".diffuse_reflectance", ".diffuse"
-# What tells its index of refraction as one inside and one outside.
-_REFRACTING = "dielectric", "roughdielectric", "thindielectric", "plastic", "roughplastic"
 # Plugins that Mitsuba has not: where they are registered, and what their files need.
 _OURS = {"phong": "isas_cli.scene.phong", "emission": "isas_cli.rendering.emission"}
 _NEEDS = {
@@ -92,9 +93,10 @@ def _write(
     params = mi.traverse(loaded)
     found = []
     for key in dict.fromkeys(name for each in unknowns for name in each.kind.writes):
-        found += _Place(params, key, made_from, written).put(folder)
+        found += Place(params, key, made_from, written).put(folder)
     _paint(loaded, folder / "painted")
     told = _stand(written, views) if views is not None else []
+    told += _deepen(written, scene)
     # Found files keep their names.
     brought = {path.name: path.resolve() for path in found}
     for node in written.nodes:
@@ -103,6 +105,8 @@ def _write(
         if (kind := node.props.plugin_name()) in _OURS:
             told.append(f"'{kind}' is isas's own: {_NEEDS[kind]}")
     path = folder / "scene.xml"
+    # Names of properties are those of Mitsuba's own version.
+    written.versions = []
     mi.parser.write_file(written, str(path))
     _keep_ids(path, written)
     return path, list(dict.fromkeys(told))
@@ -143,7 +147,7 @@ def _as_files(described: dict[str, Any], folder: Path, name: str) -> dict[str, A
             pixels = np.array(value, np.float32)
             pixels = pixels[..., None] if pixels.ndim == 2 else pixels
             found["filename"] = str(folder / f"{name}.exr")
-            images.write_exr(found["filename"], pixels, _channels(pixels), {"what": name})
+            images.write_exr(found["filename"], pixels, channels(pixels), {"what": name})
         elif isinstance(value, mi.VolumeGrid):
             found["filename"] = str(folder / f"{name}.vol")
             value.write(found["filename"])
@@ -156,13 +160,15 @@ def _unknowns(
     scene: SceneConfig, taken: Photographs | None, loaded: mi.Scene
 ) -> tuple[Unknowns, Views | None]:
     """The unknowns in ``loaded``, and the views where these have unknowns of their own."""
-    wanted, of_views = scene.unknowns, None
+    # Values are known: no start is needed, nor a file that it came from.
+    anything = {"start": None, "range": [-math.inf, math.inf]}
+    wanted = {key: replace(spec, **anything) for key, spec in scene.unknowns.items()}
+    of_views = None
     if taken is not None:
-        wanted = building.unknowns(scene.photos, taken.surface, scene.unknowns)
+        wanted = building.unknowns(scene.photos, taken.surface, wanted)
         sizes = [(each.camera.width, each.camera.height) for each in taken.shown]
         of_views = building.of_views(taken, Views.of(sizes))
-    truth_known = taken is None and scene.targets is None
-    found = parse(mi.traverse(loaded), wanted, truth_known, scene.poses, of_views)
+    found = parse(mi.traverse(loaded), wanted, False, scene.poses, of_views)
     return Unknowns(mi.traverse(loaded), found), of_views and of_views["views"]
 
 
@@ -193,6 +199,23 @@ def _paint(loaded: mi.Scene, folder: Path) -> None:
         name = re.sub(r"[^\w.-]", "_", shape.id())
         for file, content in mesh_files.painted(name, points, faces, coordinates, colour).items():
             (folder / file).write_bytes(content)
+
+
+def _deepen(state, scene: SceneConfig) -> list[str]:
+    """Lets paths be as long as the configuration says of a file's; says where that cannot be."""
+    if scene.path is None or scene.max_depth is None:
+        return []
+    integrators = [node for node in state.nodes if node.type == mi.ObjectType.Integrator]
+    for node in integrators:
+        if node.props.plugin_name() == "direct":  # whose paths have no other length
+            hidden = node.props.get("hide_emitters", False)
+            node.props = mi.Properties("path")
+            node.props["hide_emitters"] = hidden
+        if node.props.plugin_name() in scene_file.DEEP:
+            node.props["max_depth"] = scene.max_depth
+    if integrators:
+        return []
+    return [f"the file names no integrator: render it with max_depth={scene.max_depth}"]
 
 
 def _stand(state, views: Views) -> list[str]:
@@ -231,87 +254,9 @@ def _keep_ids(path: Path, state) -> None:
     """The ids of the scene's own things, which Mitsuba writes only where something refers to
     them: by these a user knows them."""
     tree = ElementTree.parse(path)
-    things = [node for node in tree.getroot() if "type" in node.attrib]
-    own = [state.nodes[value.index()] for _, value in state.root.props.items()]
-    for thing, node in zip(things, own, strict=True):
-        if node.props.id():
-            thing.set("id", node.props.id())
+    things = [node for node in tree.getroot() if node.tag != "default"]
+    for thing, number in zip(things, instances.references(state.root.props).values(), strict=True):
+        # Others stand where something else refers to them first.
+        if thing.tag != "ref" and (id := state.nodes[number].props.id()):
+            thing.set("id", id)
     tree.write(path, encoding="utf-8")
-
-
-def _channels(pixels: np.ndarray) -> list[str]:
-    return [*"RGB"] if pixels.shape[2] == 3 else ["Y"]
-
-
-class _Place:
-    """Where in the file a parameter of the scene stands."""
-
-    def __init__(self, params: mi.SceneParameters, key: str, made_from: dict, state):
-        self.key, self.value, self.owner = key, params[key], params.properties[key][2]
-        self.name = key.rpartition(".")[2]
-        if self.owner in made_from:
-            self.props = state.nodes[made_from[self.owner]].props
-            return
-        # Textures forget from which node they were made, and of a colour or a number in the file
-        # Mitsuba makes one as well: what holds them knows.
-        holder, name = params.hierarchy[self.owner][0], key.split(".")[-2]
-        if holder not in made_from:
-            raise InputError(f"'{key}' has no place in the scene file")
-        self.props = state.nodes[made_from[holder]].props
-        if isinstance(self.props.get(name), mi.Properties.ResolvedReference):
-            self.props = state.nodes[self.props[name].index()].props
-        else:
-            self.name = name
-
-    def put(self, folder: Path) -> list[Path]:
-        """Writes the parameter's value there, large ones into files of their own in ``folder``,
-        which it returns."""
-        if isinstance(self.owner, mi.Mesh):
-            return [self._mesh(folder / f"{self.key.rpartition('.')[0]}.ply")]
-        if isinstance(self.owner, mi.Volume):
-            path = folder / f"{self.key}.vol"
-            mi.VolumeGrid(as_numpy(self.value)).write(str(path))
-            return [self._file(path)]
-        if isinstance(self.owner, (mi.Emitter, mi.Texture)) and self.name == "data":
-            pixels, path = as_numpy(self.value), folder / f"{self.key}.exr"
-            # An environment map repeats its first column and its last.
-            pixels = pixels[:, 1:-1] if isinstance(self.owner, mi.Emitter) else pixels
-            images.write_exr(path, pixels, _channels(pixels), {"what": self.key})
-            return [self._file(path)]
-        if self.name == "to_world":
-            # What it holds already.
-            self._without("center", "radius", "p0", "p1", "direction")
-            self.props["to_world"] = mi.ScalarTransform4f(np.array(self.value.matrix).reshape(4, 4))
-        else:
-            self._numbers(as_numpy(self.value).ravel())
-        return []
-
-    def _numbers(self, numbers: np.ndarray) -> None:
-        if self.name == "position":
-            self._without("to_world")
-            self.props["position"] = mi.ScalarPoint3f(numbers.tolist())
-        elif self.name == "eta" and self.props.plugin_name() in _REFRACTING:
-            self._without("int_ior", "ext_ior")
-            self.props["int_ior"], self.props["ext_ior"] = float(numbers[0]), 1.0
-        elif numbers.size == 1:
-            self.props[self.name] = float(numbers[0])
-        elif numbers.size == 3:
-            self.props[self.name] = mi.ScalarColor3f(*numbers)
-        else:
-            raise InputError(f"'{self.key}' holds {numbers.size} numbers: 1 or 3 can be written")
-
-    def _without(self, *names: str) -> None:
-        for name in names:
-            if name in self.props:
-                del self.props[name]
-
-    def _file(self, path: Path) -> Path:
-        self._without("data", "bitmap", "grid")
-        self.props["filename"] = str(path)
-        return path
-
-    def _mesh(self, path: Path) -> Path:
-        self.owner.write_ply(str(path))
-        self._without("to_world", "flip_tex_coords", "shape_index")
-        self.props.set_plugin_name("ply")
-        return self._file(path)

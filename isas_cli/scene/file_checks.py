@@ -64,4 +64,18 @@ def check_volume(path: Path, where: str) -> None:
         )
 
 
+def read_bounds(path: Path) -> tuple[float, ...]:
+    """The box that a .vol file says its grid fills: its least corner, then its largest."""
+    with open(path, "rb") as file:
+        return _VOLUME.unpack(file.read(_VOLUME.size))[7:]
+
+
+def write_bounds(path: Path, bounds: tuple[float, ...]) -> None:
+    """Lets a .vol file say that its grid fills this box (``read_bounds``)."""
+    with open(path, "r+b") as file:
+        head = _VOLUME.unpack(file.read(_VOLUME.size))
+        file.seek(0)
+        file.write(_VOLUME.pack(*head[:7], *bounds))
+
+
 _CHECKS = {"ply": _mesh, "gridvolume": check_volume}

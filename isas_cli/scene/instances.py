@@ -38,9 +38,12 @@ def instantiate(settings: mi.parser.ParserConfig, state: mi.parser.ParserState) 
     made = mi.parser.instantiate(settings, state)
     made = made[0] if isinstance(made, (list, tuple)) else made
     origin = {made: 0}
+    inner = {(holder, number) for (holder, _), number in held.items()}
     for (holder, name), number in held.items():
         for thing in _held(state.nodes[holder].props, name):
-            origin[thing] = number
+            # Some, such as 'd65', give what they hold for themselves.
+            if (number, origin.get(thing)) not in inner:
+                origin[thing] = number
             # A bitmap forgets its id.
             if holder == 0 and _nameless(thing):
                 thing.set_id(state.nodes[number].props.id())

@@ -30,6 +30,8 @@ _REPLAY = {
 }
 # Integrators that hand on what one inside them finds, and add channels of their own.
 _WRAPPERS = ("aov", "moment", "stokes")
+# Those whose paths may have any length.
+DEEP = tuple(name for name in _REPLAY if name not in ("direct", "direct_projective", "emission"))
 _DIRECT = 2  # camera, surface, light: whatever the file says
 
 

@@ -20,7 +20,7 @@ from ..config.schema import PoseConfig
 from ..runtime import images
 from ..runtime.errors import InputError
 from .parameters import as_numpy, like
-from .ranges import role, usual
+from .ranges import inside, role, usual
 
 if TYPE_CHECKING:
     from ..scene.topology import Topology
@@ -127,6 +127,7 @@ class Kind:
         self._type = type(value)
         self.present = as_numpy(value)
         *self.range, self.unit = usual(loaded.params, key)
+        self.present = inside(self.present, *self.range)
         self.role = role(loaded.params, key)
 
     def value(self, array: np.ndarray):

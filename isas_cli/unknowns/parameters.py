@@ -12,6 +12,15 @@ def owner(params: mi.SceneParameters, key: str):
     return params.properties[key][2]
 
 
+def read(params: mi.SceneParameters, key: str):
+    """The parameter's value; None where the object has none at present, which Mitsuba lists all
+    the same."""
+    try:
+        return params[key]
+    except TypeError:
+        return None
+
+
 def moves_geometry(params: mi.SceneParameters, key: str) -> bool:
     """Whether the parameter changes what is visible. Mitsuba's flag alone would not do: it also
     marks roughness, whose lobe is smooth inside the legal range, and environment maps."""
@@ -29,7 +38,8 @@ def is_float(value) -> bool:
 
 def is_differentiable(params: mi.SceneParameters, key: str) -> bool:
     """Whether Mitsuba keeps derivatives by the parameter, and no camera owns it."""
-    if not (is_float(params[key]) and dr.is_diff_v(params[key])):
+    value = read(params, key)
+    if not (is_float(value) and dr.is_diff_v(value)):
         return False
     if isinstance(owner(params, key), (mi.Sensor, mi.Film)):
         return False

@@ -15,6 +15,8 @@ import numpy as np
 from .parameters import as_numpy, owner
 
 _UNIT, _SIGNED = (0.0, 1.0), (-1.0, 1.0)
+# What Mitsuba clips to [0, 1], and so has no derivative at the ends.
+_CLIPPED, _AT = (1e-6, 1 - 1e-6), 2e-6
 _POSITIVE, _ANY = (0.0, np.inf), (-np.inf, np.inf)
 # Below about that a glossy lobe's derivative dies.
 _GLOSS = (0.03, 1.0)
@@ -26,33 +28,34 @@ _OF_BSDFS = {
     **dict.fromkeys(("base_color", "reflectance", "diffuse", "specular"), _UNIT),
     **dict.fromkeys(("diffuse_reflectance", "specular_reflectance"), _UNIT),
     **dict.fromkeys(("specular_transmittance", "transmittance"), _UNIT),
-    **dict.fromkeys(("opacity", "weight"), _UNIT),
+    **dict.fromkeys(("opacity", "weight"), _CLIPPED),
     **dict.fromkeys(("metallic", "anisotropic", "spec_tint", "spec_trans", "flatness"), _UNIT),
     **dict.fromkeys(("sheen", "sheen_tint", "clearcoat", "clearcoat_gloss"), _UNIT),
     "diff_trans": (0.0, 2.0),
     **dict.fromkeys(("roughness", "alpha", "alpha_u", "alpha_v"), _GLOSS),
     "eta": _DENSER,
-    ("Conductor", "eta"): _POSITIVE,
-    ("Conductor", "k"): _POSITIVE,
+    # Metals' lie on both sides of 1.
+    ("SmoothConductor", "eta"): _POSITIVE,
     ("RoughConductor", "eta"): _POSITIVE,
-    ("RoughConductor", "k"): _POSITIVE,
+    "k": _POSITIVE,
     # The index that it stands for has an infinite derivative at 0.
     ("Principled", "specular"): (0.001, 1.0),
     # Directions as colours.
     "normalmap": _UNIT,
     **dict.fromkeys(("longitudinal_roughness", "azimuthal_roughness"), _GLOSS),
+    "scale_tilt": (-90.0, 90.0),
     **dict.fromkeys(("eumelanin", "pheomelanin", "sigma_a"), _POSITIVE),
 }
 _OF_EMITTERS = dict.fromkeys(("cutoff_angle", "beam_width"), (0.0, 90.0))
 _OF_MEDIA = {"albedo": _UNIT}
 _OF_PHASES = {
     "g": (-0.99, 0.99),
-    "weight": _UNIT,
+    "weight": _CLIPPED,
     # Second moments of the projected area of flakes, at most 1.
     "S": _SIGNED,
     "values": _POSITIVE,
 }
-_OF_SHAPES = {"opacities": _UNIT}
+_OF_SHAPES = {"opacities": _UNIT, "color": _UNIT}
 _TABLES = (
     (mi.BSDF, _OF_BSDFS, _ANY),
     # None of what is left is negative: colours, strengths, densities.
@@ -177,6 +180,12 @@ class _Held(mi.TraversalCallback):
 
     def put_value(self, name, value, flags, cpptype=None) -> None:
         pass
+
+
+def inside(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    """``values``, those that lie as good as at an end of the range at that end."""
+    values = np.where(np.abs(values - low) <= _AT, np.maximum(values, low), values)
+    return np.where(np.abs(values - high) <= _AT, np.minimum(values, high), values)
 
 
 def around(low: float, high: float, values: np.ndarray) -> str:

@@ -11,8 +11,8 @@ from ..config.schema import PoseConfig
 from ..runtime.errors import InputError, nearest
 from . import registry, routes
 from .kind import Kind, Loaded
-from .parameters import as_numpy, is_float, moves_geometry
-from .ranges import around
+from .parameters import as_numpy, is_float, moves_geometry, read
+from .ranges import around, inside
 from .smoothing import stable
 from .unknowns import Unknown
 
@@ -67,7 +67,7 @@ def _start_of_another(
             "{uniform: [low, high], seed: 1}"
         )
     other, params = spec["of"], loaded.params
-    valid = [k for k in params.keys() if k != key and is_float(params[k])]
+    valid = [k for k in params.keys() if k != key and is_float(read(params, k))]
     if other not in valid:
         raise InputError(
             f"{where}.of={other}: no other parameter that holds numbers; "
@@ -81,7 +81,8 @@ def _start_of_another(
 
 
 def _range(spec, kind: Kind) -> tuple[float, float]:
-    low, high = kind.range if spec is None else _given(spec, kind.key)
+    given = kind.range if spec is None else _given(spec, kind.key)
+    low, high = inside(np.asarray(given, float), *kind.range)
     return float(low), float(high)
 
 
@@ -214,6 +215,7 @@ def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
     where = f"scene.unknowns['{kind.key}']"
     start = _start(spec.start, kind, loaded, truth_known)
     low, high = _range(spec.range, kind)
+    start = inside(start, low, high).astype(np.float32)
     if not np.all(np.isfinite(start)) or start.min() < low or start.max() > high:
         raise InputError(f"{where}.start lies outside its range [{low:g}, {high:g}]")
     reason = kind.refusal(start)

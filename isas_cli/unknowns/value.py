@@ -27,3 +27,12 @@ class Value(Kind):
         super().__init__(key, loaded)
         self.aside = routes.aside(loaded.params, key)
         self.carried = not self.aside
+
+    def warnings(self) -> list[str]:
+        if not self.aside:
+            return []
+        count = self.present.size
+        return [
+            f"'{self.key}': {self.aside}: differences of renderings are taken, {2 * count} more "
+            "paths a pixel, and the tables made anew for each"
+        ]

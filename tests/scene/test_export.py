@@ -314,3 +314,156 @@ def test_what_cannot_be_exported_is_one_line(folder, tmp_path, capsys):
     assert main(["export", str(tmp_path / "nowhere")]) == 2
     told = capsys.readouterr().err
     assert told.count("\n") == 1 and "nowhere" in told
+
+
+# Of each, what is found and how the file's material, light or texture says it.
+CAMERA = """<sensor type="perspective"><transform name="to_world">
+    <lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform><film type="hdrfilm">
+    <integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>"""
+BALL = """<scene version="{version}"><integrator type="{how}"><integer name="max_depth" value="3"/>
+  </integrator>{camera}{light}<shape type="sphere" id="ball">{bsdf}</shape>{more}</scene>"""
+SKY_ALONE = '<emitter type="constant" id="sky"><float name="radiance" value="1"/></emitter>'
+HEIGHTS = '<texture type="bitmap" name="heights"><string name="filename" value="heights.exr"/>'
+HEIGHTS += '<boolean name="raw" value="true"/></texture>'
+PAINT_AFTER = '<texture type="bitmap" id="paint"><string name="filename" value="paint.png"/>'
+PAINT_AFTER += "</texture>"
+FOUND = {
+    "gold, eta": (
+        {"bsdf": '<bsdf type="roughconductor"><string name="material" value="Au"/></bsdf>'},
+        ("ball.bsdf.eta.value", [0.2, 0.9, 1.5]),
+    ),
+    "silver, k": (
+        {"bsdf": '<bsdf type="conductor"><string name="material" value="Ag"/></bsdf>'},
+        ("ball.bsdf.k.value", [2.0, 3.0, 1.5]),
+    ),
+    "metal of one number": (
+        {"bsdf": '<bsdf type="roughconductor"><float name="k" value="2"/></bsdf>'},
+        ("ball.bsdf.eta.value", [0.7]),
+    ),
+    "sun": (
+        {
+            "light": '<emitter type="sunsky" id="sky"><vector name="sun_direction" x="0.4" y="-0.3"'
+            ' z="0.8"/></emitter>'
+        },
+        ("sky.sun_direction", [0.6, 0.0, 0.8]),
+    ),
+    "bumps": (
+        {"bsdf": f'<bsdf type="bumpmap">{HEIGHTS}<bsdf type="roughconductor"/></bsdf>'},
+        ("ball.bsdf.nested_texture.data", None),
+    ),
+    "a texture that stands after what shows it": (
+        {
+            "bsdf": '<bsdf type="diffuse"><ref id="paint" name="reflectance"/></bsdf>',
+            "more": PAINT_AFTER,
+        },
+        ("ball.bsdf.reflectance.data", None),
+    ),
+    "a material that the file does not name": ({}, ("ball.bsdf.reflectance.value", [0.1])),
+    "chequers in a mask": (
+        {
+            "bsdf": '<bsdf type="mask"><texture type="checkerboard" name="opacity"/>'
+            '<bsdf type="diffuse"/></bsdf>'
+        },
+        ("ball.bsdf.opacity.color0.value", [0.9]),
+    ),
+    "fog": (
+        {
+            "how": "volpath",
+            "bsdf": '<bsdf type="null"/><medium type="homogeneous" name="interior">'
+            '<float name="sigma_t" value="0.4"/></medium>',
+        },
+        ("ball.interior_medium.sigma_t.value.value", [1.3]),
+    ),
+    "a spectrum of its own": (
+        {
+            "bsdf": '<bsdf type="diffuse"><texture type="srgb" name="reflectance">'
+            '<rgb name="color" value="0.2,0.3,0.4"/></texture></bsdf>'
+        },
+        ("ball.bsdf.reflectance.value", [0.7, 0.1, 0.2]),
+    ),
+    "an older file": (
+        {
+            "version": "0.6.0",
+            "bsdf": '<bsdf type="diffuse"><rgb name="diffuseReflectance" '
+            'value="0.2,0.3,0.4"/></bsdf>',
+        },
+        ("ball.bsdf.reflectance.value", [0.7, 0.1, 0.2]),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FOUND)
+def test_each_plugin_is_told_in_its_own_words(folder, rng, name):
+    given, (key, value) = FOUND[name]
+    images.write_exr(folder / "heights.exr", rng.random((4, 4, 1)), ["Y"], {})
+    parts = {
+        "version": "3.0.0",
+        "how": "path",
+        "camera": CAMERA,
+        "light": SKY_ALONE,
+        "bsdf": "",
+        "more": "",
+    }
+    (folder / "ball.xml").write_text(BALL.format(**parts | given))
+    # With the file's integrator, and so its random numbers.
+    own, _ = instances.instantiate(*scene_file.parse(str(folder / "ball.xml")))
+    params = mi.traverse(own)
+    before = np.array(mi.render(own, spp=16, seed=1))
+    shape = np.array(params[key]).shape
+    array = rng.uniform(0.2, 0.9, shape) if value is None else np.array(value)
+    arrays = {key: array.astype(np.float32)}
+    path, told = export.write(scene(folder / "ball.xml", arrays), arrays, folder / "result")
+    assert told == []
+    unknowns = Unknowns(params, parse(mi.traverse(own), {key: UnknownConfig(start=0.5)}, True))
+    unknowns.write(unknowns.values_of(arrays))
+    same(path, own)
+    assert np.abs(np.array(mi.render(own, spp=16, seed=1)) - before).mean() > 1e-3 * before.mean()
+
+
+def test_a_length_of_paths_that_was_asked_for_is_in_the_file(folder):
+    arrays = {ROUGH: np.array([0.25], np.float32)}
+    config = scene(folder / "scene.xml", arrays)
+    config.max_depth = 2
+    path, told = export.write(config, arrays, folder / "result")
+    assert told == [] and "max_depth = 2" in str(mi.load_file(str(path)).integrator())
+    (folder / "scene.xml").write_text(
+        SCENE.replace('type="path"', 'type="direct"').replace(
+            '<integer name="max_depth" value="3"/>', ""
+        )
+    )
+    path, _ = export.write(config, arrays, folder / "result")
+    assert "max_depth = 2" in str(mi.load_file(str(path)).integrator())
+
+
+def test_a_grid_in_a_box_of_its_own_stays_there(folder, rng):
+    """As `use_grid_bbox` has it."""
+    low, high = np.float32([-1, -1, -1]), np.float32([0.5, 1, 0.5])
+    with open(folder / "grid.vol", "r+b") as file:
+        file.seek(24)
+        file.write(np.concatenate([low, high]).astype("<f4").tobytes())
+    own = '<string name="filename" value="grid.vol"/><boolean name="use_grid_bbox" value="true"/>'
+    text = CLOUD.replace('<string name="filename" value="grid.vol"/>', own)
+    (folder / "cloud.xml").write_text(text)
+    key = "box.interior_medium.sigma_t.data"
+    arrays = {key: rng.uniform(0.1, 2, (2, 3, 4, 1)).astype(np.float32)}
+    path, _ = export.write(scene(folder / "cloud.xml", arrays), arrays, folder / "result")
+    (folder / "grid.vol").unlink()
+    medium = next(s for s in mi.load_file(str(path)).shapes()).interior_medium()
+    box = mi.traverse(medium).hierarchy
+    (grid,) = (each for each in box if isinstance(each, mi.Volume) and "Grid" in each.class_name())
+    assert np.allclose([grid.bbox().min, grid.bbox().max], [low, high], atol=1e-5)
+
+
+def test_what_no_file_of_mitsubas_holds_is_refused_with_what_to_do(folder):
+    figure = '<shape type="ply"><string name="filename" value="figure.ply"/><ref id="paint"/>'
+    figure += "</shape>"
+    merged = f'<shape type="merge">{figure}{figure}</shape></scene>'
+    text = SCENE.replace("</scene>", merged).replace('<shape type="ply" id="figure">', "<!--")
+    text = text.replace('<shape type="sphere"', '--><shape type="sphere"')
+    (folder / "scene.xml").write_text(text)
+    own, *_ = scene_file.load(str(folder / "scene.xml"), None)
+    (key,) = (key for key in mi.traverse(own).keys() if key.endswith("vertex_positions"))
+    poses = {"up": PoseConfig(kind="translation", objects=[key.partition(".")[0]])}
+    arrays = {"up": np.zeros(3, np.float32)}
+    with pytest.raises(InputError, match="lies in merged shapes: take 'merge' out of the file"):
+        export.write(scene(folder / "scene.xml", arrays, poses), arrays, folder / "result")

@@ -1,0 +1,137 @@
+"""Ranges are those of what takes the numbers, not of what holds them."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from isas_cli.config.schema import UnknownConfig
+from isas_cli.runtime.errors import InputError
+from isas_cli.unknowns import ranges, registry
+from isas_cli.unknowns.kind import Loaded
+from isas_cli.unknowns.specs import parse
+
+INFINITE = np.inf
+
+
+def bitmap(channels: int) -> dict:
+    """Anew each time: the plugin takes the tensor's memory."""
+    texels = mi.TensorXf(np.full((2, 2, channels), 0.5, np.float32))
+    return {"type": "bitmap", "data": texels, "raw": True}
+
+
+DIFFUSE = {"type": "diffuse"}
+
+
+def ball(**bsdf) -> mi.SceneParameters:
+    described = {"type": "scene", "ball": {"type": "sphere", "bsdf": bsdf}}
+    return mi.traverse(mi.load_dict(described, optimize=False))
+
+
+UNIT = (0.0, 1.0)
+OF_BSDFS = {
+    "mask": ({"opacity": 0.5, "a": DIFFUSE}, {"opacity.value": UNIT}),
+    "mask, bitmap": ({"opacity": bitmap(1), "a": DIFFUSE}, {"opacity.data": UNIT}),
+    "blendbsdf": ({"weight": 0.5, "a": DIFFUSE, "b": DIFFUSE}, {"weight.value": UNIT}),
+    "dielectric": ({"specular_transmittance": 0.9}, {"specular_transmittance.value": UNIT}),
+    "roughdielectric": ({"int_ior": 1.5}, {"eta": (1.001, INFINITE), "alpha.value": (0.03, 1)}),
+    # A bubble in water.
+    "roughdielectric, thin": ({"int_ior": 1.0, "ext_ior": 1.33}, {"eta": (0.1, 0.999)}),
+    "roughconductor": ({"material": "Au"}, dict.fromkeys(("eta.value", "k.value"), (0, INFINITE))),
+    "conductor": ({"material": "Ag"}, dict.fromkeys(("eta.value", "k.value"), (0, INFINITE))),
+    "principled": (
+        {"specular": 0.5, "roughness": bitmap(1)},
+        {
+            "specular": (0.001, 1.0),
+            "roughness.data": (0.03, 1.0),
+            **dict.fromkeys(("clearcoat.value", "clearcoat_gloss.value", "sheen.value"), UNIT),
+            **dict.fromkeys(("sheen_tint.value", "spec_tint.value", "flatness.value"), UNIT),
+            **dict.fromkeys(("anisotropic.value", "metallic.value", "spec_trans.value"), UNIT),
+        },
+    ),
+    "principled, eta": ({"eta": 1.5}, {"eta": (1.001, INFINITE)}),
+    "principledthin": ({}, {"diff_trans.value": (0.0, 2.0), "eta.value": (1.001, INFINITE)}),
+    "hair": (
+        {},
+        {
+            "longitudinal_roughness": (0.03, 1.0),
+            "eumelanin": (0.0, INFINITE),
+            "eta": (1.001, INFINITE),
+        },
+    ),
+    "normalmap": ({"normalmap": bitmap(3), "a": DIFFUSE}, {"normalmap.data": UNIT}),
+}
+
+
+@pytest.mark.parametrize("name", OF_BSDFS)
+def test_a_material_gives_its_parameters_their_ranges(name):
+    given, wanted = OF_BSDFS[name]
+    params = ball(type=name.partition(",")[0], **given)
+    found = {word: ranges.usual(params, f"ball.bsdf.{word}")[:2] for word in wanted}
+    assert found == wanted
+
+
+def test_a_texture_within_a_texture_takes_the_range_of_what_it_feeds():
+    chequers = {"type": "checkerboard", "color0": 0.2, "color1": bitmap(1)}
+    params = ball(type="mask", opacity=chequers, a=DIFFUSE)
+    assert ranges.usual(params, "ball.bsdf.opacity.color0.value")[:2] == UNIT
+    assert ranges.usual(params, "ball.bsdf.opacity.color1.data")[:2] == UNIT
+
+
+def test_lights_and_what_shines_through_them_are_not_negative():
+    spot = {"type": "spot", "texture": bitmap(3)}
+    panel = {"type": "rectangle", "emitter": {"type": "area", "radiance": bitmap(3)}}
+    described = {"type": "scene", "spot": spot, "panel": panel}
+    params = mi.traverse(mi.load_dict(described, optimize=False))
+    positive = 0.0, INFINITE
+    assert ranges.usual(params, "spot.texture.data")[:2] == positive
+    assert ranges.usual(params, "panel.emitter.radiance.data") == (*positive, "radiance")
+    assert ranges.usual(params, "spot.cutoff_angle")[:2] == (0.0, 90.0)
+
+
+def test_what_several_share_lies_in_the_ranges_of_all():
+    reference = {"type": "ref", "id": "paint"}
+    bsdf = {"type": "principled", "base_color": reference, "roughness": reference}
+    described = {"type": "scene", "paint": bitmap(1), "ball": {"type": "sphere", "bsdf": bsdf}}
+    params = mi.traverse(mi.load_dict(described, optimize=False))
+    (key,) = (key for key in params.keys() if key.endswith(".data"))
+    assert ranges.usual(params, key)[:2] == (0.03, 1.0)
+    assert ranges.role(params, key) == "colour"
+
+
+@pytest.mark.parametrize("scale, most", [(1.0, 1.0), (0.5, 2.0)])
+def test_vertex_colours_are_what_the_material_reads(scale, most):
+    texture = {"type": "mesh_attribute", "name": "vertex_color", "scale": scale}
+    props = mi.Properties()
+    props["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": texture})
+    mesh = mi.Mesh("triangle", 3, 1, props=props)
+    mesh.add_attribute("vertex_color", 3, [0.5] * 9)
+    mesh.add_attribute("vertex_other", 1, [0.5] * 3)
+    mesh.set_id("mesh")
+    params = mi.traverse(mi.load_dict({"type": "scene", "mesh": mesh}, optimize=False))
+    assert ranges.usual(params, "mesh.vertex_color")[:2] == (0.0, most)
+    # Nobody reads it.
+    assert ranges.usual(params, "mesh.vertex_other")[:2] == (-INFINITE, INFINITE)
+
+
+def test_fog():
+    fog = {"type": "homogeneous", "sigma_t": 0.5, "albedo": 0.7}
+    described = {"type": "scene", "box": {"type": "cube", "interior": fog}}
+    params = mi.traverse(mi.load_dict(described, optimize=False))
+    found = {key: ranges.usual(params, key)[:2] for key in params.keys() if "medium" in key}
+    assert found["box.interior_medium.albedo.value.value"] == UNIT
+    assert found["box.interior_medium.sigma_t.value.value"] == (0.0, INFINITE)
+
+
+def test_a_truth_beyond_the_range_is_told_the_range_that_holds_it():
+    params = ball(type="principled", clearcoat=1.75)
+    specs = {"ball.bsdf.clearcoat.value": UnknownConfig(start=0.5)}
+    with pytest.raises(InputError, match=r"outside its range \[0, 1\]; give range: \[0, 1.75\]"):
+        parse(params, specs, True)
+    assert ranges.around(0.0, 1.0, np.float32([-0.3105, 1.3612])) == "[-0.311, 1.37]"
+
+
+def test_what_an_object_lacks_at_present_is_no_unknown():
+    """Hair without an absorption of its own lists one that is nothing."""
+    params = ball(type="hair")
+    assert "ball.bsdf.sigma_a" in params
+    assert "ball.bsdf.sigma_a" not in registry.offered(Loaded(params))
