@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import drjit as dr
 import mitsuba as mi
 
+from ..unknowns.parameters import traverse
+
 if TYPE_CHECKING:
     from ..scene.problem import Problem
 
@@ -48,7 +50,7 @@ def hidden(scene: mi.Scene) -> Callable[[], list]:
     """A function that gives the present arrays which kernels use and Dr.Jit does not find when it
     looks through the scene for what a recording depends on: phase functions show it none of
     theirs. Those that Mitsuba does not show either remain: see ``trial``."""
-    params = mi.traverse(scene)
+    params = traverse(scene)
     keys = [
         key
         for key in params.keys()
