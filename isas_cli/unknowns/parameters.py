@@ -33,8 +33,8 @@ _COLOURS += ("diffuse_reflectance", "specular_reflectance")
 
 
 def traverse(thing: mi.Object) -> mi.SceneParameters:
-    """``mi.traverse`` without parameters that hold nothing, as a hair's absorption does where it has
-    pigments: Mitsuba fails to read these."""
+    """``mi.traverse`` without parameters that hold nothing, as the absorption of hair with pigments
+    does: Mitsuba fails to read these."""
     found = mi.traverse(thing)
     for key, (value, kind, node, _) in list(found.properties.items()):
         if (value if kind is None else mi.get_property(value, kind, node)) is None:

@@ -44,7 +44,7 @@ TYPED = {
 LEFT = {
     "run": "another/summary.json",
     "race": "race/comparison/report.html",
-    "variance": "var/report.html",
+    "variance": "var/manifest.json",
     "photos": "sheet.png",
     "compare": "compared/report.html",
     "landscape": "run/landscape.csv",

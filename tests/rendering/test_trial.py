@@ -100,7 +100,7 @@ def test_what_cannot_be_frozen_runs_all_the_same_and_says_so_once(name, fixed_or
     made = problem(UNFROZEN[name]())
     trial.look(made, "here")
     assert not made.freezes
-    assert len(made.warnings) == 1 and "cannot freeze" in made.warnings[0]
+    assert len(made.warnings) == 1 and "cannot be frozen" in made.warnings[0]
     # The attempt leaves nothing behind: a scene that nobody tried to freeze shows the same.
     untouched = replace(problem(UNFROZEN[name]()), freezes=False)
     assert np.array_equal(image(made), image(untouched))

@@ -313,6 +313,11 @@ BAD_FILES = {
     "no emitter": (xml(emitter=""), ["own/bad.xml", "emitter"]),
     "light tracer": (xml(integrator="ptracer"), ["ptracer", "valid: path"]),
     "plugin": (xml(extra='<shape type="sfere"/>'), ["sfere", "line"]),
+    "a sky that moves": (xml(emitter='<emitter type="timed_sunsky"/>'), ["take sunsky"]),
+    "a light that no path finds": (
+        xml(extra='<shape type="sphere"><emitter type="directionalarea"/></shape>'),
+        ["directionalarea", "take it out"],
+    ),
     "no path": (
         xml().replace('<integrator type="path"/>', integrator("aov")),
         ["'aov' holds 0 integrators"],
