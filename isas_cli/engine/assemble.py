@@ -19,7 +19,7 @@ from ..scene import built, flat, lenses, mesh_checks, scene_file
 from ..scene.photos import building, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
-from ..unknowns.parameters import owner, traverse
+from ..unknowns.parameters import owner
 from ..unknowns.specs import narrow_blurs, parse
 from ..unknowns.unknowns import Unknown, Unknowns
 
@@ -58,7 +58,7 @@ def problem(
     pixels = sum(width * height for width, height in sizes)
     if pixels >= 2**32 - 1:
         raise InputError(f"{pixels} pixels in all views together: fewer than 2^32 can be indexed")
-    params = traverse(loaded)
+    params = mi.traverse(loaded)
     content = _content_hash(loaded, integrator, params, description)
     views, of_views, wanted = Views.of(sizes), None, scene.unknowns
     if taken is not None:
@@ -67,11 +67,11 @@ def problem(
     truth_known = taken is None and scene.targets is None
     found = parse(params, wanted, truth_known, scene.poses, of_views)
     written = {key for each in found for key in each.kind.writes}
-    single = flat.reduce(traverse(loaded), written)
+    single = flat.reduce(mi.traverse(loaded), written)
     adapted = integrators.adapt(integrator, _where(scene), loaded)
     lights_stay = not any(isinstance(owner(params, key), mi.Emitter) for key in written)
     light.prepare(loaded, adapted.cuts and adapted.samples_lights and lights_stay)
-    unknowns = Unknowns(traverse(loaded), found)
+    unknowns = Unknowns(mi.traverse(loaded), found)
     result = Problem(
         scene.name,
         loaded,
@@ -91,7 +91,8 @@ def problem(
         flat=single,
     )
     check(result)
-    if scene.path is not None:  # the builders' scenes hold nothing that would refuse
+    # isas's own scenes hold nothing that cannot be frozen.
+    if taken is None and not str(scene.builder).startswith("isas_cli.scenes."):
         trial.look(result, _where(scene))
     if taken is not None:
         phase("targets")

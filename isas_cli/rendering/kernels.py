@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 import drjit as dr
 import mitsuba as mi
 
-from ..unknowns.parameters import traverse
-
 if TYPE_CHECKING:
     from ..scene.problem import Problem
 
@@ -50,7 +48,7 @@ def hidden(scene: mi.Scene) -> Callable[[], list]:
     """A function that gives the present arrays which kernels use and Dr.Jit does not find when it
     looks through the scene for what a recording depends on: phase functions show it none of
     theirs. Those that Mitsuba does not show either remain: see ``trial``."""
-    params = traverse(scene)
+    params = mi.traverse(scene)
     keys = [
         key
         for key in params.keys()

@@ -32,16 +32,6 @@ _COLOURS = ("base_color", "reflectance", "albedo", "diffuse", "specular")
 _COLOURS += ("diffuse_reflectance", "specular_reflectance")
 
 
-def traverse(thing: mi.Object) -> mi.SceneParameters:
-    """``mi.traverse`` without parameters that hold nothing, as the absorption of hair with pigments
-    does: Mitsuba fails to read these."""
-    found = mi.traverse(thing)
-    for key, (value, kind, node, _) in list(found.properties.items()):
-        if (value if kind is None else mi.get_property(value, kind, node)) is None:
-            del found.properties[key]
-    return found
-
-
 def owner(params: mi.SceneParameters, key: str):
     """The object of the scene that holds the parameter."""
     return params.properties[key][2]

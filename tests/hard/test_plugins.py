@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mitsuba as mi
 import pytest
 from _plugins import SCENES, write
 
@@ -27,7 +28,7 @@ def scenes(tmp_path_factory) -> dict[str, Path]:
 def unknown(path: Path) -> str:
     """What can be differentiated by: of the thing on trial where it has any."""
     with backend.loading():
-        params = parameters.traverse(scene_file.load(str(path), None)[0])
+        params = mi.traverse(scene_file.load(str(path), None)[0])
     keys = [key for key in params.keys() if parameters.is_differentiable(params, key)]
     return min(keys, key=lambda key: "thing" not in key.split("."))
 
