@@ -24,10 +24,10 @@ def look(problem: Problem, where: str) -> None:
     costs where it is False. Leaves the unknowns at their starts; ``where`` names the scene.
 
     Dr.Jit records the arrays that it finds in a kernel's arguments. Some of Mitsuba's plugins show
-    it none of theirs, and what uses them raises, often when the whole kernel has run: gradients
-    have been added to and cannot be had back. So nothing is tried that counts. The kernel is traced
-    without being frozen first, as some plugins make arrays when they are first used, which are in
-    place then.
+    it none of theirs, and a kernel that uses them raises, mostly at its end: it has added to
+    gradients by then, and cannot be run again. So it is found out where nothing counts. First the
+    kernel runs without being frozen: some plugins make arrays when they are first used, as a
+    textured lamp does, and these must be there when a recording begins.
 
     Raises InputError where not even that works: Mitsuba cannot trace the scene.
     """
@@ -58,8 +58,9 @@ def look(problem: Problem, where: str) -> None:
     except RuntimeError:
         problem.freezes = False
         problem.warnings.append(
-            "Dr.Jit cannot freeze kernels for a plugin of this scene: every pass is traced anew, "
-            f"which is billed, about {max(1, round(1000 * anew))} ms each"
+            "kernels of this scene cannot be frozen, as a plugin hides arrays from Dr.Jit: each is "
+            f"traced anew at every call, which costs about {max(1, round(1000 * anew))} ms of "
+            "billed time; results are the same"
         )
     finally:
         unknowns.write(unknowns.starts())

@@ -1,4 +1,5 @@
-"""Files that a scene names: damage that Mitsuba would not survive, found before it reads them."""
+"""What Mitsuba would not survive, found before it: damage in files that a scene names, and plugins
+that cannot be rendered."""
 
 from __future__ import annotations
 
@@ -14,6 +15,13 @@ from .mesh_checks import check_indices
 # Of Mitsuba's .vol: magic bytes and version, type of the values, X, Y, Z, channels, bounding box.
 _VOLUME = struct.Struct("<3sB5i6f")
 _FLOAT32 = 1
+# Plugins with which no picture can be made as here, and why.
+_BEYOND = {
+    "timed_sunsky": "Mitsuba cannot render it in this variant, as it asks what a variable holds "
+    "while a kernel is traced: take sunsky, whose date and time can be given",
+    "directionalarea": "no path from a camera finds its light, so images are the same without it: "
+    "take it out",
+}
 
 
 def check(state, where: str) -> None:
@@ -21,6 +29,8 @@ def check(state, where: str) -> None:
     loaded with. What is merely wrong is left to Mitsuba, which says so."""
     for node in state.nodes:
         kind, props = node.props.plugin_name(), node.props
+        if kind in _BEYOND:
+            raise InputError(f"{where}: emitter {kind}: {_BEYOND[kind]}")
         if kind == "bitmap" and not {"filename", "bitmap", "data"} & set(props.keys()):
             raise InputError(f"{where}: a bitmap texture has no filename")
         if kind in _CHECKS and "filename" in props and isinstance(props["filename"], str):

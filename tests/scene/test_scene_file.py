@@ -265,6 +265,30 @@ def test_what_the_file_leaves_open_is_as_mitsuba_has_it(folder, kind, depth):
     assert scene_file.load("own/it.xml", None)[1].max_depth == depth
 
 
+def integrator(kind: str, inside: str = "") -> str:
+    channels = '<string name="aovs" value="dd:depth"/>' if kind == "aov" else ""
+    return f'<integrator type="{kind}">{channels}{inside}</integrator>'
+
+
+PATH = '<integrator type="path"><integer name="max_depth" value="5"/></integrator>'
+
+
+@pytest.mark.parametrize(
+    "around",
+    [
+        integrator("aov", PATH),
+        integrator("moment", PATH),
+        integrator("stokes", PATH),
+        integrator("moment", integrator("aov", PATH)),
+    ],
+)
+def test_of_integrators_around_a_path_integrator_that_alone_counts(folder, around):
+    text = xml().replace('<integrator type="path"/>', around)
+    (folder / "own" / "around.xml").write_text(text)
+    found = scene_file.load("own/around.xml", None)[1]
+    assert (type(found).__name__, found.max_depth) == ("PRBIntegrator", 5)
+
+
 FOG = '<medium type="homogeneous" id="fog"><float name="sigma_t" value="0.1"/></medium>'
 
 
@@ -288,6 +312,19 @@ BAD_FILES = {
     "no emitter": (xml(emitter=""), ["own/bad.xml", "emitter"]),
     "light tracer": (xml(integrator="ptracer"), ["ptracer", "valid: path"]),
     "plugin": (xml(extra='<shape type="sfere"/>'), ["sfere", "line"]),
+    "a sky that moves": (xml(emitter='<emitter type="timed_sunsky"/>'), ["take sunsky"]),
+    "a light that no path finds": (
+        xml(extra='<shape type="sphere"><emitter type="directionalarea"/></shape>'),
+        ["directionalarea", "take it out"],
+    ),
+    "no path": (
+        xml().replace('<integrator type="path"/>', integrator("aov")),
+        ["'aov' holds 0 integrators"],
+    ),
+    "two paths": (
+        xml().replace('<integrator type="path"/>', integrator("aov", PATH + PATH)),
+        ["'aov' holds 2 integrators"],
+    ),
     "property": (xml(extra='<bsdf type="diffuse"><float name="rgh" value="1"/></bsdf>'), ["rgh"]),
     "reference": (xml(extra='<shape type="sphere"><ref id="nope"/></shape>'), ["nope"]),
     "parameter": (xml().replace("$rough", "$ruff"), ["$ruff"]),

@@ -1,0 +1,123 @@
+"""Every command as a user starts it: in a process of its own, where nothing has started Mitsuba."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from isas_cli import records
+from isas_cli.cli import app
+
+SCENE = """<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="2"/>
+</integrator><sensor type="perspective"><transform name="to_world">
+<lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform><film type="hdrfilm">
+<integer name="width" value="12"/><integer name="height" value="12"/></film></sensor>
+<emitter type="constant"/><shape type="sphere" id="ball"><bsdf type="diffuse"/></shape></scene>"""
+UNKNOWN = (
+    'scene.unknowns={"ball.bsdf.reflectance.value": '
+    '{"start": 0.3, "blur": {"start": 0.1, "end": 0.05}}}'
+)
+PROBLEM = ["scene=file", "scene.path=scene.xml", UNKNOWN]
+SETTINGS = [*PROBLEM, "budget.iterations=2", "target.spp=2", "frames.spp=2", "estimator.batch=64"]
+SETTINGS += ["effects=full", "report=false"]
+ONE = [*SETTINGS, "sampler=uniform"]
+
+# By command: what is typed after it, in the folder of a scene and of a run of it, ``run``, and what
+# it prints or leaves there.
+TYPED = {
+    "run": [*ONE, "hydra.run.dir=another"],
+    "race": [*SETTINGS, "samplers=[uniform,gradient]", "hydra.run.dir=race"],
+    "variance": [*PROBLEM, "samplers=[uniform]", "repeats=2", "best=0", "hydra.run.dir=var"],
+    "effects": [*PROBLEM, "effects=full"],
+    "photos": ["chessboard", "output=sheet.png"],
+    "compare": ["run", "--output", "compared"],
+    "watch": ["run", "--once"],
+    "scenes": [],
+    "doctor": [],
+    "replay": ["run", "iteration=1"],
+    "landscape": ["run", "--spp", "1"],
+    "report": ["run"],
+    "export": ["run", "--output", "exported"],
+}
+LEFT = {
+    "run": "another/summary.json",
+    "race": "race/comparison/report.html",
+    "variance": "var/manifest.json",
+    "photos": "sheet.png",
+    "compare": "compared/report.html",
+    "landscape": "run/landscape.csv",
+    "report": "run/report.html",
+    "export": "exported/scene.xml",
+}
+SAID = {
+    "effects": "effects of a run",
+    "watch": "uniform",
+    "scenes": "pottery",
+    "doctor": "this machine can run isas",
+    "replay": "iteration 1",
+}
+
+
+def isas(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "isas_cli", *arguments]
+    return subprocess.run(command, cwd=folder, text=True, capture_output=True, timeout=300)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    made = tmp_path_factory.mktemp("commands")
+    (made / "scene.xml").write_text(SCENE)
+    done = isas(made, "run", *ONE, "hydra.run.dir=run")
+    assert done.returncode == 0, done.stderr
+    return made
+
+
+def test_every_command_is_tried():
+    assert set(TYPED) == set(app._SUMMARIES) == {*LEFT, *SAID}
+
+
+@pytest.mark.parametrize("command", TYPED)
+def test_a_command_starts_by_itself(folder, command):
+    done = isas(folder, command, *TYPED[command])
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    if command in LEFT:
+        assert (folder / LEFT[command]).is_file()
+    else:
+        assert SAID[command] in done.stdout
+
+
+def test_a_run_is_resumed_by_a_process_of_its_own(folder):
+    done = isas(folder, "run", *ONE, "hydra.run.dir=stopped")
+    assert done.returncode == 0, done.stderr
+    done = isas(folder, "run", "resume=stopped", "budget.iterations=3")
+    assert done.returncode == 0, done.stderr
+    assert records.load(folder / "stopped").summary["iterations"] == 3
+
+
+def test_a_sweep_starts_by_itself(folder):
+    done = isas(folder, "run", "-m", *ONE, "seed=1,2", "hydra.sweep.dir=sweep")
+    assert done.returncode == 0, done.stderr
+    assert len(list((folder / "sweep").rglob("summary.json"))) == 2
+
+
+@pytest.mark.parametrize("command", ["replay", "export", "report", "landscape"])
+def test_a_folder_without_a_run_is_refused_in_one_line(folder, command):
+    done = isas(folder, command, "nowhere")
+    assert done.returncode == 2, done.stderr
+    assert re.fullmatch(r"isas: nowhere.*\n", done.stderr)
+
+
+@pytest.mark.parametrize(
+    "typed", [["run", "--help"], ["run", "scene=potery"], ["run", *ONE, "sampler.flor=1"]]
+)
+def test_what_can_be_told_without_mitsuba_is_told_without_it(folder, typed):
+    code = (
+        "import sys\nfrom isas_cli.cli.app import main\n"
+        f"main({typed!r})\nassert not {{'mitsuba', 'drjit'}} & set(sys.modules)"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=folder, text=True, capture_output=True)
+    assert done.returncode == 0, done.stderr
