@@ -127,7 +127,10 @@ def test_a_variant_that_cannot_run_here_is_refused(isas):
 @pytest.mark.parametrize(
     "arguments, expected",
     [
-        (["foo"], ["foo: no such command", "run, race, variance, effects, photos, compare"]),
+        (
+            ["foo"],
+            ["foo: no such command", "run, race, variance, effects, unknowns, photos, compare"],
+        ),
         (["repor", "x"], ["did you mean 'report'?"]),
         (["report"], ["folder"]),
         (["report", "nowhere"], ["nowhere"]),
