@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+import trimesh
 
 from isas_cli.cli.app import main
 
@@ -18,7 +19,8 @@ XML = """<scene version="3.0.0">
     <translate z="-4"/></transform><bsdf type="diffuse"/></shape>
   <shape type="sphere" id="ball"><point name="center" x="0" y="0" z="200"/>
     <bsdf type="diffuse"><rgb name="reflectance" value="0.3"/></bsdf></shape>
-  <shape type="cube" id="box"><boolean name="face_normals" value="true"/><transform 
+  <shape type="ply" id="box"><string name="filename" value="box.ply"/>
+    <boolean name="face_normals" value="true"/><transform 
     name="to_world"><translate z="-300"/></transform></shape>
   {sensors}
 </scene>"""
@@ -31,6 +33,7 @@ SENSOR = """<sensor type="perspective"><transform name="to_world">
 def scene(tmp_path, monkeypatch):
     """Writes my.xml into the working folder, with views from in front and from behind."""
     monkeypatch.chdir(tmp_path)
+    trimesh.creation.box().export(tmp_path / "box.ply")
 
     def write(places=(3, -3), depth: int = 3) -> None:
         sensors = "".join(SENSOR.format(z=z) for z in places)
@@ -76,7 +79,7 @@ def test_what_replayed_paths_do_not_carry_says_who_takes_it(scene, capsys):
     found = listed(capsys, "my.xml", f"scene.poses={poses}")
     assert (found["turn"]["estimator"], found["turn"]["views"]) == ("plateau", None)
     assert (found["turn"]["unit"], found["turn"]["shape"]) == ("degrees", [1])
-    # A cube's facets: why it cannot be is told, and the others are listed still.
+    # A mesh of facets: why it cannot be is told, and the others are listed still.
     assert "face normals" in found["box.vertices"]["refused"]
 
 
