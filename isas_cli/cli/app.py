@@ -87,6 +87,23 @@ effects.derivative_tolerance, effects.finish, effects.probe.
 Everything else is as in isas run --help.
 Status: 0 done, 2 bad configuration or input, 130 interrupted."""
 
+_UNKNOWNS_HELP = """\
+usage: isas unknowns FILE.xml [KEY=VALUE ...] [--json]
+       isas unknowns scene=NAME [KEY=VALUE ...] [--json]
+
+List what a scene offers to be found: a row for each key that scene.unknowns takes, with its kind,
+its shape, the range that it is kept in where none is given, which estimator takes it, and which
+views see it, numbered from 0, with the values that the scene has. Nothing is optimised.
+
+  isas unknowns my.xml
+  isas unknowns my.xml scene.max_depth=3
+  isas unknowns scene=room_joint size=tiny --json
+
+estimator: two_path stands for all that differentiate paths, silhouettes for what follows shapes,
+plateau for what compares renderings. Of what they move it is not asked which views see it.
+--json prints a list of objects instead of a table, views as a list of numbers.
+Status: 0 done, 2 bad configuration or input, 130 interrupted."""
+
 _PHOTOS_HELP = """\
 usage: isas photos DIR [photos.mesh=FILE] [photos.KEY=VALUE ...] [output=FILE.png]
 
@@ -108,6 +125,7 @@ _UNPARSED = {
     "race": _RACE_HELP,
     "variance": _VARIANCE_HELP,
     "effects": _EFFECTS_HELP,
+    "unknowns": _UNKNOWNS_HELP,
     "photos": _PHOTOS_HELP,
 }
 _SUMMARIES = {
@@ -115,6 +133,7 @@ _SUMMARIES = {
     "race": "let configurations take turns at equal time (isas race --help)",
     "variance": "how noisy the gradient is with each sampler (isas variance --help)",
     "effects": "which light transport a run would simulate (isas effects --help)",
+    "unknowns": "what a scene offers to be found (isas unknowns --help)",
     "photos": "look at photographs, cameras and mesh before a run (isas photos --help)",
     "compare": "tables, plots and a page over finished runs",
     "watch": "show how a run is going on",

@@ -25,19 +25,11 @@ from ..unknowns.specs import narrow_blurs, parse
 from ..unknowns.unknowns import Unknown, Unknowns
 
 
-def problem(
-    scene: SceneConfig,
-    target: TargetConfig,
-    rendered: Callable[[int, int], None],
-    phase: Callable[[str], None] = lambda name: None,
-    check: Callable[[Problem], None] = lambda made: None,
-) -> Problem:
-    """Load the scene, check its unknowns, find out what is seen, get the targets.
-
-    ``phase(name)`` is told when work of another kind begins ('load', 'targets', 'coverage').
-    ``check(problem)`` may refuse what has neither targets nor coverage yet.
-    """
-    phase("load")
+def bare(
+    scene: SceneConfig, parsed: Callable[..., list[Unknown]] = parse
+) -> tuple[Problem, photographs.Photographs | None, list[tuple[int, int]]]:
+    """A problem with neither targets nor coverage; its photographs, where it has any; the sizes of
+    all films, those of views held out too. ``parsed``: its unknowns, as ``specs.parse``."""
     # Earlier scenes that nobody uses: collected in the middle of a frozen kernel, they break it.
     gc.collect()
     taken = None if scene.photos.path is None else photographs.load(scene.photos)
@@ -66,7 +58,7 @@ def problem(
         wanted = building.unknowns(scene.photos, taken.surface, scene.unknowns)
         of_views = building.of_views(taken, views)
     truth_known = taken is None and scene.targets is None
-    found = parse(params, wanted, truth_known, scene.poses, of_views)
+    found = parsed(params, wanted, truth_known, scene.poses, of_views)
     written = {key for each in found for key in each.kind.writes}
     single = flat.reduce(mi.traverse(loaded), written)
     discrete = lobes.touched(params, sorted(written & set(params.keys())))
@@ -92,6 +84,24 @@ def problem(
         ],
         flat=single,
     )
+    return result, taken, every
+
+
+def problem(
+    scene: SceneConfig,
+    target: TargetConfig,
+    rendered: Callable[[int, int], None],
+    phase: Callable[[str], None] = lambda name: None,
+    check: Callable[[Problem], None] = lambda made: None,
+) -> Problem:
+    """Load the scene, check its unknowns, find out what is seen, get the targets.
+
+    ``phase(name)`` is told when work of another kind begins ('load', 'targets', 'coverage').
+    ``check(problem)`` may refuse what has neither targets nor coverage yet.
+    """
+    phase("load")
+    result, taken, every = bare(scene)
+    truth_known = taken is None and scene.targets is None
     check(result)
     # isas's own scenes hold nothing that cannot be frozen.
     if taken is None and not str(scene.builder).startswith("isas_cli.scenes."):

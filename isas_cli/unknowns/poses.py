@@ -235,9 +235,7 @@ def _turn(vector: mi.Vector3f, axis: mi.Vector3f, degrees: mi.Float) -> mi.Vecto
 
 def _matching(where: str, patterns: list[str], params: mi.SceneParameters) -> list[str]:
     """Ids of objects that can be moved, by name or pattern (``cube_*``)."""
-    words = [key.rpartition(".") for key in params.keys()]
-    movable = list(dict.fromkeys(id for id, _, word in words if word in _MOVABLE))
-    found: list[str] = []
+    movable, found = movable_in(params), []
     for pattern in patterns:
         ids = [id for id in movable if fnmatchcase(id, pattern)]
         if not ids:
@@ -247,6 +245,12 @@ def _matching(where: str, patterns: list[str], params: mi.SceneParameters) -> li
             )
         found += [id for id in ids if id not in found]
     return found
+
+
+def movable_in(params: mi.SceneParameters) -> list[str]:
+    """Ids of all objects that a pose can move."""
+    words = [key.rpartition(".") for key in params.keys()]
+    return list(dict.fromkeys(id for id, _, word in words if word in _MOVABLE))
 
 
 def _check_parts(where: str, id: str, parts: int, params: mi.SceneParameters) -> None:

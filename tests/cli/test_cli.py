@@ -55,6 +55,7 @@ BAD_SETTINGS = {
     "scene=pottery sead=3": ["sead", "did you mean 'seed'?"],
     "scene=pottery +sead=3": ["did you mean 'seed'?"],
     "scene=pottery ~seed": ["~seed", "cannot be removed"],
+    "scene=cup ~scene.unknowns.cup.angel": ["no such unknown", "did you mean 'cup.angle'?"],
     "scene=pottery optimizer.lrr=3": ["did you mean 'optimizer.lr'?", "optimizer.schedule"],
     "scene=pottery optimiser.lr=3": ["did you mean 'optimizer'?"],
     "scene=pottery sampler.flor=0.1": ["did you mean 'sampler.floor'?"],
@@ -127,7 +128,10 @@ def test_a_variant_that_cannot_run_here_is_refused(isas):
 @pytest.mark.parametrize(
     "arguments, expected",
     [
-        (["foo"], ["foo: no such command", "run, race, variance, effects, photos, compare"]),
+        (
+            ["foo"],
+            ["foo: no such command", "run, race, variance, effects, unknowns, photos, compare"],
+        ),
         (["repor", "x"], ["did you mean 'report'?"]),
         (["report"], ["folder"]),
         (["report", "nowhere"], ["nowhere"]),

@@ -1,0 +1,89 @@
+"""What a scene offers as unknowns, and what can be said of each before anything is run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mitsuba as mi
+
+from ..config.schema import SceneConfig
+from ..rendering import onlookers
+from ..runtime.errors import InputError
+from ..scene import mesh_checks
+from ..unknowns import registry
+from ..unknowns.kind import Kind, Loaded
+from ..unknowns.poses import movable_in
+from ..unknowns.unknowns import Unknown
+from . import assemble
+
+
+@dataclass
+class Offer:
+    """One key. ``kind``: in words; ``shape``: of its array; ``low``, ``high``: the range that it is
+    kept in where none is given, in its ``unit``; ``estimator``: which takes it; ``views``: the
+    numbers of those that see it, None where no path tells; ``refused``: why the scene's own state
+    does not allow it."""
+
+    key: str
+    kind: str
+    shape: tuple[int, ...] = ()
+    low: float = -math.inf
+    high: float = math.inf
+    unit: str = ""
+    estimator: str = ""
+    views: list[int] | None = None
+    refused: str = ""
+
+
+@dataclass
+class Offers:
+    """``count`` of views; ``movable``: ids of objects that poses can move."""
+
+    found: list[Offer]
+    count: int
+    movable: list[str]
+
+
+def of(scene: SceneConfig) -> Offers:
+    """Loads the scene and asks. Raises InputError for a scene that cannot be loaded."""
+    offers: dict[str, Offer] = {}
+    textures: dict[str, mi.Texture] = {}
+    movable: list[str] = []
+
+    def every(params, specs, truth_known, poses, of_views) -> list[Unknown]:
+        """All that path replay differentiates, as it stands in the scene."""
+        loaded = Loaded(params, dict(poses or {}), **(of_views or {}))
+        movable.extend(movable_in(params))
+        replayed = []
+        for key, kind in registry.offered(loaded).items():
+            try:
+                made = kind(key, loaded)
+            except InputError as error:
+                offers[key] = Offer(key, kind.name, refused=str(error))
+                continue
+            offers[key] = _offer(made)
+            if made.texture is not None:  # asked below, one by one
+                textures[key], made.texture = made.texture, None
+            if made.carried and not made.moves_geometry:
+                replayed.append(Unknown(made, made.present, made.present, *made.range, None))
+        return replayed
+
+    problem = assemble.bare(scene, every)[0]
+    for key, views in onlookers.of(problem).items():
+        offers[key].views = views
+    for key, texture in textures.items():
+        try:
+            mesh_checks.check_scene(problem.scene, {key: texture})
+        except InputError as error:
+            offers[key].refused = str(error)
+    return Offers(list(offers.values()), problem.views.count, movable)
+
+
+def _offer(made: Kind) -> Offer:
+    if not made.moves_geometry:
+        estimator = "two_path"
+    else:
+        estimator = "silhouettes" if made.uniform else "plateau"
+    low, high = map(float, made.range)
+    return Offer(made.key, made.name, made.present.shape, low, high, made.unit, estimator)

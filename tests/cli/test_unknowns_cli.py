@@ -1,0 +1,114 @@
+"""`isas unknowns`: what a scene offers, and who sees it."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+import trimesh
+
+from isas_cli.cli.app import main
+
+# A lit floor that the first view sees alone, a lamp that both see, a ball that none does.
+XML = """<scene version="3.0.0">
+  <integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>
+  <emitter type="constant" id="sky"><rgb name="radiance" value="0.8"/></emitter>
+  <shape type="rectangle" id="floor"><bsdf type="principled">
+    <rgb name="base_color" value="0.5"/><float name="roughness" value="0.4"/></bsdf></shape>
+  <shape type="rectangle" id="wall"><transform name="to_world"><scale value="9"/>
+    <translate z="-4"/></transform><bsdf type="diffuse"/></shape>
+  <shape type="sphere" id="ball"><point name="center" x="0" y="0" z="200"/>
+    <bsdf type="diffuse"><rgb name="reflectance" value="0.3"/></bsdf></shape>
+  <shape type="ply" id="box"><string name="filename" value="box.ply"/>
+    <boolean name="face_normals" value="true"/><transform 
+    name="to_world"><translate z="-300"/></transform></shape>
+  {sensors}
+</scene>"""
+SENSOR = """<sensor type="perspective"><transform name="to_world">
+  <lookat origin="0,0,{z}" target="0,0,0" up="0,1,0"/></transform><film type="hdrfilm">
+  <integer name="width" value="8"/><integer name="height" value="6"/></film></sensor>"""
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    """Writes my.xml into the working folder, with views from in front and from behind."""
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.box().export(tmp_path / "box.ply")
+
+    def write(places=(3, -3), depth: int = 3) -> None:
+        sensors = "".join(SENSOR.format(z=z) for z in places)
+        (tmp_path / "my.xml").write_text(XML.format(depth=depth, sensors=sensors))
+
+    write()
+    return write
+
+
+def listed(capsys, *arguments: str) -> dict[str, dict]:
+    assert main(["unknowns", *arguments, "--json"]) == 0
+    return {row["key"]: row for row in json.loads(capsys.readouterr().out)}
+
+
+def test_a_process_of_its_own_prints_a_row_a_key(scene):
+    command = [sys.executable, "-m", "isas_cli", "unknowns", "my.xml"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stderr == ""
+    (row,) = (line for line in done.stdout.splitlines() if "floor.bsdf.base_color.value" in line)
+    assert row.split() == [
+        *("floor.bsdf.base_color.value", "value", "3", "0", "to", "1"),
+        *("two_path", "1", "of", "2:", "0"),
+    ]
+    assert "scene.poses can move: " in done.stdout
+
+
+def test_who_sees_what(scene, capsys):
+    found = listed(capsys, "my.xml")
+    assert found["sky.radiance.value"]["views"] == [0, 1]
+    assert found["floor.bsdf.roughness.value"]["views"] == [0]
+    assert found["ball.bsdf.reflectance.value"]["views"] == []
+    assert found["ball.bsdf.reflectance.value"]["shape"] == [3]
+    sky = found["sky.radiance.value"]
+    assert (sky["low"], sky["high"], sky["unit"]) == (0, None, "radiance")
+    # With the settings of the scene: nothing but lights.
+    found = listed(capsys, "my.xml", "scene.max_depth=1")
+    assert found["sky.radiance.value"]["views"] == [1]  # a wall fills the other
+    assert found["floor.bsdf.roughness.value"]["views"] == []
+
+
+def test_what_replayed_paths_do_not_carry_says_who_takes_it(scene, capsys):
+    poses = '{"turn": {"kind": "rotation", "objects": ["floor"]}}'
+    found = listed(capsys, "my.xml", f"scene.poses={poses}")
+    assert (found["turn"]["estimator"], found["turn"]["views"]) == ("plateau", None)
+    assert (found["turn"]["unit"], found["turn"]["shape"]) == ("degrees", [1])
+    # A mesh of facets: why it cannot be is told, and the others are listed still.
+    assert "face normals" in found["box.vertices"]["refused"]
+
+
+def test_scenes_of_isas_are_listed_too(capsys):
+    found = listed(capsys, "scene=kirby", "size=tiny")
+    vertices = found["figure.vertices"]
+    assert vertices["chosen"] and vertices["estimator"] == "silhouettes"
+    assert len(vertices["shape"]) == 2 and not found["figure.bsdf.reflectance.value"]["chosen"]
+    found = listed(capsys, "scene=pottery", "size=tiny")
+    assert found["jar.bsdf.base_color.data"]["views"] == [0, 1]
+
+
+@pytest.mark.parametrize(
+    "arguments, told",
+    [
+        (["nowhere.xml"], "scene.path=nowhere.xml: no such file"),
+        (["my.xml", "other.xml"], "other.xml: one file is enough"),
+        (["my.xml", "scene.max_dept=3"], "did you mean 'scene.max_depth'?"),
+        (["my.xml", "--jsn"], "--jsn: no such flag"),
+        ([], "scene=NAME"),
+        (["scene=potery"], "did you mean 'pottery'?"),
+    ],
+)
+def test_what_cannot_be_listed_is_refused_in_one_line(scene, capsys, arguments, told):
+    assert main(["unknowns", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert told in error and error.count("\n") == 1
+
+
+def test_help(capsys):
+    assert main(["unknowns", "--help"]) == 0
+    assert "usage: isas unknowns FILE.xml" in capsys.readouterr().out
