@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import SceneConfig, TargetConfig
-from ..rendering import coverage, integrators, light, lobes, targets, trial
+from ..rendering import coverage, integrators, light, targets, trial
 from ..runtime import backend
 from ..runtime.errors import InputError
 from ..scene import built, flat, lenses, mesh_checks, scene_file
@@ -61,8 +61,8 @@ def bare(
     found = parsed(params, wanted, truth_known, scene.poses, of_views)
     written = {key for each in found for key in each.kind.writes}
     single = flat.reduce(mi.traverse(loaded), written)
-    discrete = lobes.touched(params, sorted(written & set(params.keys())))
-    adapted = integrators.adapt(integrator, _where(scene), loaded, discrete)
+    held = sorted(written & set(params.keys()))
+    adapted = integrators.adapt(integrator, _where(scene), loaded, held)
     lights_stay = not any(isinstance(owner(params, key), mi.Emitter) for key in written)
     light.prepare(loaded, adapted.cuts and adapted.samples_lights and lights_stay)
     unknowns = Unknowns(mi.traverse(loaded), found)

@@ -19,6 +19,7 @@ reduction renders again).
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import drjit as dr
@@ -26,7 +27,7 @@ import mitsuba as mi
 
 from ..runtime.errors import InputError
 from . import attached, replayed, volume
-from .lobes import Lobes
+from .lobes import Lobes, touched
 
 # Mitsuba's class → what it simulates, and whether it differentiates in forward mode.
 _REPLAYED = {
@@ -362,11 +363,11 @@ def adapt(
     base: mi.Integrator | None,
     where: str = "the scene",
     scene: mi.Scene | None = None,
-    lobes: Lobes | None = None,
+    keys: Iterable[str] = (),
 ) -> Integrator:
-    """The face of a Mitsuba integrator, for ``scene`` where that is one's own to choose. ``lobes``:
-    of materials whose parameters are unknown. Raises InputError, naming ``where``, for one whose
-    paths cannot be replayed here."""
+    """The face of a Mitsuba integrator, for ``scene`` where that is one's own to choose. ``keys``:
+    of the scene's parameters that are unknown. Raises InputError, naming ``where``, for one whose
+    paths cannot be replayed here, and for a material that cannot be taken apart (``lobes``)."""
     if type(base).__name__ not in _REPLAYED:
         named = "no integrator" if base is None else f"the integrator {base.class_name()}"
         raise InputError(
@@ -386,6 +387,7 @@ def adapt(
             f"{where}: the integrator emission is for one medium in a cube or sphere without a "
             "surface, under a sky, and nothing else"
         )
+    lobes = touched(mi.traverse(scene), keys) if keys else None
     if replayed.handles(base):
         return _surfaces(base, Paths(base.max_depth, base.max_depth), lobes)
     found = Integrator(base)

@@ -26,6 +26,7 @@ from typing import NamedTuple
 import drjit as dr
 import mitsuba as mi
 
+from ..runtime.errors import InputError
 from ..unknowns.parameters import owner
 from ..unknowns.ranges import held
 from ..unknowns.routes import discrete
@@ -290,18 +291,30 @@ def _only(component: int) -> mi.BSDFContext:
     return mi.BSDFContext(mi.TransportMode.Radiance, 0xFFFFFFFF, component)
 
 
+_TURNING = "BumpMap", "NormalMap"
 _OF_CLASS = {"MaskBSDF": _mask, "BlendBSDF": _blend, "TwoSidedBRDF": _two_sided}
 
 
 def touched(params: mi.SceneParameters, keys: Iterable[str]) -> Lobes | None:
     """The materials with discrete lobes, at any depth, that the parameters ``keys`` are of; None
-    where there are none."""
+    where there are none. Raises InputError for one that cannot be taken apart."""
     wanted, found, inside = {key: owner(params, key) for key in keys}, [], set()
     for thing in params.hierarchy:
         if isinstance(thing, mi.BSDF) and discrete(thing):
             own = mi.traverse(thing).hierarchy
-            mine = {key for key, holder in wanted.items() if holder in own}
+            mine = [key for key, holder in wanted.items() if holder in own]
             if mine:
+                _check(thing, mine[0])
                 found.append(thing)
-                inside |= mine
+                inside.update(mine)
     return Lobes(tuple(found), tuple(k for k in wanted if k in inside)) if found else None
+
+
+def _check(bsdf: mi.BSDF, key: str) -> None:
+    """A map that turns the frame hides what the material under it is made of."""
+    under = _named(bsdf).parts.get("nested_bsdf")
+    if bsdf.class_name() in _TURNING and under.class_name() in _OF_CLASS:
+        raise InputError(
+            f"scene.unknowns: '{key}' is of a material with mirrors, clear glass or gaps under a "
+            "bump or normal map: put the map inside, around each part's own material"
+        )

@@ -184,8 +184,9 @@ class _Held(mi.TraversalCallback):
 
 def inside(values: np.ndarray, low: float, high: float) -> np.ndarray:
     """``values``, those that lie as good as at an end of the range at that end."""
-    values = np.where(np.abs(values - low) <= _AT, np.maximum(values, low), values)
-    return np.where(np.abs(values - high) <= _AT, np.minimum(values, high), values)
+    for end in filter(math.isfinite, (low, high)):
+        values = np.where(np.abs(values - end) <= _AT, end, values)
+    return values
 
 
 def around(low: float, high: float, values: np.ndarray) -> str:

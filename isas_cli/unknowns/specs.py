@@ -82,7 +82,7 @@ def _start_of_another(
 
 def _range(spec, kind: Kind) -> tuple[float, float]:
     given = kind.range if spec is None else _given(spec, kind.key)
-    low, high = inside(np.asarray(given, float), *kind.range)
+    low, high = inside(np.array(given, float), *kind.range)
     return float(low), float(high)
 
 

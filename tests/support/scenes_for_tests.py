@@ -95,11 +95,13 @@ def without_targets(
         key: given if isinstance(given, UnknownConfig) else UnknownConfig(start=given)
         for key, given in unknowns.items()
     }
-    found = parse(mi.traverse(scene), specs, True, poses)
+    params = mi.traverse(scene)
+    found = parse(params, specs, True, poses)
+    keys = {key for each in found for key in each.kind.writes} & set(params.keys())
     result = Problem(
         "test",
         scene,
-        integrators.adapt(scene.integrator(), scene=scene),
+        integrators.adapt(scene.integrator(), scene=scene, keys=sorted(keys)),
         scene.sensors_dr(),
         film,
         Views.of(film),
