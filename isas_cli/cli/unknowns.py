@@ -79,7 +79,7 @@ def _range(offer: "Offer") -> str:
         told = "any" if math.isinf(high) else f"at most {high:g}"
     else:
         told = f"from {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
-    return f"{told} {offer.unit}".rstrip()
+    return f"{told}, {offer.unit}" if offer.unit else told
 
 
 def _seen(offer: "Offer", count: int) -> str:
