@@ -1,7 +1,8 @@
 """What a scene takes by itself, where nothing else is said: ``method`` in its YAML.
 
 Sampler, estimator (``name``) with settings, settings of the optimiser and of rendered targets, a
-budget. They are composed like words that were typed before all others, so that what is typed counts instead.
+budget. They are composed like words that were typed before all others, so that what is typed counts
+instead.
 """
 
 from __future__ import annotations
