@@ -8,6 +8,8 @@ estimate for one seed; many seeds give a mean and a standard error.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -163,9 +165,10 @@ class Trial:
         for weights in self.weights:
             leaves = self.put(values, attached=True)
             gradient = mi.TensorXf(weights)
-            integrator.render_backward(
-                self.scene, self.params, gradient, 0, seed=seed, spp=self.samples
-            )
+            with _unattached_is_zero():
+                integrator.render_backward(
+                    self.scene, self.params, gradient, 0, seed=seed, spp=self.samples
+                )
             found.append({key: _array(dr.grad(leaf)) for key, leaf in leaves.items()})
             self.put(values)
         return found
@@ -245,6 +248,20 @@ def _together(path: Path, starts: dict[str, object]) -> tuple[Problem | None, di
             return made, said
     left = {name: start for name, start in starts.items() if name not in said}
     return (problem(path, left) if left else None), said
+
+
+@contextmanager
+def _unattached_is_zero() -> Iterator[None]:
+    """``prb`` raises an error where nothing that it met depends on what is unknown: its derivative
+    is 0 then."""
+    try:
+        yield
+    except RuntimeError as error:
+        cause = error
+        while cause.__cause__ is not None:
+            cause = cause.__cause__
+        if "not attached to the AD graph" not in str(cause):
+            raise
 
 
 def _array(gradient) -> np.ndarray:

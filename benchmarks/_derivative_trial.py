@@ -11,10 +11,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import drjit as dr
+import mitsuba as mi
 import numpy as np
 from _derivative_methods import FUNCTIONALS, Trial
 
+from isas_cli.unknowns import verdicts
 from isas_cli.unknowns.kind import Kind
 
 WAYS = ("prb", "path", "isas", "replayed")
@@ -75,15 +76,18 @@ def points(key: str, kind: Kind, ends: bool) -> list[Point]:
     low, high = bounds(key, kind)
     here = kind.present
     span = high - low
-    room = min(np.min(here) - low, high - np.max(here))
-    step = min(_INSIDE * span, room) if room > 0 else _INSIDE * span
-    found = [Point("generic", here, 0, step, span)]
+    below, above = float(np.min(here)) - low, high - float(np.max(here))
+    short = _AT_END * span
+    # Near 0 a number that is to stay positive means more by its ratios.
+    least = min(short, 0.25 * low) if low > 0 else short
+    if below <= 0 or above <= 0:
+        sides = (1, least) if below <= 0 else (-1, short)
+        found = [Point("generic", here, *sides, span)]
+    else:
+        found = [Point("generic", here, 0, min(_INSIDE * span, below, above), span)]
     if ends and not set(key.split(".")) & set(_GENERIC_ALONE):
-        short = _AT_END * span
-        if low > 0:
-            short = min(short, 0.25 * low)
-        found.append(Point("low", np.full_like(here, low), 1, short, span))
-        found.append(Point("high", np.full_like(here, high), -1, _AT_END * span, span))
+        found.append(Point("low", np.full_like(here, low), 1, least, span))
+        found.append(Point("high", np.full_like(here, high), -1, short, span))
     return found
 
 
@@ -148,18 +152,19 @@ class Census:
 
     def rows(self, ends: bool) -> Iterator[dict]:
         """All keys at their generic values, and each by itself at the ends of its range."""
-        kinds = self.trial.kinds
-        present = {key: kind.present for key, kind in kinds.items()}
-        still = {key: kind for key, kind in kinds.items() if not kind.moves_geometry}
+        kinds = self.trial.kinds.items()
+        still = {key: kind for key, kind in kinds if not kind.moves_geometry}
         every = {key: points(key, kind, ends) for key, kind in still.items()}
+        present = {key: kind.present for key, kind in still.items()}
         self._pictures()
         if still:
             generic = {key: found[0] for key, found in every.items()}
-            yield from self._at(generic, {key: present[key] for key in generic})
+            yield from self._at(generic, present)
         for key, found in every.items():
             for point in found[1:]:
                 self.estimates.failed.clear()
-                yield from self._at({key: point}, {key: point.value})
+                # All attached: the kernels stay those of the generic values.
+                yield from self._at({key: point}, present | {key: point.value})
                 self.trial.put({key: present[key]})
 
     def _pictures(self) -> None:
@@ -279,19 +284,46 @@ class Census:
 
 
 def _said(error: Exception) -> str:
-    """The first words of an error, on one line."""
+    """The first words of what an error began with, on one line."""
+    while error.__cause__ is not None:
+        error = error.__cause__
     return " ".join(f"{type(error).__name__}: {error}".split())[:160]
 
 
-def census(path: Path, ends: bool, seeds: int, seconds: float) -> Iterator[dict]:
-    """Rows of the scene of a file; keys that move things or are refused have one, without
-    numbers."""
+def census(path: Path, subject: str, ends: bool, seeds: int, seconds: float) -> Iterator[dict]:
+    """Rows of the scene of a file, which is about a plugin; keys that move things or are refused
+    before there is a scene have one, without numbers."""
     trial = Trial.of(path, "thing")
+    names = {holder.class_name(): subject for holder in _holders(trial.scene, subject)}
+
+    def owned(row: dict) -> dict:
+        kind, word = (
+            verdicts.place(trial.params, row["key"]) if row["key"] in trial.params else ("", "")
+        )
+        return {"plugin": names.get(kind, ""), "class": kind, "word": word} | row
+
     for key, kind in trial.kinds.items():
         if kind.moves_geometry:
-            yield {"key": key, "kind": kind.name, "point": "generic", "isas_said": "moves"}
+            yield owned({"key": key, "kind": kind.name, "point": "generic", "isas_said": "moves"})
     for key, said in trial.refused.items():
         if key not in trial.kinds:
-            yield {"key": key, "kind": "", "point": "generic", "isas_said": f"refused: {said}"}
-    yield from Census(trial, seeds, seconds).rows(ends)
-    dr.sync_thread()
+            yield owned({"key": key, "point": "generic", "isas_said": f"refused: {said}"})
+    yield from map(owned, Census(trial, seeds, seconds).rows(ends))
+
+
+def _holders(scene: mi.Scene, subject: str) -> list:
+    """The objects of a scene that the plugin ``subject`` has made: of its type, and on the thing on
+    trial itself."""
+    types = {
+        "BSDF": mi.BSDF,
+        "Emitter": mi.Emitter,
+        "Medium": mi.Medium,
+        "PhaseFunction": mi.PhaseFunction,
+    }
+    wanted = types.get(mi.PluginManager.instance().plugin_type(subject).name)
+    found = [emitter for emitter in scene.emitters() if emitter.id() == "thing"]
+    for shape in scene.shapes():
+        if shape.id() == "thing":
+            found += [shape.bsdf(), shape.emitter(), shape.interior_medium()]
+    found += [medium.phase_function() for medium in found if isinstance(medium, mi.Medium)]
+    return [each for each in found if wanted and isinstance(each, wanted)]
