@@ -13,10 +13,11 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
+import pandas
 from _derivative_methods import FUNCTIONALS, Trial
+from _derivative_points import Point, directions, points
 
 from isas_cli.unknowns import verdicts
-from isas_cli.unknowns.kind import Kind
 
 WAYS = ("prb", "path", "isas", "replayed")
 # A standard error of a difference between two ways that is small enough, of the derivative; and of
@@ -24,107 +25,24 @@ WAYS = ("prb", "path", "isas", "replayed")
 ENOUGH, NOTHING = 0.015, 2e-4
 # Estimates of every way at least, and differences for each.
 _FEWEST, _MORE = 4, 4
-# Of a range: half of the longer step inside, and the longer one at an end.
-_INSIDE, _AT_END = 0.04, 0.03
-# Low and high for parameters of which ``isas`` knows no bound, by the key's words.
-_ENDS = {
-    "opacity": (0.0, 1.0),
-    "weight": (0.0, 1.0),
-    "specular_transmittance": (0.0, 1.0),
-    "transmittance": (0.0, 1.0),
-    "clearcoat": (0.0, 1.0),
-    "clearcoat_gloss": (0.0, 1.0),
-    "anisotropic": (0.0, 1.0),
-    "sheen": (0.0, 1.0),
-    "sheen_tint": (0.0, 1.0),
-    "spec_tint": (0.0, 1.0),
-    "flatness": (0.0, 1.0),
-    "diff_trans": (0.0, 2.0),
-    "alpha_u": (0.03, 1.0),
-    "alpha_v": (0.03, 1.0),
-    "eta": (1.1, 2.2),
-    "color0": (0.0, 1.0),
-    "color1": (0.0, 1.0),
-    "vertex_color": (0.0, 1.0),
-    "vertex_grey": (0.0, 1.0),
-    "face_color": (0.0, 1.0),
-    "longitudinal_roughness": (0.1, 0.9),
-    "azimuthal_roughness": (0.1, 0.9),
-    "cutoff_angle": (20.0, 40.0),
-    "beam_width": (5.0, 20.0),
-    "normalmap": (0.3, 0.7),
-    "nested_texture": (0.0, 1.0),
-}
-# Keys whose generic value alone says nothing at ends: a point of a map, not of a number.
-_GENERIC_ALONE = ("sun_direction", "normalmap", "nested_texture", "S", "theta", "delta")
-
-
-@dataclass(frozen=True)
-class Point:
-    """``label``: generic, low or high; ``side``: 0 inside, 1 or -1 where only larger or smaller
-    values are legal; ``step``: the longer one; ``span``: what the parameter ranges over."""
-
-    label: str
-    value: np.ndarray
-    side: int
-    step: float
-    span: float
-
-
-def points(key: str, kind: Kind, ends: bool) -> list[Point]:
-    """Where a key is looked at."""
-    low, high = bounds(key, kind)
-    here = kind.present
-    span = high - low
-    below, above = float(np.min(here)) - low, high - float(np.max(here))
-    short = _AT_END * span
-    # Near 0 a number that is to stay positive means more by its ratios.
-    least = min(short, 0.25 * low) if low > 0 else short
-    if below <= 0 or above <= 0:
-        sides = (1, least) if below <= 0 else (-1, short)
-        found = [Point("generic", here, *sides, span)]
-    else:
-        found = [Point("generic", here, 0, min(_INSIDE * span, below, above), span)]
-    if ends and not set(key.split(".")) & set(_GENERIC_ALONE):
-        found.append(Point("low", np.full_like(here, low), 1, least, span))
-        found.append(Point("high", np.full_like(here, high), -1, short, span))
-    return found
-
-
-def bounds(key: str, kind: Kind) -> tuple[float, float]:
-    """Lowest and highest value at which a key is looked at: its range, or what is sensible."""
-    known = next((_ENDS[word] for word in reversed(key.split(".")) if word in _ENDS), None)
-    size = float(np.abs(kind.present).max()) or 1.0
-    low, high = known or (-size, size)
-    if known is None and np.all(kind.present > 0):
-        low, high = size / 4, size * 2
-    return tuple(
-        float(own) if np.isfinite(own) else float(other)
-        for own, other in zip(kind.range, (low, high))
-    )
-
-
-def directions(key: str, kind: Kind) -> dict[str, np.ndarray]:
-    """All entries alike, and of arrays each by another amount."""
-    found = {"all": np.ones_like(kind.present)}
-    if kind.present.size > 3 or key.endswith("_direction"):
-        random = np.random.default_rng(kind.present.size)
-        found["random"] = random.uniform(0, 2, kind.present.shape).astype(np.float32)
-    return found
 
 
 @dataclass
 class Estimates:
-    """By way and (key, point, direction): one ``(2,)`` a seed."""
+    """By way and (key, point, direction): one ``(2,)`` a seed; ``given``: means and standard errors
+    of an earlier table."""
 
     found: dict[tuple, list[np.ndarray]] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
+    given: dict[tuple, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     def add(self, *where, value: np.ndarray) -> None:
         self.found.setdefault(where, []).append(value)
 
     def of(self, *where) -> tuple[np.ndarray, np.ndarray]:
         """Mean and its standard error, of each functional."""
+        if where in self.given:
+            return self.given[where]
         each = np.array(self.found.get(where, np.full((1, 2), np.nan)))
         if len(each) < 2:
             return each.mean(0), np.full(2, np.nan)
@@ -133,22 +51,37 @@ class Estimates:
 
 class Census:
     """Of one scene. ``seeds``: at most, of each estimate; ``seconds``: of each point, after which
-    what is not sure stays so."""
+    what is not sure stays so; ``known``: earlier rows of the scene, of which all but what ``isas``
+    itself gives is kept."""
 
-    def __init__(self, trial: Trial, seeds: int, seconds: float):
+    def __init__(
+        self, trial: Trial, seeds: int, seconds: float, known: pandas.DataFrame | None = None
+    ):
         self.trial, self.seeds, self.seconds = trial, seeds, seconds
         self.estimates = Estimates()
         kinds = ("volpath", "prbvolpath") if trial.media else ("path", "prb")
         self.path, self.prb = map(trial.integrator, kinds)
-        self.ways: dict[str, Callable] = {
-            "prb": lambda values, seed: trial.by_mitsuba(self.prb, values, seed),
-        }
-        if not trial.media:  # where it takes minutes
-            self.ways["path"] = lambda values, seed: trial.by_mitsuba(self.path, values, seed)
+        self.ways: dict[str, Callable] = {}
+        if known is None:
+            self.ways["prb"] = lambda *at: trial.by_mitsuba(self.prb, *at)
+        if known is None and not trial.media:  # where it takes minutes
+            self.ways["path"] = lambda *at: trial.by_mitsuba(self.path, *at)
         if trial.problem is not None:
-            self.ways["isas"] = lambda values, seed: trial.by_isas(trial.isas, values, seed)
+            self.ways["isas"] = lambda *at: trial.by_isas(trial.isas, *at)
         if trial.problem is not None and trial.replayed is not None:
-            self.ways["replayed"] = lambda values, seed: trial.by_isas(trial.replayed, values, seed)
+            self.ways["replayed"] = lambda *at: trial.by_isas(trial.replayed, *at)
+        self._known = known
+        if known is not None:
+            self._take(known)
+
+    def _take(self, known: pandas.DataFrame) -> None:
+        for where, rows in known.groupby(["key", "point", "direction"]):
+            both = rows.set_index("functional").loc[list(FUNCTIONALS)]
+            for way in ("reference", "short", "prb", "path"):
+                error = both[f"{way}_error"] if way != "short" else both["short"] * np.nan
+                self.estimates.given[(way, *where)] = both[way].to_numpy(), error.to_numpy()
+            picture = both["picture"].to_numpy()
+            self.estimates.given["picture",] = picture, picture * 0
 
     def rows(self, ends: bool) -> Iterator[dict]:
         """All keys at their generic values, and each by itself at the ends of its range."""
@@ -169,7 +102,8 @@ class Census:
 
     def _pictures(self) -> None:
         for seed in range(8):
-            self.estimates.add("picture", value=self.trial.picture(self.path, 500 + seed))
+            if self._known is None:
+                self.estimates.add("picture", value=self.trial.picture(self.path, 500 + seed))
             try:
                 self.estimates.add("picture_isas", value=self.trial.pictured(700 + seed))
             except Exception as error:  # whatever Mitsuba and Dr.Jit say
@@ -179,7 +113,7 @@ class Census:
     def _at(self, at: dict[str, Point], values: dict[str, np.ndarray]) -> Iterator[dict]:
         begun = time.perf_counter()
         for seed in range(self.seeds):
-            for key, point in at.items():
+            for key, point in at.items() if self._known is None else ():
                 self._referred(key, point, seed)
             for way in self.ways:
                 if way not in self.estimates.failed and not (
@@ -275,12 +209,18 @@ class Census:
                     mean, error = found.of(way, *where)
                     row |= {way: mean[number], f"{way}_error": error[number]}
                     if way in WAYS:
-                        row[f"{way}_said"] = found.failed.get(way, self._refused(way, key))
+                        row[f"{way}_said"] = found.failed.get(way, self._heard(way, *where))
                 yield row
 
-    def _refused(self, way: str, key: str) -> str:
-        said = self.trial.refused.get(key, "") if way in ("isas", "replayed") else ""
-        return f"refused: {said}" if said else ""
+    def _heard(self, way: str, key: str, point: str, direction: str) -> str:
+        """What is said instead of a number: by ``isas``, or in the earlier table."""
+        if way in ("isas", "replayed"):
+            said = self.trial.refused.get(key, "")
+            return f"refused: {said}" if said else ""
+        if self._known is None:
+            return ""
+        here = self._known[["key", "point", "direction"]] == [key, point, direction]
+        return self._known.loc[here.all(axis=1), f"{way}_said"].fillna("").iloc[0]
 
 
 def _said(error: Exception) -> str:
@@ -290,9 +230,9 @@ def _said(error: Exception) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())[:160]
 
 
-def census(path: Path, subject: str, ends: bool, seeds: int, seconds: float) -> Iterator[dict]:
+def census(path: Path, subject: str, ends: bool, *limits) -> Iterator[dict]:
     """Rows of the scene of a file, which is about a plugin; keys that move things or are refused
-    before there is a scene have one, without numbers."""
+    before there is a scene have one, without numbers. ``limits``: of ``Census``."""
     trial = Trial.of(path, "thing")
     names = {holder.class_name(): subject for holder in _holders(trial.scene, subject)}
 
@@ -308,7 +248,7 @@ def census(path: Path, subject: str, ends: bool, seeds: int, seconds: float) -> 
     for key, said in trial.refused.items():
         if key not in trial.kinds:
             yield owned({"key": key, "point": "generic", "isas_said": f"refused: {said}"})
-    yield from map(owned, Census(trial, seeds, seconds).rows(ends))
+    yield from map(owned, Census(trial, *limits).rows(ends))
 
 
 def _holders(scene: mi.Scene, subject: str) -> list:

@@ -4,11 +4,12 @@ Of each plugin's small scenes (_plugins.py), the derivative of a picture by each
 paths unrolled, and replayed), by Mitsuba's prb and its attached path, and by central differences
 of Mitsuba's path with common random numbers. At a generic value, and in a plugin's own scene at
 both ends of the range. A process for each scene, so that one that dies takes nothing with it. Rows
-that are there already stay, unless --again: it can be run in pieces. Writes derivatives.csv in
-results/, the page derivatives.md, and what isas shows (isas_cli/unknowns/verdicts.csv). One to two
-hours on two cores.
+that are there already stay, unless --again: it can be run in pieces, and --own measures isas's
+columns alone, where isas has changed. Writes derivatives.csv in results/, the page derivatives.md,
+and what isas shows (isas_cli/unknowns/verdicts.csv). One to two hours on two cores.
 
-    python benchmarks/derivatives.py [--only NAME…] [--again] [--jobs N] [--seeds N] [--seconds S]
+    python benchmarks/derivatives.py [--only NAME…] [--again | --own] [--inside]
+        [--jobs N] [--seeds N] [--seconds S]
 
 NAME is a plugin, with all its scenes, or one scene.
 """
@@ -34,7 +35,7 @@ LONGEST = 1800  # seconds of one scene
 
 
 def measured(scene: str, file: Path, arguments: argparse.Namespace) -> None:
-    """Rows of one scene into a CSV file: in a process of its own."""
+    """Rows of one scene into a CSV file, as they come: in a process of its own."""
     from isas_cli.runtime import backend
 
     backend.start(threads=1)
@@ -44,35 +45,46 @@ def measured(scene: str, file: Path, arguments: argparse.Namespace) -> None:
     from _plugins import write
 
     mi.set_log_level(mi.LogLevel.Error)
+    known = None
+    if arguments.own:
+        known = pandas.read_csv(RESULTS)
+        known = known[(known["scene"] == scene) & known["reference"].notna()]
     with tempfile.TemporaryDirectory() as folder:
         with backend.loading():
             path = write(Path(folder))[scene]
         about = {"scene": scene, "mitsuba": mi.__version__, "drjit": dr.__version__}
         about["date"] = date.today().isoformat()
-        rows = census(path, subject(scene), "-" not in scene, arguments.seeds, arguments.seconds)
-        pandas.DataFrame([about | row for row in rows]).to_csv(file, index=False)
+        ends = "-" not in scene and not arguments.inside
+        rows = []
+        limits = arguments.seeds, arguments.seconds, known
+        for row in census(path, subject(scene), ends, *limits):
+            rows.append(about | row)
+            pandas.DataFrame(rows).to_csv(file, index=False)
 
 
 def run(scene: str, arguments: argparse.Namespace) -> pandas.DataFrame:
-    """The rows of one scene; one that says so where its process died or found no key."""
+    """The rows of one scene; a last one without a key where its process died, or found no key."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "rows.csv"
         call = [sys.executable, __file__, "--child", scene, str(file)]
         call += ["--seeds", str(arguments.seeds), "--seconds", str(arguments.seconds)]
+        call += [f"--{name}" for name in ("own", "inside") if getattr(arguments, name)]
         try:
             done = subprocess.run(call, capture_output=True, text=True, timeout=LONGEST)
-            said = (done.stderr.strip().splitlines() or [""])[-1]
+            said = (done.stderr.strip().splitlines() or [""])[-1] if done.returncode else ""
         except subprocess.TimeoutExpired:
             said = f"took more than {LONGEST} s"
-        try:
-            return pandas.read_csv(file)
-        except (FileNotFoundError, pandas.errors.EmptyDataError):
-            said = said if not file.exists() else "offers no unknown"
-            return pandas.DataFrame([{"scene": scene, "key": "", "isas_said": said[:160]}])
+        found = pandas.read_csv(file) if file.exists() else pandas.DataFrame()
+        if said or found.empty:
+            told = {"scene": scene, "isas_said": said[:160] or "offers no unknown"}
+            found = pandas.concat([found, pandas.DataFrame([told])], ignore_index=True)
+        return found
 
 
 def joined(rows: pandas.DataFrame) -> pandas.DataFrame:
     """In the order of the scenes; plugins of classes that are on trial elsewhere are named."""
+    for name in ("plugin", "class"):
+        rows = rows if name in rows else rows.assign(**{name: None})
     known = rows.dropna(subset=["plugin"]).groupby("class")["plugin"].first()
     plugin = rows["plugin"].fillna(rows["class"].map(known))
     place = {name: number for number, name in enumerate(SCENES)}
@@ -84,6 +96,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="*", default=[], metavar="NAME")
     parser.add_argument("--again", action="store_true", help="also what is in the table already")
+    parser.add_argument("--own", action="store_true", help="only what isas gives, of what is there")
+    parser.add_argument("--inside", action="store_true", help="no ends of ranges")
     parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
     parser.add_argument("--seeds", type=int, default=32, help="estimates at most, of each")
     parser.add_argument("--seconds", type=float, default=90, help="of a point at most")
@@ -95,8 +109,11 @@ def main() -> None:
     known = pandas.read_csv(RESULTS) if RESULTS.exists() else pandas.DataFrame({"scene": []})
     names = set(arguments.only)
     wanted = [name for name in SCENES if not names or names & {name, subject(name)}]
-    if not arguments.again:
-        wanted = [name for name in wanted if name not in set(known["scene"])]
+    there = set(known["scene"])
+    if arguments.own:
+        wanted = [name for name in wanted if name in there]
+    elif not arguments.again:
+        wanted = [name for name in wanted if name not in there]
     with ThreadPoolExecutor(arguments.jobs) as pool:
         running = {pool.submit(run, name, arguments): name for name in wanted}
         for done in as_completed(running):
@@ -104,7 +121,7 @@ def main() -> None:
             known = joined(pandas.concat([known[known["scene"] != name], rows], ignore_index=True))
             known.to_csv(RESULTS, index=False, float_format="%.6g")
             print(name, len(rows), "rows", flush=True)
-    of_words(of_keys(known)).to_csv(VERDICTS, index=False)
+    of_words(of_keys(pandas.read_csv(RESULTS))).to_csv(VERDICTS, index=False)
     pages.write()
 
 
