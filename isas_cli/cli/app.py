@@ -103,6 +103,7 @@ views see it, numbered from 0, with the values that the scene has. Nothing is op
 
 estimator: two_path stands for all that differentiate paths, silhouettes for what follows shapes,
 plateau for what compares renderings. Of what they move it is not asked which views see it.
+derivative: what the census of derivatives (benchmarks/derivatives.md) found of such a parameter.
 --json prints a list of objects instead of a table, views as a list of numbers.
 Status: 0 done, 2 bad configuration or input, 130 interrupted."""
 
