@@ -8,7 +8,9 @@ stands beside it. The files that they name are written by ``_plugins.write``.
 
 from __future__ import annotations
 
-DEPTH = 4  # edges of the longest path
+# Edges of the longest path. Through media Mitsuba's integrators count them in different ways, which
+# no longer tells where paths are long.
+DEPTH, DEEP = 4, 12
 SIDE = 16  # pixels of a picture, each way
 
 FILM = (
@@ -52,9 +54,10 @@ def sensor(kind: str = "perspective", more: str = number("fov", 40), film: str =
 
 def room(*things: str, camera: str = "", integrator: str = "path", lights: str = LAMP + SKY):
     """The text of a scene."""
+    depth = DEEP if integrator == "volpath" else DEPTH
     return (
         f'<scene version="3.0.0"><integrator type="{integrator}">'
-        f'<integer name="max_depth" value="{DEPTH}"/></integrator>'
+        f'<integer name="max_depth" value="{depth}"/></integrator>'
         f"{camera or sensor()}{lights}{_WALL}{''.join(things)}</scene>\n"
     )
 

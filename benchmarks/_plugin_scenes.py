@@ -69,7 +69,7 @@ EMITTERS = {
     ),
     "sunsky": _lit(
         "sunsky",
-        '<vector name="sun_direction" x="0.4" y="-0.6" z="0.6"/>',
+        '<vector name="sun_direction" x="0.4" y="0.6" z="0.6"/>',
         number("turbidity", 4),
         colour("albedo", "0.3,0.4,0.2"),
         _GROUND,
@@ -77,7 +77,7 @@ EMITTERS = {
     ),
     "sunsky-sky": _lit(
         "sunsky",
-        '<vector name="sun_direction" x="0.4" y="-0.6" z="0.6"/>',
+        '<vector name="sun_direction" x="0.4" y="0.6" z="0.6"/>',
         number("sun_scale", 0),
         _GROUND,
         lights=LAMP,

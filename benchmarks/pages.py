@@ -1,9 +1,10 @@
 """Writes the pages of results from the tables in results/.
 
 adaptive_sampling.md and plateau.md, a page a paper, cost.md, what steps and records cost,
-effects.md, what leaving out light transport saves, shapes.md, volumes.md and pbdr.md, once there
-was a race on them, and the table in the README. What measures calls this at its end; all numbers in
-the text are filled in from the tables, by the templates in templates/.
+effects.md, what leaving out light transport saves, derivatives.md, which derivatives can be
+trusted, shapes.md, volumes.md and pbdr.md, once there was a race on them, and the table in the
+README. What measures calls this at its end; all numbers in the text are filled in from the tables,
+by the templates in templates/.
 
     python benchmarks/pages.py
 """
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import _page_adaptive
 import _page_cost
+import _page_derivatives
 import _page_effects
 import _page_pbdr
 import _page_plateau
@@ -32,6 +34,7 @@ PAGES = {
     "adaptive_sampling": _page_adaptive.facts,
     "plateau": _page_plateau.facts,
     "cost": _page_cost.facts,
+    "derivatives": _page_derivatives.facts,
     "effects": _page_effects.facts,
     "shapes": _page_shapes.facts,
     "volumes": _page_volumes.facts,

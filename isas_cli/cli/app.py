@@ -21,6 +21,7 @@ usage: isas run scene=NAME [sampler=NAME] [loss=NAME] [size=NAME] [KEY=VALUE ...
 
 Recover a scene's unknown parameters from its images and leave a record of it.
 
+  isas run scene=cup                                    one run, by what the scene takes by itself
   isas run scene=pottery sampler=ours                   one run, 60 billed seconds
   isas run scene=pottery sampler=balanced budget.seconds=20 seed=2
   isas run scene=jumpydumpy loss=relative_l2 size=tiny budget.iterations=50
@@ -30,7 +31,8 @@ Recover a scene's unknown parameters from its images and leave a record of it.
   isas run -m scene=pottery sampler=uniform,ours seed=1,2      one run each, in turn
   isas run scene=pottery --cfg job                      print the configuration and stop
 
-Every setting of the printed configuration can be given as KEY=VALUE.
+Every setting of the printed configuration can be given as KEY=VALUE. ~scene.unknowns.KEY takes an
+unknown of the scene's out, ~scene.unknowns all, ~scene.method what the scene takes by itself.
 Status: 0 done, 2 bad configuration or input, 3 numerical failure, 130 interrupted."""
 
 _RACE_HELP = """\
@@ -101,6 +103,7 @@ views see it, numbered from 0, with the values that the scene has. Nothing is op
 
 estimator: two_path stands for all that differentiate paths, silhouettes for what follows shapes,
 plateau for what compares renderings. Of what they move it is not asked which views see it.
+derivative: what the census of derivatives (benchmarks/derivatives.md) found of such a parameter.
 --json prints a list of objects instead of a table, views as a list of numbers.
 Status: 0 done, 2 bad configuration or input, 130 interrupted."""
 

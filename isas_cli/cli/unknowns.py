@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..engine.offers import Offer, Offers
 
 _FEW = 4  # numbers of views that are listed
-_WIDE = 160
+_WIDE = 180
 
 
 def main(arguments: list[str]) -> int:
@@ -60,15 +60,20 @@ def show(found: "Offers", console: Console) -> None:
         console.width = _WIDE  # for files and other programs: a line a row
     # For copying: never cut.
     key = Column("scene.unknowns", no_wrap=True)
-    table = Table(key, "kind", "shape", "range", "estimator", "seen by", box=box.SIMPLE_HEAD)
+    others = "kind", "shape", "range", "estimator", "seen by", "derivative"
+    table = Table(key, *others, box=box.SIMPLE_HEAD)
     for each in found.found:
         shape = " × ".join(map(str, each.shape))
         if each.refused:
             table.add_row(each.key, each.kind, shape, "", "", f"none: {each.refused}")
         else:
             seen = _seen(each, found.count)
-            table.add_row(each.key, each.kind, shape, _range(each), each.estimator, seen)
+            told = _range(each), each.estimator, seen, each.verdict
+            table.add_row(each.key, each.kind, shape, *told)
     console.print(table)
+    for note in dict.fromkeys(each.note for each in found.found if each.note):
+        keys = ", ".join(each.key for each in found.found if each.note == note)
+        console.print(f"{keys}: {note}", highlight=False)
     if found.movable:
         console.print(f"scene.poses can move: {', '.join(found.movable)}", highlight=False)
 
@@ -79,7 +84,7 @@ def _range(offer: "Offer") -> str:
         told = "any" if math.isinf(high) else f"at most {high:g}"
     else:
         told = f"from {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
-    return f"{told} {offer.unit}".rstrip()
+    return f"{told}, {offer.unit}" if offer.unit else told
 
 
 def _seen(offer: "Offer", count: int) -> str:

@@ -1,7 +1,8 @@
 """What a scene takes by itself, where nothing else is said: ``method`` in its YAML.
 
-Sampler, estimator (``name``) with settings, settings of the optimiser, a budget. They are composed
-like words that were typed before all others, so that what is typed counts instead.
+Sampler, estimator (``name``) with settings, settings of the optimiser and of rendered targets, a
+budget. They are composed like words that were typed before all others, so that what is typed counts
+instead.
 """
 
 from __future__ import annotations
@@ -33,12 +34,16 @@ def completed(overrides: list[str]) -> list[str]:
     own = _flat(said(typed["scene"], "method"))
     preset = typed.get("sampler") in PRESETS
     chosen = typed.get("estimator", typed["sampler"] if preset else own.get("estimator"))
+    # The renderer's derivative is another estimator in all but its name.
+    same = chosen == own.get("estimator") and typed.get("estimator.gradient", "kernel") == "kernel"
 
     def left(key: str) -> bool:
         group, dot, _ = key.partition(".")
         if group == "budget":
             return not any(each.partition(".")[0] == group for each in typed)
-        if dot and group in _OF_ESTIMATOR and chosen != own.get("estimator"):
+        if dot and group in _OF_ESTIMATOR and not same:
+            return False
+        if group == "target" and "scene.targets" in typed:  # which are not rendered
             return False
         return key not in typed and not (key == "estimator" and preset)
 

@@ -11,7 +11,7 @@ from ..config.schema import SceneConfig
 from ..rendering import onlookers
 from ..runtime.errors import InputError
 from ..scene import mesh_checks
-from ..unknowns import registry
+from ..unknowns import registry, verdicts
 from ..unknowns.kind import Kind, Loaded
 from ..unknowns.poses import movable_in
 from ..unknowns.unknowns import Unknown
@@ -23,7 +23,8 @@ class Offer:
     """One key. ``kind``: in words; ``shape``: of its array; ``low``, ``high``: the range that it is
     kept in where none is given, in its ``unit``; ``estimator``: which takes it; ``views``: the
     numbers of those that see it, None where no path tells; ``refused``: why the scene's own state
-    does not allow it."""
+    does not allow it; ``verdict`` and ``note``: of the census on derivatives by it, where it is a
+    parameter of Mitsuba's."""
 
     key: str
     kind: str
@@ -34,6 +35,8 @@ class Offer:
     estimator: str = ""
     views: list[int] | None = None
     refused: str = ""
+    verdict: str = ""
+    note: str = ""
 
 
 @dataclass
@@ -65,6 +68,12 @@ def of(scene: SceneConfig) -> Offers:
             offers[key] = _offer(made)
             if made.texture is not None:  # asked below, one by one
                 textures[key], made.texture = made.texture, None
+            if key in params:
+                what = verdicts.place(params, key)
+                offers[key].verdict, offers[key].note = (
+                    verdicts.verdict(*what),
+                    verdicts.note(*what),
+                )
             if made.carried and not made.moves_geometry:
                 replayed.append(Unknown(made, made.present, made.present, *made.range, None))
         return replayed

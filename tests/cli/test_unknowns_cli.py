@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 from isas_cli.cli.app import main
+from isas_cli.unknowns import verdicts
 
 # A lit floor that the first view sees alone, a lamp that both see, a ball that none does.
 XML = """<scene version="3.0.0">
@@ -56,8 +57,20 @@ def test_a_process_of_its_own_prints_a_row_a_key(scene):
     assert row.split() == [
         *("floor.bsdf.base_color.value", "value", "3", "0", "to", "1"),
         *("two_path", "1", "of", "2:", "0"),
+        *verdicts.verdict("principled", "base_color").split(),
     ]
     assert "scene.poses can move: " in done.stdout
+
+
+def test_the_censuss_verdicts_and_notes_are_told(scene, capsys, monkeypatch):
+    table = {("Principled", "roughness"): ("right inside its range", "start above 0.03")}
+    monkeypatch.setattr(verdicts, "_table", lambda: table)
+    found = listed(capsys, "my.xml")
+    rough = found["floor.bsdf.roughness.value"]
+    assert (rough["verdict"], rough["note"]) == ("right inside its range", "start above 0.03")
+    assert found["floor.bsdf.base_color.value"]["verdict"] == verdicts.UNKNOWN
+    assert main(["unknowns", "my.xml"]) == 0
+    assert "floor.bsdf.roughness.value: start above 0.03" in capsys.readouterr().out
 
 
 def test_who_sees_what(scene, capsys):

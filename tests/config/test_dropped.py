@@ -6,6 +6,7 @@ import pytest
 
 from isas_cli.cli import race
 from isas_cli.cli.app import main
+from isas_cli.cli.sweeps import launch
 from isas_cli.config.compose import compose, translate
 from isas_cli.runtime.errors import InputError
 
@@ -86,10 +87,20 @@ def test_contestants_drop_them(tmp_path):
     assert [list(entry.cfg.scene.unknowns) for entry in entries] == [[LAMP, WALL], [WALL]]
 
 
-def test_sweeps_and_printing_take_it(capsys):
-    words = ["run", "scene=global_illumination", "~scene.unknowns", GIVEN]
-    assert main([*words, "--cfg", "job"]) == 0
+def test_printing_takes_it(capsys):
+    assert main(["run", "scene=global_illumination", "~scene.unknowns", GIVEN, "--cfg", "job"]) == 0
     assert "start: 0.3" in capsys.readouterr().out
-    # Refused by what was composed: one unknown, whose scene has poses no more.
-    assert main([*words, "-m", "seed=1", "estimator.spp=0"]) == 2
-    assert "estimator.spp=0" in capsys.readouterr().err
+
+
+def test_every_job_of_a_sweep_takes_it(monkeypatch):
+    planned = []
+    monkeypatch.setattr(launch.Sweep, "launch", lambda self, jobs: planned.extend(jobs) or [])
+    words = [
+        "scene=global_illumination",
+        "~scene.unknowns",
+        GIVEN,
+        "scene.unknowns={a.b:{start:1}}",
+    ]
+    assert main(["run", "-m", *words, "seed=1,2"]) == 0
+    assert [list(job.cfg.scene.unknowns) for job in planned] == [[WALL, "a.b"]] * 2
+    assert {job.cfg.estimator.name for job in planned} == {"plateau"}

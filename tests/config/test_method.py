@@ -9,7 +9,7 @@ from isas_cli.config.compose import compose, instantiate, options, translate
 from isas_cli.runtime.budget import Budget
 from isas_cli.runtime.errors import InputError
 
-GROUPS = {"sampler", "estimator", "optimizer", "budget"}
+GROUPS = {"sampler", "estimator", "optimizer", "target", "budget"}
 OWN = [name for name in options("scene") if method.said(name, "method")]
 # What path replay does not differentiate.
 MOVING = ["caustic", "cup", "dodoco_b", "global_illumination", "kirby", "object_joint_shape"]
@@ -58,6 +58,8 @@ def settings(cfg) -> tuple:
         # Another estimator has no use for what is set for this one.
         "sampler=mitsuba": ("mitsuba", "mitsuba", 65536, None),
         "estimator=mitsuba": ("uniform", "mitsuba", 65536, None),
+        "estimator.gradient=renderer": ("uniform", "plateau", 65536, None),
+        "sampler=plateau sampler.gradient=renderer": ("plateau", "plateau", 65536, None),
         "sampler=uniform estimator=finite_differences": (
             *("uniform", "finite_differences", 65536, None),
         ),
@@ -74,6 +76,12 @@ def test_a_budget_counts_instead_of_the_scenes():
     assert composed("scene=cup", "budget.seconds=9").budget.iterations is None
     assert composed("scene=cup", "sampler=mitsuba").budget.iterations == 400
     assert composed("scene=cup", "~scene.method").budget.iterations is None
+
+
+def test_targets_of_ones_own_are_not_rendered():
+    assert composed("scene=caustic").target.spp == 2048
+    found = composed("scene=caustic", "scene.targets=[a.exr]")
+    assert found.target.spp == schema.TargetConfig().spp
 
 
 def test_a_race_is_of_equal_time(tmp_path):
