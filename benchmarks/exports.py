@@ -10,15 +10,18 @@ Takes about half an hour; a scene that breaks its process leaves a row that says
 
 from __future__ import annotations
 
+import datetime
 import os
 import subprocess
 import sys
 import tempfile
+from importlib.metadata import version
 from pathlib import Path
 
 import _plugins
 import _rows
 import numpy as np
+import pages
 import pandas
 from _plugin_scenes import SCENES
 
@@ -28,7 +31,7 @@ SPP = 64
 # Of the mean of the picture: how far two pictures of one scene lie apart by rounding, at most.
 SAME = 1e-3
 SECONDS = 900
-COLUMNS = ["scene", "key", "kind", "verdict", "apart", "changed", "told"]
+COLUMNS = ["scene", "key", "kind", "verdict", "apart", "changed", "told", "mitsuba", "date"]
 
 
 def other(kind) -> np.ndarray:
@@ -64,7 +67,12 @@ def child(name: str, folder: Path) -> None:
         # With the file's own integrator, as the export has it.
         scene, _ = instances.instantiate(*scene_file.parse(str(path)))
     params = mi.traverse(scene)
-    before = np.array(mi.render(scene, spp=SPP, seed=1))
+    try:
+        before = np.array(mi.render(scene, spp=SPP, seed=1))
+    except RuntimeError as error:
+        told = "Mitsuba cannot render the scene itself: " + str(error.__cause__ or error)
+        _rows.emit({"scene": name, "key": None, "refused": " ".join(told.split())})
+        return
     for number, (key, made) in enumerate(registry.offered(Loaded(params)).items()):
         kind = made(key, Loaded(params))
         value, own = other(kind), folder / str(number)
@@ -112,7 +120,7 @@ def measured(name: str) -> list[dict]:
         try:
             done = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=SECONDS)
         except subprocess.TimeoutExpired:
-            return [{"scene": name, "verdict": "its process hung"}]
+            return [{"scene": name, "key": None, "verdict": "its process hung"}]
         rows = _rows.read(done.stdout)
         files = [row["written"] for row in rows if "written" in row]
         env = {**os.environ, "DRJIT_LIBLLVM_PATH": str(llvm.find().path)}
@@ -120,14 +128,17 @@ def measured(name: str) -> list[dict]:
         subprocess.run(plain, env=env, stdout=subprocess.DEVNULL, check=False)
         found = [judged(row) for row in rows]
     if done.returncode:
-        found.append({"scene": name, "verdict": "its process ended", "told": done.returncode})
+        found.append(
+            {"scene": name, "key": None, "verdict": "its process ended", "told": done.returncode}
+        )
     return found
 
 
 def main(names: list[str]) -> None:
     rows = pandas.read_csv(TABLE) if TABLE.exists() else pandas.DataFrame(columns=COLUMNS)
+    made = {"mitsuba": version("mitsuba"), "date": datetime.date.today().isoformat()}
     for name in names or SCENES:
-        found = measured(name)
+        found = [{**row, **made} for row in measured(name)]
         new = pandas.DataFrame(found, columns=COLUMNS)
         kept = rows[rows["scene"] != name]
         rows = pandas.concat([kept, new], ignore_index=True) if len(kept) else new
@@ -136,6 +147,7 @@ def main(names: list[str]) -> None:
         rows.to_csv(TABLE, index=False, float_format="%.3g")
         told = [f"{row['key']}: {row['verdict']} {row.get('told') or ''}" for row in found]
         print(name, *(line for line in told if ": same" not in line), sep="\n  ", flush=True)
+    pages.write()
 
 
 if __name__ == "__main__":
