@@ -23,7 +23,7 @@ def facts(results: Path) -> dict | None:
             "keys": int(rows["key"].notna().sum()),
             "apart": rows["apart"].max(),
             "others": [
-                (row["key"], row["verdict"], str(row["told"]).replace("|", "/"))
+                (str(row["key"]), row["verdict"], str(row["told"]).replace("|", "/"))
                 for row in rows[rows["verdict"] != "same"].to_dict("records")
             ],
         }

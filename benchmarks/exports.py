@@ -64,14 +64,19 @@ def child(name: str, folder: Path) -> None:
 
     with backend.loading():
         path = _plugins.write(folder / "files")[name]
-        # With the file's own integrator, as the export has it.
-        scene, _ = instances.instantiate(*scene_file.parse(str(path)))
-    params = mi.traverse(scene)
+
+    def loaded() -> tuple[mi.Scene, mi.SceneParameters]:
+        """With the file's own integrator, as the export has it."""
+        with backend.loading():
+            scene, _ = instances.instantiate(*scene_file.parse(str(path)))
+        return scene, mi.traverse(scene)
+
+    scene, params = loaded()
     try:
         before = np.array(mi.render(scene, spp=SPP, seed=1))
     except RuntimeError as error:
-        told = "Mitsuba cannot render the scene itself: " + str(error.__cause__ or error)
-        _rows.emit({"scene": name, "key": None, "refused": " ".join(told.split())})
+        told = str(error.__cause__ or error).partition(". ")[0]
+        _rows.emit({"scene": name, "key": None, "dark": " ".join(told.split())})
         return
     for number, (key, made) in enumerate(registry.offered(Loaded(params)).items()):
         kind = made(key, Loaded(params))
@@ -83,16 +88,16 @@ def child(name: str, folder: Path) -> None:
         except InputError as error:
             _rows.emit({**row, "refused": str(error)})
             continue
-        pictures = []
-        for array in (value, kind.present):
-            parameters: dict = {}
-            kind.write(kind.value(array), parameters)
-            for each, new in parameters.items():
-                params[each] = new
-            params.update()
-            pictures.append(np.array(mi.render(scene, spp=SPP, seed=1)))
-        np.save(own / "wanted.npy", pictures[0])
-        apart = float(np.abs(pictures[0] - before).mean() / np.abs(before).mean())
+        # Anew: a mesh that was moved and moved back has other normals.
+        scene, params = loaded()
+        parameters: dict = {}
+        kind.write(kind.value(value), parameters)
+        for each, new in parameters.items():
+            params[each] = new
+        params.update()
+        picture = np.array(mi.render(scene, spp=SPP, seed=1))
+        np.save(own / "wanted.npy", picture)
+        apart = float(np.abs(picture - before).mean() / np.abs(before).mean())
         _rows.emit({**row, "written": str(written), "changed": apart})
 
 
@@ -101,6 +106,8 @@ def judged(row: dict) -> dict:
     found = {column: row.get(column) for column in COLUMNS}
     if "refused" in row:
         return {**found, "verdict": "refused", "told": row["refused"]}
+    if "dark" in row:
+        return {**found, "verdict": "Mitsuba cannot render the scene", "told": row["dark"]}
     picture = Path(f"{row['written']}.npy")
     if not picture.exists():
         reason = Path(f"{row['written']}.txt")
@@ -139,9 +146,8 @@ def main(names: list[str]) -> None:
     made = {"mitsuba": version("mitsuba"), "date": datetime.date.today().isoformat()}
     for name in names or SCENES:
         found = [{**row, **made} for row in measured(name)]
-        new = pandas.DataFrame(found, columns=COLUMNS)
-        kept = rows[rows["scene"] != name]
-        rows = pandas.concat([kept, new], ignore_index=True) if len(kept) else new
+        kept = rows[rows["scene"] != name].to_dict("records")
+        rows = pandas.DataFrame([*kept, *found], columns=COLUMNS)
         order = {scene: place for place, scene in enumerate(SCENES)}
         rows = rows.sort_values("scene", key=lambda column: column.map(order), kind="stable")
         rows.to_csv(TABLE, index=False, float_format="%.3g")
