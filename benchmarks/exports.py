@@ -18,6 +18,7 @@ import tempfile
 from importlib.metadata import version
 from pathlib import Path
 
+import _page_exports
 import _plugins
 import _rows
 import numpy as np
@@ -75,8 +76,8 @@ def child(name: str, folder: Path) -> None:
     try:
         before = np.array(mi.render(scene, spp=SPP, seed=1))
     except RuntimeError as error:
-        told = str(error.__cause__ or error).partition(". ")[0]
-        _rows.emit({"scene": name, "key": None, "dark": " ".join(told.split())})
+        told = " ".join(str(error.__cause__ or error).split()).partition(". ")[0]
+        _rows.emit({"scene": name, "key": None, "dark": told})
         return
     for number, (key, made) in enumerate(registry.offered(Loaded(params)).items()):
         kind = made(key, Loaded(params))
@@ -142,7 +143,9 @@ def measured(name: str) -> list[dict]:
 
 
 def main(names: list[str]) -> None:
-    rows = pandas.read_csv(TABLE) if TABLE.exists() else pandas.DataFrame(columns=COLUMNS)
+    rows = pandas.DataFrame(columns=COLUMNS)
+    if TABLE.exists():
+        rows = _page_exports.read(TABLE)
     made = {"mitsuba": version("mitsuba"), "date": datetime.date.today().isoformat()}
     for name in names or SCENES:
         found = [{**row, **made} for row in measured(name)]

@@ -16,6 +16,8 @@ from .file_checks import read_bounds, write_bounds
 # What tells its index of refraction as one inside and one outside.
 _REFRACTING = "dielectric", "roughdielectric", "thindielectric", "plastic", "roughplastic"
 _REFRACTING += "pplastic", "hair"
+# Meshes that are made anew from numbers of another kind.
+_CLOUDS = ("ellipsoidsmesh",)
 _METALS = "conductor", "roughconductor"
 
 
@@ -57,7 +59,7 @@ class Place:
             self._without("center", "radius", "p0", "p1", "direction")
             self.props["to_world"] = mi.ScalarTransform4f(np.array(self.value.matrix).reshape(4, 4))
             return []
-        if isinstance(self.owner, mi.Mesh):
+        if isinstance(self.owner, mi.Mesh) and self.plugin not in _CLOUDS:
             return [self._mesh(folder / f"{self.beside}.ply")]
         if isinstance(self.owner, mi.Shape):
             raise InputError(f"'{self.key}' lies in a file of '{self.plugin}': {TAKE}")
