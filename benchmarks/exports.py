@@ -10,15 +10,19 @@ Takes about half an hour; a scene that breaks its process leaves a row that says
 
 from __future__ import annotations
 
+import datetime
 import os
 import subprocess
 import sys
 import tempfile
+from importlib.metadata import version
 from pathlib import Path
 
+import _page_exports
 import _plugins
 import _rows
 import numpy as np
+import pages
 import pandas
 from _plugin_scenes import SCENES
 
@@ -28,7 +32,7 @@ SPP = 64
 # Of the mean of the picture: how far two pictures of one scene lie apart by rounding, at most.
 SAME = 1e-3
 SECONDS = 900
-COLUMNS = ["scene", "key", "kind", "verdict", "apart", "changed", "told"]
+COLUMNS = ["scene", "key", "kind", "verdict", "apart", "changed", "told", "mitsuba", "date"]
 
 
 def other(kind) -> np.ndarray:
@@ -61,10 +65,20 @@ def child(name: str, folder: Path) -> None:
 
     with backend.loading():
         path = _plugins.write(folder / "files")[name]
-        # With the file's own integrator, as the export has it.
-        scene, _ = instances.instantiate(*scene_file.parse(str(path)))
-    params = mi.traverse(scene)
-    before = np.array(mi.render(scene, spp=SPP, seed=1))
+
+    def loaded() -> tuple[mi.Scene, mi.SceneParameters]:
+        """With the file's own integrator, as the export has it."""
+        with backend.loading():
+            scene, _ = instances.instantiate(*scene_file.parse(str(path)))
+        return scene, mi.traverse(scene)
+
+    scene, params = loaded()
+    try:
+        before = np.array(mi.render(scene, spp=SPP, seed=1))
+    except RuntimeError as error:
+        told = " ".join(str(error.__cause__ or error).split()).partition(". ")[0]
+        _rows.emit({"scene": name, "key": None, "dark": told})
+        return
     for number, (key, made) in enumerate(registry.offered(Loaded(params)).items()):
         kind = made(key, Loaded(params))
         value, own = other(kind), folder / str(number)
@@ -75,16 +89,16 @@ def child(name: str, folder: Path) -> None:
         except InputError as error:
             _rows.emit({**row, "refused": str(error)})
             continue
-        pictures = []
-        for array in (value, kind.present):
-            parameters: dict = {}
-            kind.write(kind.value(array), parameters)
-            for each, new in parameters.items():
-                params[each] = new
-            params.update()
-            pictures.append(np.array(mi.render(scene, spp=SPP, seed=1)))
-        np.save(own / "wanted.npy", pictures[0])
-        apart = float(np.abs(pictures[0] - before).mean() / np.abs(before).mean())
+        # Anew: a mesh that was moved and moved back has other normals.
+        scene, params = loaded()
+        parameters: dict = {}
+        kind.write(kind.value(value), parameters)
+        for each, new in parameters.items():
+            params[each] = new
+        params.update()
+        picture = np.array(mi.render(scene, spp=SPP, seed=1))
+        np.save(own / "wanted.npy", picture)
+        apart = float(np.abs(picture - before).mean() / np.abs(before).mean())
         _rows.emit({**row, "written": str(written), "changed": apart})
 
 
@@ -93,6 +107,8 @@ def judged(row: dict) -> dict:
     found = {column: row.get(column) for column in COLUMNS}
     if "refused" in row:
         return {**found, "verdict": "refused", "told": row["refused"]}
+    if "dark" in row:
+        return {**found, "verdict": "Mitsuba cannot render the scene", "told": row["dark"]}
     picture = Path(f"{row['written']}.npy")
     if not picture.exists():
         reason = Path(f"{row['written']}.txt")
@@ -112,7 +128,7 @@ def measured(name: str) -> list[dict]:
         try:
             done = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=SECONDS)
         except subprocess.TimeoutExpired:
-            return [{"scene": name, "verdict": "its process hung"}]
+            return [{"scene": name, "key": None, "verdict": "its process hung"}]
         rows = _rows.read(done.stdout)
         files = [row["written"] for row in rows if "written" in row]
         env = {**os.environ, "DRJIT_LIBLLVM_PATH": str(llvm.find().path)}
@@ -120,22 +136,27 @@ def measured(name: str) -> list[dict]:
         subprocess.run(plain, env=env, stdout=subprocess.DEVNULL, check=False)
         found = [judged(row) for row in rows]
     if done.returncode:
-        found.append({"scene": name, "verdict": "its process ended", "told": done.returncode})
+        found.append(
+            {"scene": name, "key": None, "verdict": "its process ended", "told": done.returncode}
+        )
     return found
 
 
 def main(names: list[str]) -> None:
-    rows = pandas.read_csv(TABLE) if TABLE.exists() else pandas.DataFrame(columns=COLUMNS)
+    rows = pandas.DataFrame(columns=COLUMNS)
+    if TABLE.exists():
+        rows = _page_exports.read(TABLE)
+    made = {"mitsuba": version("mitsuba"), "date": datetime.date.today().isoformat()}
     for name in names or SCENES:
-        found = measured(name)
-        new = pandas.DataFrame(found, columns=COLUMNS)
-        kept = rows[rows["scene"] != name]
-        rows = pandas.concat([kept, new], ignore_index=True) if len(kept) else new
+        found = [{**row, **made} for row in measured(name)]
+        kept = rows[rows["scene"] != name].to_dict("records")
+        rows = pandas.DataFrame([*kept, *found], columns=COLUMNS)
         order = {scene: place for place, scene in enumerate(SCENES)}
         rows = rows.sort_values("scene", key=lambda column: column.map(order), kind="stable")
         rows.to_csv(TABLE, index=False, float_format="%.3g")
         told = [f"{row['key']}: {row['verdict']} {row.get('told') or ''}" for row in found]
         print(name, *(line for line in told if ": same" not in line), sep="\n  ", flush=True)
+    pages.write()
 
 
 if __name__ == "__main__":

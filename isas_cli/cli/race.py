@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
+from ..config import paths
 from ..config.compose import compose, options, translate
 from ..config.grammar import override
 from ..config.roles import meaning
@@ -106,7 +108,8 @@ def _fresh(own: dict[str, str], overrides: list[str]):
             f"with it by resume={folder}, or replace it with overwrite=true"
         )
     _distinct("contestants: folder", [plan["folder"] for plan in planned])
-    written = yaml.safe_dump({"schema": 1, "entries": planned}, sort_keys=False)
+    plan = {"schema": 1, "started_in": os.getcwd(), "entries": planned}
+    written = yaml.safe_dump(plan, sort_keys=False)
 
     def begin() -> None:
         write_atomically(folder / _FILE, lambda path: path.write_text(written, encoding="utf-8"))
@@ -123,9 +126,10 @@ def _continued(own: dict[str, str], overrides: list[str]):
         raise InputError(f"{strange[0]}={own[strange[0]]}: a continued race keeps its contestants")
     folder = Path(own["resume"].strip("\"'"))
     try:
-        planned = yaml.safe_load((folder / _FILE).read_text(encoding="utf-8"))["entries"]
+        read = yaml.safe_load((folder / _FILE).read_text(encoding="utf-8"))
+        home, planned = read.get("started_in"), read["entries"]
         places = [(plan["label"], folder / plan["folder"], plan["settings"]) for plan in planned]
-    except (OSError, yaml.YAMLError, KeyError, TypeError) as error:
+    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{folder} holds no race: {_FILE} is missing or damaged") from error
     changes = resumption.parse(overrides)
     entries = []
@@ -134,6 +138,7 @@ def _continued(own: dict[str, str], overrides: list[str]):
             entry = continued(label, place, changes)
         else:  # killed before its record was whole, and before its first step
             cfg = compose([*settings, "overwrite=true"])
+            paths.locate(cfg, home)
             entry = Entry(label, resumption.changed(cfg, changes), place)
         if entry is not None:
             entries.append(entry)

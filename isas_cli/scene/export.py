@@ -30,7 +30,7 @@ from ..unknowns.vertices import POSITIONS
 from . import built, instances, mesh_files, scene_file
 from .photos import building, photographs
 from .photos.photographs import Photographs
-from .places import Place, channels
+from .places import TAKE, Place, channels
 from .views import Views
 
 # Plugins in Python, of which Mitsuba does not know what they are.
@@ -109,6 +109,7 @@ def _write(
     written.versions = []
     mi.parser.write_file(written, str(path))
     _keep_ids(path, written)
+    _check(path)
     return path, list(dict.fromkeys(told))
 
 
@@ -199,6 +200,18 @@ def _paint(loaded: mi.Scene, folder: Path) -> None:
         name = re.sub(r"[^\w.-]", "_", shape.id())
         for file, content in mesh_files.painted(name, points, faces, coordinates, colour).items():
             (folder / file).write_bytes(content)
+
+
+def _check(path: Path) -> None:
+    """Raises InputError where Mitsuba cannot load the file: some plugins take a number only beside,
+    or without, others."""
+    try:
+        with backend.loading():
+            mi.load_file(str(path), optimize=False)
+    except RuntimeError as error:
+        path.unlink()
+        told = " ".join(str(error).split()).replace(f"{path.parent}/", "")
+        raise InputError(f"Mitsuba's file cannot hold the result: {TAKE}; {told}") from error
 
 
 def _deepen(state, scene: SceneConfig) -> list[str]:

@@ -16,6 +16,8 @@ from .file_checks import read_bounds, write_bounds
 # What tells its index of refraction as one inside and one outside.
 _REFRACTING = "dielectric", "roughdielectric", "thindielectric", "plastic", "roughplastic"
 _REFRACTING += "pplastic", "hair"
+# Meshes that are made anew from numbers of another kind.
+_CLOUDS = ("ellipsoidsmesh",)
 _METALS = "conductor", "roughconductor"
 
 
@@ -38,13 +40,13 @@ class Place:
                 break
             thing, self.name = params.hierarchy[thing][0], outside.pop()
         if thing not in made_from or not outside:
-            raise InputError(f"'{key}' has no place in the scene file: {_TAKE}")
+            raise InputError(f"'{key}' has no place in the scene file: {TAKE}")
         # What all parameters beside it begin with.
         self.beside = ".".join(outside)
         self.props = state.nodes[made_from[thing]].props
         self.plugin = self.props.plugin_name()
         if self.name in self.props and self._refers():
-            raise InputError(f"'{key}' is made by '{self.plugin}' from another object: {_TAKE}")
+            raise InputError(f"'{key}' is made by '{self.plugin}' from another object: {TAKE}")
 
     def _refers(self) -> bool:
         return self.props.type(self.name) == mi.Properties.Type.ResolvedReference
@@ -57,10 +59,10 @@ class Place:
             self._without("center", "radius", "p0", "p1", "direction")
             self.props["to_world"] = mi.ScalarTransform4f(np.array(self.value.matrix).reshape(4, 4))
             return []
-        if isinstance(self.owner, mi.Mesh):
+        if isinstance(self.owner, mi.Mesh) and self.plugin not in _CLOUDS:
             return [self._mesh(folder / f"{self.beside}.ply")]
         if isinstance(self.owner, mi.Shape):
-            raise InputError(f"'{self.key}' lies in a file of '{self.plugin}': {_TAKE}")
+            raise InputError(f"'{self.key}' lies in a file of '{self.plugin}': {TAKE}")
         if isinstance(self.owner, mi.Volume) and self.name == "data":
             return [self._grid(folder / f"{self.key}.vol")]
         if isinstance(self.owner, (mi.Emitter, mi.Texture)) and self.name == "data":
@@ -79,6 +81,10 @@ class Place:
             self.props["int_ior"], self.props["ext_ior"] = float(numbers[0]), 1.0
         elif self.name in ("eta", "k") and self.plugin in _METALS:
             self._metal()
+        elif self.name == "cutoff_angle":
+            # By default the other one follows.
+            for name in ("cutoff_angle", "beam_width"):
+                self._set(name, as_numpy(self.params[f"{self.beside}.{name}"]).ravel())
         elif self.name == "values" and self.plugin == "tabphase":
             self.props["values"] = ", ".join(f"{number:.9g}" for number in numbers)
         elif self.name == "value" and self.plugin == "rawconstant" and numbers.size == 3:
@@ -114,7 +120,7 @@ class Place:
             self.props[name] = mi.ScalarColor3f(*numbers)
         else:
             raise InputError(
-                f"'{self.key}' holds {numbers.size} numbers, and 1 or 3 can be written: {_TAKE}"
+                f"'{self.key}' holds {numbers.size} numbers, and 1 or 3 can be written: {TAKE}"
             )
 
     def _without(self, *names: str) -> None:
@@ -163,7 +169,7 @@ def _diffuse(params: mi.SceneParameters, bsdf: mi.BSDF, made_from: dict, state) 
     return number
 
 
-_TAKE = "take the numbers from isas_cli.load(DIR).parameters()"
+TAKE = "take the numbers from isas_cli.load(DIR).parameters()"
 
 
 def channels(pixels: np.ndarray) -> list[str]:

@@ -23,6 +23,9 @@ _GLOSS = (0.03, 1.0)
 # An index of refraction on this side of 1, where the surface would vanish, or on the other.
 _DENSER, _THINNER = (1.001, np.inf), (0.1, 0.999)
 
+# Attribute of a scene's parameters.
+_KEPT = "_isas_uses"
+
 # By the class of what holds the parameter and its name there, or by the name alone.
 _OF_BSDFS = {
     **dict.fromkeys(("base_color", "reflectance", "diffuse", "specular"), _UNIT),
@@ -103,7 +106,7 @@ def fed(params: mi.SceneParameters, key: str) -> list[tuple[mi.Object, str, floa
         return _by_attribute(params, holder, name) or [(holder, name, 1.0)]
     if not isinstance(holder, (mi.Texture, mi.Volume)):
         return [(holder, name, 1.0)]
-    return [(*end, 1.0) for end in _ends(_uses(params), holder)]
+    return [(*end, 1.0) for end in _ends(_known(params), holder)]
 
 
 def role(params: mi.SceneParameters, key: str) -> str:
@@ -116,7 +119,7 @@ def role(params: mi.SceneParameters, key: str) -> str:
 
 def _by_attribute(params, shape: mi.Shape, name: str) -> list[tuple[mi.Object, str, float]]:
     """Of what reads the attribute ``name`` of ``shape``."""
-    uses, found = _uses(params), []
+    uses, found = _known(params), []
     own = [part for part in (shape.bsdf(), shape.emitter()) if part is not None]
     for texture in uses:
         # It does not tell its attribute otherwise.
@@ -130,6 +133,13 @@ def _by_attribute(params, shape: mi.Shape, name: str) -> list[tuple[mi.Object, s
             ends = _ends(uses, texture)
             found += [(*end, scale) for end in ends if _within(uses, end[0], own)]
     return found
+
+
+def _known(params: mi.SceneParameters) -> dict[mi.Object, list[tuple[mi.Object, str]]]:
+    """``_uses``, kept with ``params``: all unknowns of a scene ask."""
+    if _KEPT not in vars(params):
+        setattr(params, _KEPT, _uses(params))
+    return getattr(params, _KEPT)
 
 
 def _within(uses: dict, thing: mi.Object, wholes: list[mi.Object]) -> bool:

@@ -1,0 +1,48 @@
+"""Files that a configuration names are found from anywhere."""
+
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from isas_cli.config import paths
+from isas_cli.config.compose import compose, translate
+
+STARTS = '{"ball.vertices": {"start": "sphere"}, "a": {"start": "a.exr"}, "b": {"start": 1}}'
+UNKNOWNS = f"scene.unknowns={STARTS}"
+FILES = ["scene.path=my.xml", "scene.targets=[a.exr,gone.exr]", "scene.masks=[/m.png,a.exr]"]
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    for name in ("my.xml", "a.exr", "photos", "sphere"):
+        (tmp_path / name).touch()
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    return tmp_path
+
+
+def located(settings: list[str], home: Path | str | None):
+    cfg = compose(translate(settings))
+    before = OmegaConf.to_yaml(cfg)
+    paths.locate(cfg, None if home is None else str(home))
+    return cfg.scene, OmegaConf.to_yaml(cfg) == before
+
+
+def test_they_are_where_the_run_was_started(home):
+    scene, _ = located(["scene=file", *FILES, UNKNOWNS], home)
+    assert scene.path == str(home / "my.xml")
+    # What is not there stays, and so do absolute ones.
+    assert list(scene.targets) == [str(home / "a.exr"), "gone.exr"]
+    assert list(scene.masks) == ["/m.png", str(home / "a.exr")]
+    # A word is no file, even where there is one of its name.
+    starts = {key: unknown.start for key, unknown in scene.unknowns.items()}
+    assert starts == {"ball.vertices": "sphere", "a": str(home / "a.exr"), "b": 1}
+    scene, _ = located(["scene=photos", "photos.path=photos", "photos.mesh=m.obj"], home)
+    assert (scene.photos.path, scene.photos.mesh) == (str(home / "photos"), "m.obj")
+
+
+@pytest.mark.parametrize("gone", [None, "/nowhere/at/all"])
+def test_records_of_what_has_moved_are_left_as_they_are(home, gone):
+    """Their files are looked for in the working directory."""
+    assert located(["scene=file", *FILES, UNKNOWNS], gone)[1]
