@@ -62,6 +62,17 @@ def test_the_code_is_as_the_linter_wants_it(command):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_kernels_are_frozen_in_one_place():
+    """What Dr.Jit cannot freeze is known there."""
+    found = {
+        str(path.relative_to(ROOT))
+        for path in ROOT.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute) and ast.unparse(node) == "dr.freeze"
+    }
+    assert found == {"rendering/kernels.py"}
+
+
 def test_the_report_never_renders():
     for path in (ROOT / "report").rglob("*.py"):
         tree = ast.walk(ast.parse(path.read_text()))

@@ -30,6 +30,7 @@ def unknown(path: Path) -> str:
     with backend.loading():
         params = mi.traverse(scene_file.load(str(path), None)[0])
     keys = [key for key in params.keys() if parameters.is_differentiable(params, key)]
+    keys = [key for key in keys if not parameters.moves_geometry(params, key)]
     return min(keys, key=lambda key: "thing" not in key.split("."))
 
 
