@@ -421,7 +421,7 @@ def test_exposures_that_files_give_are_known(photographed, tmp_path):
     "settings, told",
     [
         (["photos.exposure=scale", "photos.test=[view_1,view_2,view_3]"], "the first view's"),
-        (["photos.exposure=scale", "sampler=mitsuba"], "know no exposure"),
+        (["photos.exposure=scale", "sampler=mitsuba"], "knows no exposure"),
         (["photos.sphere=[0,0,0,1]"], "one shape alone"),
         (['scene.unknowns={"box.color": {"start": 1}}'], "object.bsdf.brdf_0.base_color.value"),
         (["scene.targets=[a.png]"], "scene.targets: photographs or a scene"),
