@@ -65,11 +65,9 @@ def scattered(
     """
     context, numbers = mi.BSDFContext(), (sampler.next_1d(), sampler.next_2d())
     apart, rest = [], active
-    # One by one: a second ``dr.dispatch`` of a path cannot be differentiated forwards.
     for one in lobes.bsdfs if lobes is not None else ():
         mine = active & (bsdf == mi.BSDFPtr(one))
-        with dr.resume_grad(when=attach):
-            apart.append((mine, _drawn(one, si, *numbers, mine)))
+        apart.append((mine, _of(one, si, numbers, mine, attach)))
         rest = rest & ~mine
     sample, weight = bsdf.sample(context, si, *numbers, rest)
     delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
@@ -81,6 +79,25 @@ def scattered(
         for mine, own in apart:
             found = Drawn(*(dr.select(mine, a, b) for a, b in zip(own, found)))
     return found
+
+
+def _of(bsdf: mi.BSDF, si, numbers: tuple, mine: mi.Bool, attach: bool) -> Drawn:
+    """Where paths go on that are at a surface of ``bsdf``.
+
+    As a branch of its own: the derivative by a single number would else be summed over the paths
+    once for each use of it, each time by a kernel. (Of ``dr.dispatch`` a path could have but one:
+    with a second there is no derivative forwards.)"""
+
+    def there(si, number, pair):
+        return tuple(_drawn(bsdf, si, number, pair, mi.Bool(True)))
+
+    def elsewhere(si, number, pair):
+        nothing = mi.Vector3f(0, 0, 1), mi.Float(1), mi.Float(0), mi.Bool(False)
+        return *nothing, mi.Spectrum(0), mi.Spectrum(0), mi.Spectrum(1)
+
+    with dr.resume_grad(when=attach):
+        found = dr.if_stmt((si, *numbers), mine, there, elsewhere, mode="symbolic")
+    return Drawn(*(dr.detach(each) for each in found[:-1]), found[-1])
 
 
 @dataclass
