@@ -63,7 +63,7 @@ def points(key: str, kind: Kind, ends: bool) -> list[Point]:
     below, above = float(np.min(here)) - low, high - float(np.max(here))
     short = _AT_END * span
     # Near 0 a number that is to stay positive means more by its ratios.
-    least = min(short, 0.25 * low) if low > 0 else short
+    least = min(short, 0.25 * low) if low > 0.01 * span else short
     if below <= 0 or above <= 0:
         sides = (1, least) if below <= 0 else (-1, short)
         found = [Point("generic", here, *sides, span)]
