@@ -9,7 +9,7 @@ import numpy as np
 from isas_cli.unknowns.kind import Kind
 
 # Of a range: half of the longer step inside, and the longer one at an end.
-_INSIDE, _AT_END = 0.04, 0.03
+_INSIDE, _AT_END, _WELL_INSIDE = 0.04, 0.03, 0.2
 # Low and high for parameters of which ``isas`` knows no bound, by the key's words.
 _ENDS = {
     "opacity": (0.0, 1.0),
@@ -60,15 +60,14 @@ def points(key: str, kind: Kind, ends: bool) -> list[Point]:
     low, high = bounds(key, kind)
     here = kind.present
     span = high - low
-    below, above = float(np.min(here)) - low, high - float(np.max(here))
     short = _AT_END * span
     # Near 0 a number that is to stay positive means more by its ratios.
-    least = min(short, 0.25 * low) if low > 0 else short
-    if below <= 0 or above <= 0:
-        sides = (1, least) if below <= 0 else (-1, short)
-        found = [Point("generic", here, *sides, span)]
-    else:
-        found = [Point("generic", here, 0, min(_INSIDE * span, below, above), span)]
+    least = min(short, 0.25 * low) if low > 0.01 * span else short
+    if not (low < np.min(here) and np.max(here) < high):
+        # The file has it at an end, or Mitsuba's default beyond one: generic is inside.
+        here = np.clip(here, low + _WELL_INSIDE * span, high - _WELL_INSIDE * span)
+    room = min(float(np.min(here)) - low, high - float(np.max(here)))
+    found = [Point("generic", here, 0, min(_INSIDE * span, room), span)]
     if ends and not set(key.split(".")) & set(_GENERIC_ALONE):
         found.append(Point("low", np.full_like(here, low), 1, least, span))
         found.append(Point("high", np.full_like(here, high), -1, short, span))
@@ -78,6 +77,8 @@ def points(key: str, kind: Kind, ends: bool) -> list[Point]:
 def bounds(key: str, kind: Kind) -> tuple[float, float]:
     """Lowest and highest value at which a key is looked at: its range, or what is sensible."""
     known = next((_ENDS[word] for word in reversed(key.split(".")) if word in _ENDS), None)
+    if known and not (known[0] <= np.min(kind.present) and np.max(kind.present) <= known[1]):
+        known = None  # of another plugin: metals have indices below those of glass
     size = float(np.abs(kind.present).max()) or 1.0
     low, high = known or (-size, size)
     if known is None and np.all(kind.present > 0):

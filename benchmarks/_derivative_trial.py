@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import mitsuba as mi
@@ -16,6 +17,7 @@ import numpy as np
 import pandas
 from _derivative_methods import FUNCTIONALS, Trial
 from _derivative_points import Point, directions, points
+from scipy import stats
 
 from isas_cli.unknowns import verdicts
 
@@ -24,7 +26,9 @@ WAYS = ("prb", "path", "isas", "replayed")
 # the picture, for what changes next to nothing.
 ENOUGH, NOTHING = 0.015, 2e-4
 # Estimates of every way at least, and differences for each.
-_FEWEST, _MORE = 4, 4
+_FEWEST, _MORE = 6, 4
+# Standard errors by which a difference is taken for one.
+_SURE = 4.0
 
 
 @dataclass
@@ -40,13 +44,19 @@ class Estimates:
         self.found.setdefault(where, []).append(value)
 
     def of(self, *where) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and its standard error, of each functional."""
+        """Mean and its standard error, of each functional: so much larger that the mean of a normal
+        number would lie beyond four of them as seldom as if the error itself were known."""
         if where in self.given:
             return self.given[where]
         each = np.array(self.found.get(where, np.full((1, 2), np.nan)))
         if len(each) < 2:
             return each.mean(0), np.full(2, np.nan)
-        return each.mean(0), each.std(0, ddof=1) / np.sqrt(len(each))
+        return each.mean(0), _student(len(each)) * each.std(0, ddof=1) / np.sqrt(len(each))
+
+
+@cache
+def _student(count: int) -> float:
+    return float(stats.t.isf(stats.norm.sf(_SURE), count - 1) / _SURE)
 
 
 class Census:
@@ -84,17 +94,17 @@ class Census:
             self.estimates.given["picture",] = picture, picture * 0
 
     def rows(self, ends: bool) -> Iterator[dict]:
-        """All keys at their generic values, and each by itself at the ends of its range."""
+        """All keys at the file's values, and each by itself at the ends of its range."""
         kinds = self.trial.kinds.items()
         still = {key: kind for key, kind in kinds if not kind.moves_geometry}
         every = {key: points(key, kind, ends) for key, kind in still.items()}
         present = {key: kind.present for key, kind in still.items()}
+        together = {key: found[0] for key, found in every.items() if found[0].value is present[key]}
         self._pictures()
-        if still:
-            generic = {key: found[0] for key, found in every.items()}
-            yield from self._at(generic, present)
+        if together:
+            yield from self._at(together, present)
         for key, found in every.items():
-            for point in found[1:]:
+            for point in found[1:] if key in together else found:
                 self.estimates.failed.clear()
                 # All attached: the kernels stay those of the generic values.
                 yield from self._at({key: point}, present | {key: point.value})
