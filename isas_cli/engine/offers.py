@@ -13,7 +13,6 @@ from ..runtime.errors import InputError
 from ..scene import mesh_checks
 from ..unknowns import registry, verdicts
 from ..unknowns.kind import Kind, Loaded
-from ..unknowns.poses import movable_in
 from ..unknowns.unknowns import Unknown
 from . import assemble
 
@@ -57,7 +56,7 @@ def of(scene: SceneConfig) -> Offers:
     def every(params, specs, truth_known, poses, of_views) -> list[Unknown]:
         """All that path replay differentiates, as it stands in the scene."""
         loaded = Loaded(params, dict(poses or {}), **(of_views or {}))
-        movable.extend(movable_in(params))
+        movable.extend(registry.movable(params))
         replayed = []
         for key, kind in registry.offered(loaded).items():
             try:

@@ -28,7 +28,7 @@ def of(scene: mi.Scene, views: range, written: Iterable[str] = ()) -> mi.SensorP
     films = [_side_by_side(sensor) for sensor in sensors]
     cameras = [camera for film in films for camera in film]
     kinds = {camera.class_name() for camera in cameras}
-    moves = any(key.startswith(f"{sensor.id()}.") for key in written for sensor in sensors)
+    moves = bool({key.rpartition(".")[0] for key in written} & {each.id() for each in sensors})
     if kinds <= {_PINHOLE} or not kinds <= {*_KNOWN} or moves:
         chosen = dr.arange(mi.UInt32, len(views)) + views.start
         return dr.gather(mi.SensorPtr, scene.sensors_dr(), chosen)

@@ -20,7 +20,7 @@ from ..config.schema import PoseConfig
 from ..runtime import images
 from ..runtime.errors import InputError
 from .parameters import as_numpy, like
-from .ranges import inside, role, usual
+from .ranges import bare, role, usual
 
 if TYPE_CHECKING:
     from ..scene.topology import Topology
@@ -63,6 +63,7 @@ class Kind:
     ``name``: of the kind, in words. ``key``: of the unknown. ``present``: the value that the scene
     was loaded with, float32, in the shape of the unknown; never changed. ``writes``: the scene's
     parameters that it writes. ``range``: legal where the configuration gives no other, (low, high).
+    ``bare``: how far from its ends values stay, where derivatives vanish at them.
     ``unit``: of its error, a word for reports; errors of one unit may be averaged. ``period``:
     after which a value means the same again, or None. ``scale``: the size, in its unit, of what it
     is added to in the scene, whose rounding limits how finely it can be moved.
@@ -87,6 +88,7 @@ class Kind:
     """
 
     name: ClassVar[str] = "parameter"
+    bare: tuple[float, float] = (0.0, 0.0)
     moves_geometry: bool = False
     affine: bool = False
     hides: bool = False
@@ -127,8 +129,17 @@ class Kind:
         self._type = type(value)
         self.present = as_numpy(value)
         *self.range, self.unit = usual(loaded.params, key)
-        self.present = inside(self.present, *self.range)
+        self.bare = bare(loaded.params, key)
+        low, high = self.kept(*self.range)
+        legal = (self.present >= self.range[0]) & (self.present <= self.range[1])
+        self.present = np.where(legal, np.clip(self.present, low, high), self.present).astype(
+            np.float32
+        )
         self.role = role(loaded.params, key)
+
+    def kept(self, low: float, high: float) -> tuple[float, float]:
+        """The part of a legal range in which values stay."""
+        return max(low, self.range[0] + self.bare[0]), min(high, self.range[1] - self.bare[1])
 
     def value(self, array: np.ndarray):
         """``array`` as the Dr.Jit value that estimators differentiate by, the *leaf*."""

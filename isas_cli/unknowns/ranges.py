@@ -15,8 +15,6 @@ import numpy as np
 from .parameters import as_numpy, owner
 
 _UNIT, _SIGNED = (0.0, 1.0), (-1.0, 1.0)
-# What Mitsuba clips to [0, 1], and so has no derivative at the ends.
-_CLIPPED, _AT = (1e-6, 1 - 1e-6), 2e-6
 _POSITIVE, _ANY = (0.0, np.inf), (-np.inf, np.inf)
 # Below about that a glossy lobe's derivative dies.
 _GLOSS = (0.03, 1.0)
@@ -31,7 +29,7 @@ _OF_BSDFS = {
     **dict.fromkeys(("base_color", "reflectance", "diffuse", "specular"), _UNIT),
     **dict.fromkeys(("diffuse_reflectance", "specular_reflectance"), _UNIT),
     **dict.fromkeys(("specular_transmittance", "transmittance"), _UNIT),
-    **dict.fromkeys(("opacity", "weight"), _CLIPPED),
+    **dict.fromkeys(("opacity", "weight"), _UNIT),
     **dict.fromkeys(("metallic", "anisotropic", "spec_tint", "spec_trans", "flatness"), _UNIT),
     **dict.fromkeys(("sheen", "sheen_tint", "clearcoat", "clearcoat_gloss"), _UNIT),
     "diff_trans": (0.0, 2.0),
@@ -53,7 +51,7 @@ _OF_EMITTERS = dict.fromkeys(("cutoff_angle", "beam_width"), (0.0, 90.0))
 _OF_MEDIA = {"albedo": _UNIT}
 _OF_PHASES = {
     "g": (-0.99, 0.99),
-    "weight": _CLIPPED,
+    "weight": _UNIT,
     # Second moments of the projected area of flakes, at most 1.
     "S": _SIGNED,
     "values": _POSITIVE,
@@ -67,6 +65,15 @@ _TABLES = (
     (mi.PhaseFunction, _OF_PHASES, _ANY),
     (mi.Shape, _OF_SHAPES, _ANY),
 )
+# Ends of a range at which there is no derivative, the lower and the upper: Mitsuba clips weights,
+# and at black a path ends, so that what comes by way of it tells nothing. Values stay off by this.
+_HAIR = 1e-6
+_BARE = {
+    **dict.fromkeys(("opacity", "weight"), (_HAIR, _HAIR)),
+    **dict.fromkeys(("base_color", "reflectance", "diffuse_reflectance"), (_HAIR, 0.0)),
+    **dict.fromkeys(("specular_reflectance", "specular_transmittance"), (_HAIR, 0.0)),
+    **dict.fromkeys(("transmittance", "diffuse"), (_HAIR, 0.0)),
+}
 _UNITS = {
     **{word: word for word in ("radiance", "intensity", "irradiance")},
     "sigma_t": "1 / scene unit",
@@ -192,11 +199,10 @@ class _Held(mi.TraversalCallback):
         pass
 
 
-def inside(values: np.ndarray, low: float, high: float) -> np.ndarray:
-    """``values``, those that lie as good as at an end of the range at that end."""
-    for end in filter(math.isfinite, (low, high)):
-        values = np.where(np.abs(values - end) <= _AT, end, values)
-    return values
+def bare(params: mi.SceneParameters, key: str) -> tuple[float, float]:
+    """How far values are kept from the lower and the upper end of ``usual``."""
+    ends = [_BARE.get(word, (0.0, 0.0)) for _, word, _ in fed(params, key)]
+    return max((a for a, _ in ends), default=0.0), max((b for _, b in ends), default=0.0)
 
 
 def around(low: float, high: float, values: np.ndarray) -> str:

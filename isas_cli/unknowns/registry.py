@@ -10,6 +10,7 @@ from .grid import Grid
 from .kind import Kind, Loaded
 from .motion import Motion
 from .poses import Pose
+from .poses import movable_in as movable  # noqa: F401  (ids of what poses can move)
 from .texture import Texture
 from .value import Value
 from .vertices import Vertices

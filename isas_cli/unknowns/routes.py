@@ -10,13 +10,16 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
+from .parameters import owner
 from .ranges import fed
 
 # By the class of what takes the parameter and its name there: why a path's derivative is not all.
 _ASIDE = {
     ("RoughPlastic", "alpha"): "Mitsuba makes tables of it, through which no derivative flows",
     ("RoughPlastic", "eta"): "Mitsuba makes tables of it, through which no derivative flows",
+    ("PolarizedPlastic", "eta"): "a part of its derivative is lost within Mitsuba",
 }
+_SPLATS = "Ellipsoids", "EllipsoidsMesh"
 # What turns the frame that a material scatters in.
 _TURNING = "normalmap", "nested_texture"
 
@@ -37,6 +40,8 @@ def refusal(params: mi.SceneParameters, key: str) -> str:
             f"it holds {_channels(params, key)} numbers each, and Mitsuba's mesh_attribute shows "
             "1 or 3: write the colours without alpha"
         )
+    if owner(params, key).class_name() in _SPLATS and name == "data":
+        return "it moves and turns ellipsoids, which path replay does not differentiate"
     turns = set(_TURNING) & set(key.split("."))  # of no other need one ask what takes it
     for holder, word, _ in fed(params, key) if turns else ():
         if word in _TURNING and discrete(holder):
@@ -49,7 +54,7 @@ def refusal(params: mi.SceneParameters, key: str) -> str:
 
 def _channels(params: mi.SceneParameters, key: str) -> int:
     """Numbers a vertex or face of a mesh attribute."""
-    shape, name = params.properties[key][2], key.rpartition(".")[2]
+    shape, name = owner(params, key), key.rpartition(".")[2]
     count = shape.vertex_count() if name.startswith("vertex_") else shape.face_count()
     return int(np.prod(np.shape(params[key]))) // max(1, count)
 

@@ -12,7 +12,7 @@ from ..runtime.errors import InputError, nearest
 from . import registry, routes
 from .kind import Kind, Loaded
 from .parameters import as_numpy, is_float, moves_geometry, read
-from .ranges import around, inside
+from .ranges import around
 from .smoothing import stable
 from .unknowns import Unknown
 
@@ -81,8 +81,7 @@ def _start_of_another(
 
 
 def _range(spec, kind: Kind) -> tuple[float, float]:
-    given = kind.range if spec is None else _given(spec, kind.key)
-    low, high = inside(np.array(given, float), *kind.range)
+    low, high = kind.range if spec is None else _given(spec, kind.key)
     return float(low), float(high)
 
 
@@ -215,7 +214,6 @@ def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
     where = f"scene.unknowns['{kind.key}']"
     start = _start(spec.start, kind, loaded, truth_known)
     low, high = _range(spec.range, kind)
-    start = inside(start, low, high).astype(np.float32)
     if not np.all(np.isfinite(start)) or start.min() < low or start.max() > high:
         raise InputError(f"{where}.start lies outside its range [{low:g}, {high:g}]")
     reason = kind.refusal(start)
@@ -236,6 +234,8 @@ def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
     during = (0.0, 1.0) if spec.during is None else tuple(spec.during)
     doubled = _doubled(spec.levels, kind)
     kind.levels = len(doubled) + 1  # before anyone asks what it writes
+    low, high = kind.kept(low, high)
+    start = np.clip(start, low, high).astype(np.float32)
     return Unknown(
         *(kind, start, truth, low, high, spec.lr, spec.blur),
         **dict(during=during, doubled=doubled),
