@@ -85,7 +85,7 @@ def bounds(key: str, kind: Kind) -> tuple[float, float]:
         low, high = size / 4, size * 2
     return tuple(
         float(own) if np.isfinite(own) else float(other)
-        for own, other in zip(kind.range, (low, high))
+        for own, other in zip(kind.kept(*kind.range), (low, high))
     )
 
 
