@@ -5,7 +5,7 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
-from ..unknowns.parameters import as_numpy, owner
+from ..unknowns.parameters import as_numpy, owner, read
 
 # Rows and columns of what is left. Mitsuba draws directions of a map by its texels, of which there
 # must be some at every height; a map's columns stand beside copies of the first and the last.
@@ -17,7 +17,8 @@ def reduce(params: mi.SceneParameters, unknown: set[str]) -> list[str]:
     texels, in the scene of ``params``. Returns their keys. Lookups give what they gave; they and
     the search for a bright texel touch a few bytes instead of a picture."""
     found = []
-    for key, value in list(params.items()):
+    for key in list(params.keys()):
+        value = read(params, key)
         if key in unknown or getattr(value, "ndim", 0) != 3:
             continue
         least = _least(owner(params, key))

@@ -73,6 +73,7 @@ _BARE = {
     **dict.fromkeys(("base_color", "reflectance", "diffuse_reflectance"), (_HAIR, 0.0)),
     **dict.fromkeys(("specular_reflectance", "specular_transmittance"), (_HAIR, 0.0)),
     **dict.fromkeys(("transmittance", "diffuse"), (_HAIR, 0.0)),
+    "eta": (1e-3, 0.0),  # of a metal at 0
 }
 _UNITS = {
     **{word: word for word in ("radiance", "intensity", "irradiance")},
