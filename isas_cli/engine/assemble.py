@@ -80,6 +80,7 @@ def bare(
             *narrow_blurs(found),
             *(warning for each in found for warning in each.kind.warnings()),
             *_doubtful_starts(found),
+            *_flat_densities(found, adapted),
             *_traded(unknowns, truth_known),
         ],
         flat=single,
@@ -170,6 +171,24 @@ def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:
         for role in ("light", "colour")
     )
     return [f"light ({light}) and colour ({colour}) can trade brightness: {told}"]
+
+
+def _flat_densities(found: list[Unknown], integrator: integrators.Integrator) -> list[str]:
+    """Of densities that start alike everywhere, in scenes where Mitsuba follows paths through media:
+    it learns that light is lost by collisions that are none, of which there are none where the
+    density is the largest that there is."""
+    flat = [
+        each.key
+        for each in found
+        if each.kind.hides and ".sigma_t." in each.key and np.ptp(each.start) == 0
+    ]
+    if not flat or isinstance(integrator, integrators.Medium):
+        return []
+    return [
+        f"'{key}' starts alike everywhere, where Mitsuba's derivative by a density is wrong: start "
+        "from values that differ, such as {uniform: [0.5, 1.5], seed: 1}"
+        for key in flat
+    ]
 
 
 def _doubtful_starts(found: list[Unknown]) -> list[str]:

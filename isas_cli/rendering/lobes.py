@@ -134,9 +134,7 @@ class Lobes(NamedTuple):
     keys: tuple[str, ...]
 
 
-def _drawn(
-    bsdf: mi.BSDF, si, number: mi.Float, numbers: mi.Point2f, active: mi.Bool
-) -> Drawn:
+def _drawn(bsdf: mi.BSDF, si, number: mi.Float, numbers: mi.Point2f, active: mi.Bool) -> Drawn:
     """A direction from a surface of one material, which is taken apart. Traced, with derivatives
     where they are on."""
     lobes = _apart(_named(bsdf), si, numbers, active)

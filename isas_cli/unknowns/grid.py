@@ -42,6 +42,7 @@ class Grid(Kind):
 
     def __init__(self, key: str, loaded: Loaded):
         super().__init__(key, loaded)
+        self.bare = (0.0, 0.0)  # the ranges below are off the ends
         if ".albedo." in key:
             self.range, self.unit = _ALBEDO, "albedo"
         elif ".sigma_t." in key:

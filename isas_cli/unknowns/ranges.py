@@ -65,15 +65,20 @@ _TABLES = (
     (mi.PhaseFunction, _OF_PHASES, _ANY),
     (mi.Shape, _OF_SHAPES, _ANY),
 )
-# Ends of a range at which there is no derivative, the lower and the upper: Mitsuba clips weights,
-# and at black a path ends, so that what comes by way of it tells nothing. Values stay off by this.
-_HAIR = 1e-6
+# How far values stay off the ends of a range, the lower and the upper, where the derivative is none
+# or not all: Mitsuba clips weights, at black a path ends, and what is never sampled tells nothing.
+_HAIR, _SHARE = 1e-6, 1e-3
 _BARE = {
     **dict.fromkeys(("opacity", "weight"), (_HAIR, _HAIR)),
     **dict.fromkeys(("base_color", "reflectance", "diffuse_reflectance"), (_HAIR, 0.0)),
     **dict.fromkeys(("specular_reflectance", "specular_transmittance"), (_HAIR, 0.0)),
     **dict.fromkeys(("transmittance", "diffuse"), (_HAIR, 0.0)),
-    "eta": (1e-3, 0.0),  # of a metal at 0
+    **dict.fromkeys(("clearcoat", "sheen"), (_HAIR, 0.0)),
+    **dict.fromkeys(("spec_trans", "diff_trans"), (_SHARE, _SHARE)),
+    "metallic": (0.0, _SHARE),
+    "albedo": (0.01, 0.0),
+    "sigma_t": (_SHARE, 0.0),
+    "eta": (_SHARE, 0.0),  # of a metal at 0
 }
 _UNITS = {
     **{word: word for word in ("radiance", "intensity", "irradiance")},

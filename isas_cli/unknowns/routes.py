@@ -17,6 +17,9 @@ from .ranges import fed
 _ASIDE = {
     ("RoughPlastic", "alpha"): "Mitsuba makes tables of it, through which no derivative flows",
     ("RoughPlastic", "eta"): "Mitsuba makes tables of it, through which no derivative flows",
+    ("HeterogeneousMedium", "sigma_t"): (
+        "where the density is the largest that there is, Mitsuba samples nothing that tells less"
+    ),
     ("PolarizedPlastic", "eta"): "a part of its derivative is lost within Mitsuba",
 }
 _SPLATS = "Ellipsoids", "EllipsoidsMesh"

@@ -68,7 +68,9 @@ def test_a_number_ends_at_the_truth(tmp_path, material, key, truth, depth):
 def test_a_texture_ends_at_the_truth(tmp_path, material, word, texels):
     images.write_exr(str(tmp_path / "map.exr"), texels, ["Y"], {})
     material = material.format(_TEXTURE.format(word))
-    _, run = found(tmp_path, material, f"{word}.data", _TOLD, "optimizer.lr=0.05", shape="rectangle")
+    _, run = found(
+        tmp_path, material, f"{word}.data", _TOLD, "optimizer.lr=0.05", shape="rectangle"
+    )
     errors = run.history["parameter_rmse"]
     assert errors.iloc[-1] < 0.01, errors.tolist()
 

@@ -1,0 +1,111 @@
+"""Differences beside path replay, by numbers that Mitsuba does not differentiate rightly."""
+
+import dataclasses
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from montecarlo import welch
+from scenes_for_tests import without_targets
+
+from isas_cli.engine import assemble
+from isas_cli.estimators.two_path import TwoPath
+from isas_cli.losses.l2 import L2
+from isas_cli.rendering.pixels import PixelDistribution, Tiles
+from isas_cli.rendering.renderer import Renderer
+from isas_cli.unknowns import routes
+
+SEEDS, BATCH = 24, 1 << 14
+
+
+def problem(material: dict, unknowns: dict[str, float]):
+    place = mi.ScalarTransform4f()
+    description = {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 4},
+        "sensor": {
+            "type": "perspective",
+            "to_world": place.look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 16, "height": 16},
+        },
+        "sky": {"type": "constant"},
+        "ball": {"type": "sphere", "bsdf": material},
+    }
+    p = without_targets(description, {f"ball.bsdf.{key}": at for key, at in unknowns.items()})
+    p.set_targets(dr.full(mi.Float, 0.3, 3 * p.views.total), None, "test")
+    return p
+
+
+def expected(p, key: str, seed: int, h: float) -> float:
+    """∂ℒ/∂θ from whole pictures: of a residual, and of two sides with the same random numbers."""
+    start, unknowns = p.unknowns[key].start, p.unknowns
+    renderer, spp = Renderer(p), BATCH // p.views.total
+
+    def picture(value, first):
+        unknowns.write(unknowns.starts() | unknowns.values_of({key: value}))
+        return renderer.range(0, p.views.total, spp, lambda i: first + i)
+
+    low, high = (picture(start + side * h, 10_000 * (seed + 1)) for side in (-1, 1))
+    residual = picture(start, 5_000_000 + 10_000 * seed) - 0.3
+    return float(np.sum(2 * residual * (high - low) / (2 * h)) * p.share[0])
+
+
+@pytest.mark.parametrize(
+    "material, key, h",
+    [
+        ("roughplastic", "alpha", 0.02),
+        ("roughplastic", "eta", 0.05),
+        ("pplastic", "eta.value", 0.05),
+    ],
+)
+def test_the_gradient_is_that_of_the_loss(material, key, h):
+    values = {"alpha": 0.2, "eta": 1.4, "eta.value": 1.4}
+    named = {"alpha": 0.2} if material == "roughplastic" else {}
+    color = "diffuse_reflectance.value"
+    p = problem({"type": material, **named}, {key: values[key], color: 0.4})
+    key, color = (f"ball.bsdf.{each}" for each in (key, color))
+    assert p.unknowns[key].kind.aside and not p.unknowns[color].kind.aside
+    assert any(key in warning for warning in p.unknowns[key].kind.warnings())
+    estimator = TwoPath(p, L2(), BATCH)
+    assert estimator.paths_per_step == (2 + 1 + 2) * BATCH
+    uniform = PixelDistribution.uniform(Tiles.over(p.views))
+    found = [
+        estimator.estimate(p.unknowns.starts(), uniform, seed, 3, 0.0) for seed in range(SEEDS)
+    ]
+    for each, step in ((key, h), (color, 0.02)):
+        own = np.array([[float(np.ravel(gradients[each])[0])] for gradients in found])
+        true = np.array([[expected(p, each, seed, step)] for seed in range(SEEDS)])
+        told = welch(own, true)
+        assert told.p_value > 1e-3, f"{each}: {told}"
+        assert told.always_visible < 0.25 * abs(true.mean()), f"{each}: {told}, {true.mean()}"
+
+
+def test_what_can_be_told_by_no_one_is_refused():
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "splats": {
+                "type": "ellipsoids",
+                "centers": mi.TensorXf(np.zeros((1, 3), np.float32)),
+                "scales": mi.TensorXf(np.ones((1, 3), np.float32)),
+                "quaternions": mi.TensorXf(np.float32([[0, 0, 0, 1]])),
+            },
+        }
+    )
+    params = mi.traverse(scene)
+    assert "moves and turns" in routes.refusal(params, "splats.data")
+
+
+def test_a_density_alike_everywhere_is_warned_of():
+    @dataclasses.dataclass
+    class Grid:
+        hides = True
+
+    class One:
+        key, kind = "smoke.interior_medium.sigma_t.data", Grid()
+
+    One.start = np.ones((2, 2, 2, 1), np.float32)
+    assert "wrong" in assemble._flat_densities([One], object())[0]
+    One.start = np.random.default_rng(0).random((2, 2, 2, 1))
+    assert assemble._flat_densities([One], object()) == []
