@@ -175,8 +175,7 @@ def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:
 
 def _flat_densities(found: list[Unknown], integrator: integrators.Integrator) -> list[str]:
     """Of densities that start alike everywhere, in scenes where Mitsuba follows paths through media:
-    it learns that light is lost by collisions that are none, of which there are none where the
-    density is the largest that there is."""
+    it learns from collisions that are none, and samples none where the density is the largest."""
     flat = [
         each.key
         for each in found

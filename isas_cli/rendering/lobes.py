@@ -128,7 +128,7 @@ class _Lobe:
 
 
 class Lobes(NamedTuple):
-    """``bsdfs`` with discrete lobes, to be taken apart, and the ``keys`` of the unknowns in them."""
+    """``bsdfs`` with discrete lobes, to be taken apart; ``keys`` of the unknowns in them."""
 
     bsdfs: tuple[mi.BSDF, ...]
     keys: tuple[str, ...]

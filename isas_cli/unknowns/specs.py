@@ -11,7 +11,7 @@ from ..config.schema import PoseConfig
 from ..runtime.errors import InputError, nearest
 from . import registry, routes
 from .kind import Kind, Loaded
-from .parameters import as_numpy, is_float, moves_geometry, read, read
+from .parameters import as_numpy, is_float, moves_geometry, read
 from .ranges import around
 from .smoothing import stable
 from .unknowns import Unknown
