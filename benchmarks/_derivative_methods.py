@@ -167,7 +167,7 @@ class Trial:
             gradient = mi.TensorXf(weights)
             with _unattached_is_zero():
                 integrator.render_backward(
-                    self.scene, self.params, gradient, 0, seed=seed, spp=self.samples
+                    self.scene, leaves, gradient, 0, seed=seed, spp=self.samples
                 )
             found.append({key: _array(dr.grad(leaf)) for key, leaf in leaves.items()})
             self.put(values)

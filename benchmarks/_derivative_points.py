@@ -10,6 +10,7 @@ from isas_cli.unknowns.kind import Kind
 
 # Of a range: half of the longer step inside, and the longer one at an end.
 _INSIDE, _AT_END, _WELL_INSIDE = 0.04, 0.03, 0.2
+_WIDEST = 10.0  # of the value
 # Low and high for parameters of which ``isas`` knows no bound, by the key's words.
 _ENDS = {
     "opacity": (0.0, 1.0),
@@ -59,6 +60,8 @@ def points(key: str, kind: Kind, ends: bool) -> list[Point]:
     """Where a key is looked at."""
     low, high = bounds(key, kind)
     here = kind.present
+    # A density may be as high as 1e4, where none would be looked at.
+    high = min(high, _WIDEST * float(np.abs(here).max())) if here.any() else high
     span = high - low
     short = _AT_END * span
     # Near 0 a number that is to stay positive means more by its ratios.

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from _plugin_room import MATTE, ball, bitmap, bsdf, colour, number, of, room
 
+# Beside gaps and other lobes: darker than what is seen through and in them.
+_DARK = bsdf("diffuse", colour("reflectance", "0.1,0.15,0.2"))
 _MIRROR = bsdf("conductor", colour("specular_reflectance", "0.9,0.8,0.7"))
 _GLASS = bsdf("dielectric", number("int_ior", 1.5))
 _ROUGH = bsdf("roughconductor", number("alpha", 0.3))
@@ -122,16 +124,16 @@ BSDFS = {
     "principled-eta": room(ball(_principled(eta=1.4, metallic=0.1, spec_trans=0.6))),
     "principled-bare": room(ball(bsdf("principled", colour("base_color", "0.6,0.4,0.3")))),
     "principledthin": room(ball(_principled("principledthin", **_THIN))),
-    "mask": of("mask", number("opacity", 0.6), MATTE),
+    "mask": of("mask", number("opacity", 0.6), _DARK),
     **{
         f"mask-{name}": of("mask", number("opacity", 0.6), other)
         for name, other in _BESIDE.items()
         if name not in ("diffuse", "null")
     },
-    "mask-textured": of("mask", bitmap("opacity", "g.exr"), MATTE),
-    "blendbsdf": of("blendbsdf", number("weight", 0.4), MATTE, _BESIDE["diffuse"]),
+    "mask-textured": of("mask", bitmap("opacity", "g.exr"), _DARK),
+    "blendbsdf": of("blendbsdf", number("weight", 0.4), _DARK, _BESIDE["diffuse"]),
     **{
-        f"blendbsdf-{name}": of("blendbsdf", number("weight", 0.4), MATTE, other)
+        f"blendbsdf-{name}": of("blendbsdf", number("weight", 0.4), _DARK, other)
         for name, other in _BESIDE.items()
         if name != "diffuse"
     },
@@ -142,12 +144,12 @@ BSDFS = {
     "blendbsdf-nested": of(
         "blendbsdf",
         number("weight", 0.4),
-        bsdf("mask", number("opacity", 0.7), MATTE),
+        bsdf("mask", number("opacity", 0.7), _DARK),
         bsdf("blendbsdf", number("weight", 0.3), _MIRROR, _ROUGH),
     ),
     "twosided": of("twosided", MATTE),
     "twosided-plastic": of("twosided", _BESIDE["plastic"]),
-    "twosided-blend": of("twosided", bsdf("blendbsdf", number("weight", 0.4), MATTE, _MIRROR)),
+    "twosided-blend": of("twosided", bsdf("blendbsdf", number("weight", 0.4), _DARK, _MIRROR)),
     "twosided-both": room(ball(bsdf("twosided", MATTE, _BESIDE["plastic"]), "rectangle")),
     "bumpmap": of("bumpmap", bitmap("arbitrary", "b.exr"), number("scale", 0.3), _ROUGH),
     "bumpmap-mirror": of("bumpmap", bitmap("arbitrary", "b.exr"), number("scale", 0.3), _MIRROR),

@@ -71,7 +71,9 @@ def run(scene: str, arguments: argparse.Namespace) -> pandas.DataFrame:
         call += [f"--{name}" for name in ("own", "inside") if getattr(arguments, name)]
         try:
             done = subprocess.run(call, capture_output=True, text=True, timeout=LONGEST)
-            said = (done.stderr.strip().splitlines() or [""])[-1] if done.returncode else ""
+            said = ""
+            if done.returncode:
+                said = (done.stderr.strip().splitlines() or [f"ended with {done.returncode}"])[-1]
         except subprocess.TimeoutExpired:
             said = f"took more than {LONGEST} s"
         found = pandas.read_csv(file) if file.exists() else pandas.DataFrame()
