@@ -18,6 +18,11 @@ WAYS = ("prb", "path", "isas", "replayed")
 _ORDER = ("never", "wrong", "fails", "refused", "right", "unsure", "-", "")
 
 
+def read(path) -> pandas.DataFrame:
+    """A table of the census. A scene is called ``null``, which pandas takes for none."""
+    return pandas.read_csv(path, keep_default_na=False, na_values=[""])
+
+
 def judged(table: pandas.DataFrame) -> pandas.DataFrame:
     """The table with a column ``verdict_<way>`` for each way."""
     columns = {f"verdict_{way}": table.apply(_of, axis=1, way=way) for way in WAYS}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas
-from _derivative_verdicts import WAYS, judged, of_keys
+from _derivative_verdicts import WAYS, judged, of_keys, read
 from _plugin_bsdfs import BSDFS
 from _plugin_scenes import EMITTERS, MEDIA, SENSORS, SHAPES, TEXTURES
 from _plugins import REASONS
@@ -33,13 +33,14 @@ def facts(results: Path) -> dict | None:
     path = results / "derivatives.csv"
     if not path.exists():
         return None
-    table = pandas.read_csv(path)
+    table = read(path)
     measured = table.dropna(subset=["reference"])
     told = judged(measured)
     keys = of_keys(table[table["key"].notna()])
     return {
         "mitsuba": table["mitsuba"].dropna().max(),
         "drjit": table["drjit"].dropna().max(),
+        "variants": " and ".join(f"`{name}`" for name in sorted(set(table["variant"].dropna()))),
         "first": table["date"].dropna().min(),
         "last": table["date"].dropna().max(),
         "scenes": table["scene"].nunique(),

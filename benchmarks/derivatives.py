@@ -26,7 +26,7 @@ from pathlib import Path
 
 import pages
 import pandas
-from _derivative_verdicts import of_keys, of_words
+from _derivative_verdicts import of_keys, of_words, read
 from _plugins import SCENES, subject
 
 RESULTS = Path(__file__).parent / "results" / "derivatives.csv"
@@ -47,12 +47,13 @@ def measured(scene: str, file: Path, arguments: argparse.Namespace) -> None:
     mi.set_log_level(mi.LogLevel.Error)
     known = None
     if arguments.own:
-        known = pandas.read_csv(RESULTS)
+        known = read(RESULTS)
         known = known[(known["scene"] == scene) & known["reference"].notna()]
     with tempfile.TemporaryDirectory() as folder:
         with backend.loading():
             path = write(Path(folder))[scene]
         about = {"scene": scene, "mitsuba": mi.__version__, "drjit": dr.__version__}
+        about["variant"] = mi.variant()
         about["date"] = date.today().isoformat()
         ends = "-" not in scene and not arguments.inside
         rows = []
@@ -76,7 +77,7 @@ def run(scene: str, arguments: argparse.Namespace) -> pandas.DataFrame:
                 said = (done.stderr.strip().splitlines() or [f"ended with {done.returncode}"])[-1]
         except subprocess.TimeoutExpired:
             said = f"took more than {LONGEST} s"
-        found = pandas.read_csv(file) if file.exists() else pandas.DataFrame()
+        found = read(file) if file.exists() else pandas.DataFrame()
         if said or found.empty:
             told = {"scene": scene, "isas_said": said[:160] or "offers no unknown"}
             found = pandas.concat([found, pandas.DataFrame([told])], ignore_index=True)
@@ -108,7 +109,7 @@ def main() -> None:
     if arguments.child:
         measured(arguments.child[0], Path(arguments.child[1]), arguments)
         return
-    known = pandas.read_csv(RESULTS) if RESULTS.exists() else pandas.DataFrame({"scene": []})
+    known = read(RESULTS) if RESULTS.exists() else pandas.DataFrame({"scene": []})
     names = set(arguments.only)
     wanted = [name for name in SCENES if not names or names & {name, subject(name)}]
     there = set(known["scene"])
@@ -123,7 +124,7 @@ def main() -> None:
             known = joined(pandas.concat([known[known["scene"] != name], rows], ignore_index=True))
             known.to_csv(RESULTS, index=False, float_format="%.6g")
             print(name, len(rows), "rows", flush=True)
-    of_words(of_keys(pandas.read_csv(RESULTS))).to_csv(VERDICTS, index=False)
+    of_words(of_keys(read(RESULTS))).to_csv(VERDICTS, index=False)
     pages.write()
 
 

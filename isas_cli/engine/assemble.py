@@ -174,8 +174,8 @@ def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:
 
 
 def _flat_densities(found: list[Unknown], integrator: integrators.Integrator) -> list[str]:
-    """Of densities that start alike everywhere, in scenes where Mitsuba follows paths through media:
-    it learns from collisions that are none, and samples none where the density is the largest."""
+    """Of densities that start alike everywhere, where Mitsuba follows paths in media: it learns by
+    collisions that are none, of which it samples none where a density is the largest."""
     flat = [
         each.key
         for each in found
