@@ -27,8 +27,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..runtime.errors import InputError
-from ..unknowns.parameters import owner
-from ..unknowns.ranges import held
+from ..unknowns.parameters import held, owner
 from ..unknowns.routes import discrete
 
 # The least chance of a lobe, and what a path's weight is in a replay where its value is 0.

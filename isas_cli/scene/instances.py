@@ -7,18 +7,21 @@ import itertools
 
 import mitsuba as mi
 
+from ..unknowns import parameters
+
 # What Mitsuba counts as no id: by these its writer refers to objects without one.
 _UNNAMED = "_unnamed_"
+# By the names of Mitsuba's classes, which exist only once there is a variant.
 _KINDS = {
-    mi.Emitter: "emitter",
-    mi.Shape: "shape",
-    mi.Sensor: "sensor",
-    mi.BSDF: "bsdf",
-    mi.Medium: "medium",
-    mi.PhaseFunction: "phase",
-    mi.Texture: "texture",
-    mi.Volume: "volume",
-    mi.Integrator: "integrator",
+    "Emitter": "emitter",
+    "Shape": "shape",
+    "Sensor": "sensor",
+    "BSDF": "bsdf",
+    "Medium": "medium",
+    "PhaseFunction": "phase",
+    "Texture": "texture",
+    "Volume": "volume",
+    "Integrator": "integrator",
 }
 
 
@@ -78,7 +81,7 @@ def _held(props: mi.Properties, name: str) -> list[mi.Object]:
 def name_all(scene: mi.Scene) -> None:
     """Give the scene's own things without an id one in its order: Mitsuba would call them by their
     address in memory, and keys and content hash would differ from run to run."""
-    things = _Children.of(scene)
+    things = [thing for _, thing in parameters.held(scene)]
     taken = {thing.id() for thing in things}
     listed: dict[str, list] = {
         "emitter": scene.emitters(),
@@ -86,7 +89,10 @@ def name_all(scene: mi.Scene) -> None:
         "sensor": scene.sensors(),
     }
     for thing in things:
-        kind = next((name for type, name in _KINDS.items() if isinstance(thing, type)), "object")
+        kind = next(
+            (name for type, name in _KINDS.items() if isinstance(thing, getattr(mi, type))),
+            "object",
+        )
         if thing not in (of_kind := listed.setdefault(kind, [])):
             of_kind.append(thing)
     for kind, of_kind in listed.items():
@@ -102,27 +108,3 @@ def name_all(scene: mi.Scene) -> None:
 
 def _nameless(thing: mi.Object) -> bool:
     return not thing.id() or thing.id().startswith(_UNNAMED)
-
-
-class _Children(mi.TraversalCallback):
-    """The things that a scene itself holds, in its order."""
-
-    def __init__(self):
-        super().__init__()
-        self.found: list[mi.Object] = []
-
-    @staticmethod
-    def of(scene: mi.Scene) -> list[mi.Object]:
-        callback = _Children()
-        scene.traverse(callback)
-        return callback.found
-
-    def put(self, name, value, flags, cpptype=None) -> None:
-        if isinstance(value, mi.Object):
-            self.found.append(value)
-
-    def put_object(self, name, obj, flags) -> None:
-        self.put(name, obj, flags)
-
-    def put_value(self, name, value, flags, cpptype=None) -> None:
-        pass

@@ -12,6 +12,21 @@ def owner(params: mi.SceneParameters, key: str):
     return params.properties[key][2]
 
 
+def held(holder: mi.Object) -> list[tuple[str, mi.Object]]:
+    """The objects that one holds, each by its name there."""
+    found: list[tuple[str, mi.Object]] = []
+
+    class Held(mi.TraversalCallback):
+        def put(self, name, value, flags, cpptype=None) -> None:
+            if isinstance(value, mi.Object):
+                found.append((name, value))
+
+        put_object = put_value = put
+
+    holder.traverse(Held())
+    return found
+
+
 def read(params: mi.SceneParameters, key: str):
     """The parameter's value; None where the object has none at present, which Mitsuba lists all
     the same."""

@@ -12,7 +12,7 @@ import re
 import mitsuba as mi
 import numpy as np
 
-from .parameters import as_numpy, owner
+from .parameters import as_numpy, held, owner
 
 _UNIT, _SIGNED = (0.0, 1.0), (-1.0, 1.0)
 _POSITIVE, _ANY = (0.0, np.inf), (-np.inf, np.inf)
@@ -58,12 +58,12 @@ _OF_PHASES = {
 }
 _OF_SHAPES = {"opacities": _UNIT, "color": _UNIT}
 _TABLES = (
-    (mi.BSDF, _OF_BSDFS, _ANY),
+    ("BSDF", _OF_BSDFS, _ANY),
     # None of what is left is negative: colours, strengths, densities.
-    (mi.Emitter, _OF_EMITTERS, _POSITIVE),
-    (mi.Medium, _OF_MEDIA, _POSITIVE),
-    (mi.PhaseFunction, _OF_PHASES, _ANY),
-    (mi.Shape, _OF_SHAPES, _ANY),
+    ("Emitter", _OF_EMITTERS, _POSITIVE),
+    ("Medium", _OF_MEDIA, _POSITIVE),
+    ("PhaseFunction", _OF_PHASES, _ANY),
+    ("Shape", _OF_SHAPES, _ANY),
 )
 # How far values stay off the ends of a range, the lower and the upper, where the derivative is none
 # or not all: Mitsuba clips weights, at black a path ends, and what is never sampled tells nothing.
@@ -103,7 +103,7 @@ def usual(params: mi.SceneParameters, key: str) -> tuple[float, float, str]:
 
 def _of(holder: mi.Object, word: str, value) -> tuple[float, float]:
     for kind, table, default in _TABLES:
-        if isinstance(holder, kind):
+        if isinstance(holder, getattr(mi, kind)):
             found = table.get((holder.class_name(), word), table.get(word, default))
             below = found is _DENSER and as_numpy(value).max() < 1
             return _THINNER if below else found
@@ -178,31 +178,6 @@ def _uses(params: mi.SceneParameters) -> dict[mi.Object, list[tuple[mi.Object, s
         for word, thing in held(holder):
             found.setdefault(thing, []).append((holder, word))
     return found
-
-
-def held(holder: mi.Object) -> list[tuple[str, mi.Object]]:
-    """The objects that one holds, each by its name there."""
-    callback = _Held()
-    holder.traverse(callback)
-    return callback.found
-
-
-class _Held(mi.TraversalCallback):
-    """The objects that one holds, by name."""
-
-    def __init__(self):
-        super().__init__()
-        self.found: list[tuple[str, mi.Object]] = []
-
-    def put(self, name, value, flags, cpptype=None) -> None:
-        if isinstance(value, mi.Object):
-            self.found.append((name, value))
-
-    def put_object(self, name, obj, flags) -> None:
-        self.put(name, obj, flags)
-
-    def put_value(self, name, value, flags, cpptype=None) -> None:
-        pass
 
 
 def bare(params: mi.SceneParameters, key: str) -> tuple[float, float]:

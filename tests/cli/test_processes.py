@@ -40,6 +40,7 @@ TYPED = {
     "landscape": ["run", "--spp", "1"],
     "report": ["run"],
     "export": ["run", "--output", "exported"],
+    "unknowns": ["scene.xml"],
 }
 LEFT = {
     "run": "another/summary.json",
@@ -57,6 +58,7 @@ SAID = {
     "scenes": "pottery",
     "doctor": "this machine can run isas",
     "replay": "iteration 1",
+    "unknowns": "scene.unknowns",
 }
 
 
