@@ -3,11 +3,12 @@
 # One would guess: mask.opacity is listed as differentiable, so `prb` gives its derivative (of the
 # mean of a picture), as central differences of the same picture do: -0.012.
 # Seen with Mitsuba 3.9.1: prb +0.028; the attached `path` integrator is right. By the weight of a
-# blendbsdf with a conductor both are wrong (truth +0.57, prb -0.72, path +0.12). Without a
-# discrete lobe (two diffuse parts) both are right.
+# blendbsdf with a conductor both are wrong (truth +0.57, prb -0.72, path +0.12), and with a rough
+# conductor the attached path still is (truth +0.50, path +0.16). Two diffuse parts: both right.
 # Where: src/python/python/ad/integrators/prb.py: L * relative_grad(bsdf.eval(wo)) whatever was
 # sampled; eval() has no discrete lobe, so a ray that passed through the gap, or was mirrored, gets
-# the derivative of the smooth lobes. For path and blends: blendbsdf.cpp's sample().
+# the derivative of the smooth lobes. For path: sample() of src/bsdfs/blendbsdf.cpp divides by a
+# pdf that carries the weight's derivative, while the choice between the parts carries none.
 # Users of isas: cut-out leaves, fences, coated things. isas takes such materials apart, draws one
 # lobe with a known chance and differentiates that one's value.
 set -euo pipefail
@@ -81,10 +82,13 @@ def grey(albedo):
 
 mask = {"type": "mask", "opacity": 0.6, "inside": grey(0.05)}
 mixed = {"type": "blendbsdf", "weight": 0.6, "first": grey(0.05), "second": {"type": "conductor"}}
+metal = {"type": "roughconductor", "alpha": 0.2}
+rough = {"type": "blendbsdf", "weight": 0.6, "first": grey(0.05), "second": metal}
 smooth = {"type": "blendbsdf", "weight": 0.6, "first": grey(0.05), "second": grey(0.8)}
 cases = [  # name, material, parameter, step; whether prb, and the attached path, are right
     ("mask.opacity", mask, "opacity.value", 0.05, [False, True]),
     ("blendbsdf.weight, with a mirror", mixed, "weight.value", 0.05, [False, False]),
+    ("blendbsdf.weight, with a rough metal", rough, "weight.value", 0.05, [True, False]),
     ("blendbsdf.weight, both diffuse", smooth, "weight.value", 0.05, [True, True]),
 ]
 print(f"mitsuba {mi.__version__}, drjit {dr.__version__}, {mi.variant()}")
