@@ -28,7 +28,8 @@ def of(scene: mi.Scene, views: range, written: Iterable[str] = ()) -> mi.SensorP
     films = [_side_by_side(sensor) for sensor in sensors]
     cameras = [camera for film in films for camera in film]
     kinds = {camera.class_name() for camera in cameras}
-    moves = bool({key.rpartition(".")[0] for key in written} & {each.id() for each in sensors})
+    places = tuple(f"{sensor.id()}." for sensor in sensors)
+    moves = any(name.startswith(places) for name in written)
     if kinds <= {_PINHOLE} or not kinds <= {*_KNOWN} or moves:
         chosen = dr.arange(mi.UInt32, len(views)) + views.start
         return dr.gather(mi.SensorPtr, scene.sensors_dr(), chosen)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-import isas_cli
 from isas_cli.cli import doctor
 from isas_cli.runtime import backend, llvm
 from isas_cli.runtime.errors import InputError
@@ -228,14 +227,3 @@ def test_the_doctor_reports_a_machine_without_llvm():
     assert done.returncode == 2, done.stderr
     assert "problem: LLVM" not in done.stdout and "is not a file" in done.stdout
     assert "python" in done.stdout and "Traceback" not in done.stderr
-
-
-def test_any_module_may_be_imported_before_mitsuba_is_started():
-    """But for those whose classes derive from Mitsuba's, which ``backend.plugin`` names."""
-    folder = Path(isas_cli.__file__).parent
-    waiting = {"isas_cli.scene.phong", "isas_cli.rendering.emission", "isas_cli.__main__"}
-    files = (file for file in folder.rglob("*.py") if file.name != "__init__.py")
-    names = {"isas_cli." + ".".join(f.relative_to(folder).with_suffix("").parts) for f in files}
-    code = "\n".join(f"import {name}" for name in sorted(names - waiting))
-    done = subprocess.run([sys.executable, "-c", code], text=True, capture_output=True)
-    assert done.returncode == 0, done.stderr
