@@ -73,7 +73,9 @@ def scattered(
     factor = mi.Spectrum(1)
     with dr.resume_grad(when=attach):
         if attach:
-            factor = dr.relative_grad(bsdf.eval(context, si, sample.wo, rest))
+            # Where nothing goes on there is no quotient of two values.
+            on = rest & (dr.max(weight) != 0)
+            factor = dr.relative_grad(bsdf.eval(context, si, sample.wo, on))
         found = Drawn(sample.wo, sample.eta, sample.pdf, delta, weight, weight, factor)
         for mine, own in apart:
             found = Drawn(*(dr.select(mine, a, b) for a, b in zip(own, found)))
