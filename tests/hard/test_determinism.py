@@ -37,10 +37,12 @@ def test_one_thread_gives_the_same_bits(values):
 
 
 def test_several_threads_differ_by_rounding(values):
-    """Sums in another order. Adam amplifies it where a texel's gradients nearly cancel: 4e-7 to
-    6e-3 seen, after 40 steps of 0.02, at single texels, so that the largest is allowed a step. A
-    step taken twice or not at all moves all of them, which the mean shows."""
+    """Sums in another order. Now and then that moves one drawn pixel to its neighbour, and Adam
+    amplifies it where a texel's gradients nearly cancel: single texels were seen up to 0.04 apart
+    after 40 steps of 0.02, so that they say nothing. 99 in 100 were never more than 3e-5 apart. A
+    step taken twice or not at all moves all of them."""
     _, one, two = values
-    print("largest difference", np.abs(one - two).max())
-    assert np.abs(one - two).max() < 2e-2
-    assert np.abs(one - two).mean() < 1e-4
+    apart = np.abs(one - two)
+    print("largest difference", apart.max(), "mean", apart.mean())
+    assert apart.mean() < 1e-4
+    assert np.quantile(apart, 0.99) < 1e-3
