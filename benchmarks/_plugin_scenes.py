@@ -208,7 +208,8 @@ MEDIA = {
     ),
     "constvolume": _fog(
         "heterogeneous",
-        '<volume type="constvolume" name="sigma_t"><float name="value" value="1"/></volume>',
+        '<volume type="constvolume" name="sigma_t"><float name="value" value="1"/>'
+        f"{_TURN}</volume>",
         '<volume type="constvolume" name="albedo"><rgb name="value" value="0.8,0.7,0.6"/></volume>',
         _phase("isotropic"),
     ),

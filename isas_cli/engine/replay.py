@@ -138,7 +138,8 @@ def _bad_paths(loop: Loop, of: TwoPath, iteration: int) -> Iterator[tuple[str, n
             if key is not None:
                 paths = zip(reversed(again), reversed(rays))
                 parts = [a * integrator.forward(scene, *path) for a, path in zip(parts, paths)]
-            found.append(sum(np.array(part) for part in parts))
+            with np.errstate(invalid="ignore"):  # what is looked for
+                found.append(sum(np.array(part) for part in parts))
 
         estimator = TwoPath(problem, of.loss, of.batch, False, look)
         if key is None:

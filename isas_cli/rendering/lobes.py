@@ -93,8 +93,10 @@ def _of(bsdf: mi.BSDF, si, numbers: tuple, mine: mi.Bool, attach: bool) -> Drawn
         return tuple(_drawn(bsdf, si, number, pair, mi.Bool(True)))
 
     def elsewhere(si, number, pair):
-        nothing = mi.Vector3f(0, 0, 1), mi.Float(1), mi.Float(0), mi.Bool(False)
-        return *nothing, mi.Spectrum(0), mi.Spectrum(0), mi.Spectrum(1)
+        # Read by no one, and no constant: of two branches that end in the same one, Dr.Jit 1.5
+        # leaves it in the second, where paths of the first do not come by.
+        of_each = mi.Spectrum(number)
+        return si.wi, number, number, number > 0, of_each, of_each, of_each
 
     with dr.resume_grad(when=attach):
         found = dr.if_stmt((si, *numbers), mine, there, elsewhere, mode="symbolic")

@@ -11,7 +11,7 @@ from _derivative_trial import Census
 from isas_cli.runtime import backend
 from isas_cli.unknowns import verdicts
 
-SEEDS = 6
+SEEDS = 12
 # Keys, of scenes whose other keys are left out.
 RIGHT = [
     ("diffuse", "thing.bsdf.reflectance.value"),
@@ -21,6 +21,14 @@ RIGHT = [
     ("roughdielectric", "thing.bsdf.specular_transmittance.value"),
     ("envmap", "thing.data"),
     ("mesh_attribute", "thing.vertex_color"),
+    ("mask", "thing.bsdf.opacity.value"),
+    ("blendbsdf-mirror", "thing.bsdf.bsdf_0.reflectance.value"),
+    ("blendbsdf-null", "thing.bsdf.weight.value"),
+    ("plastic", "thing.bsdf.diffuse_reflectance.value"),
+    ("conductor", "thing.bsdf.eta.value"),
+    ("thindielectric", "thing.bsdf.specular_transmittance.value"),
+    ("principled", "thing.bsdf.specular"),
+    ("roughplastic", "thing.bsdf.alpha"),
 ]
 
 
