@@ -28,6 +28,7 @@ from . import one
 
 FILE = "race.yaml"
 _SLICE_SECONDS = 1.0
+_OWN = ("samplers", "contestants", "seed", "slice", "resume", "hydra.run.dir")
 
 
 @dataclass(frozen=True)
@@ -89,14 +90,7 @@ def options_of(arguments: list[str]) -> tuple[dict[str, str], list[str]]:
     own, overrides = {}, []
     for argument in arguments:
         key, equals, value = argument.partition("=")
-        if equals and key in (
-            "samplers",
-            "contestants",
-            "seed",
-            "slice",
-            "resume",
-            "hydra.run.dir",
-        ):
+        if equals and key in _OWN:
             if key in own:
                 raise InputError(f"{argument}: {key} is given twice")
             own[key] = value

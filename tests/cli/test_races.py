@@ -19,7 +19,7 @@ from isas_cli.cli.app import main
 from isas_cli.cli.sweeps import races, worker
 from isas_cli.cli.sweeps.job import Report
 
-TINY = ["size=tiny", "estimator.batch=256", "evaluation.pixels=64", "evaluation.count=3"]
+TINY = ["size=tiny", "estimator.batch=256", "evaluation.pixels=64", "evaluation.count=20"]
 TINY += ["frames.views=0", "frames.snapshots=0", "target.spp=4", "effects=full", "report=false"]
 TINY += ["threads=1", "samplers=uniform,relevant", "hydra.run.dir=all"]
 
@@ -38,13 +38,15 @@ def isas(tmp_path, monkeypatch, capfd):
 
 
 def begin(*arguments: str) -> tuple[subprocess.Popen, Path]:
-    """`isas race` in a process of its own, and the folder of a run whose loop has begun."""
+    """`isas race` in a process of its own, and the folder of a run that goes on."""
     command = [sys.executable, "-m", "isas_cli", "race", *TINY, *arguments]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while not (found := list(Path("all").rglob("checkpoint/state.npz"))):
+    while True:
+        for history in Path("all").rglob("history.csv"):
+            if len(history.read_text().splitlines()) > 2:
+                return process, history.parent
         assert process.poll() is None, process.communicate()
         time.sleep(0.02)
-    return process, found[0].parents[1]
 
 
 def table(err: str) -> dict[str, str]:
@@ -88,14 +90,18 @@ def test_each_seed_is_a_race_and_what_is_done_is_skipped(isas):
     assert len(after[held[3]].manifest["resumed"]) == 1
 
     status, _, err = isas(*command[:-1], "budget.iterations=3")
-    assert status == 2 and err.count("\n") == 1 and "all/dodoco/seed1 already holds" in err
+    assert (
+        status == 2
+        and err.count("\n") == 1
+        and "all/dodoco/seed1 holds a race with other settings" in err
+    )
     status, out, err = isas("resume=all")
     assert status == 0 and list(table(err).values()) == ["skipped"] * 2
     assert out.endswith("report: all/comparison/report.html\n")
 
 
 def test_ctrl_c_leaves_what_resume_goes_on_with(isas, monkeypatch):
-    process, folder = begin("scene=dodoco", "seed=1,2", "budget.iterations=100000")
+    process, folder = begin("scene=dodoco", "seed=1,2", "budget.iterations=4000")
     process.send_signal(signal.SIGINT)
     out, err = process.communicate()
     assert process.returncode == 130 and err.endswith("isas: interrupted\n")

@@ -158,11 +158,15 @@ def planned(
     files as they are found from ``home`` (None: from here). Raises InputError, also where the
     folder holds another race."""
     own, overrides = race.options_of(arguments)
-    plan = race.planned(own, overrides, home)
+    turn, plan = race.slice_seconds(own), race.planned(own, overrides, home)
     folder, cfg = Path(os.path.abspath(plan.folder)), plan.entries[0].cfg
-    turn = race.slice_seconds(own)
     job = Race(label, arguments, folder, cfg, plan, turn, changes or {})
-    if job.found() in (NOTHING, OTHER):
+    if job.found() == OTHER and not cfg.overwrite:
+        raise InputError(
+            f"{plan.folder} holds a race with other settings: choose another folder with "
+            "hydra.run.dir=DIR, or replace it with overwrite=true"
+        )
+    if job.found() == NOTHING:
         plan.check()
     return job
 
