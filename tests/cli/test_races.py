@@ -153,6 +153,13 @@ def test_a_race_of_another_machine_begins_anew(job, monkeypatch):
     manifest["machine"]["device"] = "another"
     (entry.folder / "manifest.json").write_text(json.dumps(manifest))
     assert job.found() == "done"
+    before = runs()
+    (page := job.folder / "comparison/report.html").unlink()
+    assert job.found() == "unfinished"
+    assert job.go(1) == Report(0, resumed=True)  # only its comparison was left
+    assert page.exists() and {n: run.manifest for n, run in runs().items()} == {
+        n: run.manifest for n, run in before.items()
+    }
     (entry.folder / "summary.json").unlink()
     assert job.found() == "unfinished"
     assert job.go(1) == Report(0)

@@ -29,6 +29,7 @@ from .launch import Sweep, say
 from .outcome import Outcome, read_summary
 
 FILE = "races.yaml"
+_COMPARISON = "comparison"
 _LAUNCHER = ("hydra/launcher=", "hydra.launcher.")
 _OWN = ("hydra.run.dir", "seed", "resume")  # what a race of several has otherwise than all together
 
@@ -43,17 +44,18 @@ class Race(Job):
     changes: dict[str, Any]
 
     def found(self) -> str:
-        """NOTHING, DONE, UNFINISHED, or OTHER: a race with other settings. A contestant that failed
-        numerically has ended."""
+        """NOTHING, UNFINISHED, OTHER: a race with other settings, or DONE: compared as well. A
+        contestant that failed numerically has ended."""
         if not (self.folder / race.FILE).exists():
             return NOTHING
         _, listed = race.read_yaml(self.folder / race.FILE, "entries")
         if [_kept(each) for each in listed] != [_kept(each) for each in self.plan.written]:
             return OTHER
-        if not all(_ended(entry.folder) for entry in self.plan.entries):
-            return UNFINISHED
-        more = self.changes and race.unfinished(self.folder, self.changes)
-        return UNFINISHED if more else DONE
+        ended = not self.changes and all(_ended(entry.folder) for entry in self.plan.entries)
+        with contextlib.suppress(InputError):  # ``go`` says what is wrong
+            if ended or not race.unfinished(self.folder, self.changes):
+                return DONE if (self.folder / _COMPARISON / "report.html").exists() else UNFINISHED
+        return UNFINISHED
 
     def stamp(self) -> int | None:
         return max((stamp(entry.folder) or 0 for entry in self.plan.entries), default=0) or None
@@ -65,23 +67,22 @@ class Race(Job):
         leave_trace(self.folder, "")
         threads = self.cfg.threads or threads or 0
         changes = {**self.changes, **({"threads": threads} if threads else {})}
-        found, left = self.found(), []
+        found, left = self.found(), None
         if found == UNFINISHED and not self.cfg.overwrite:
             left = race.unfinished(self.folder, changes)
             # Seconds of two machines cannot be compared.
             here = backend.start(self.cfg.variant, threads).device
             if any(entry.earlier and entry.earlier.device != here for entry in left):
                 say(f"{self.label}: begun on another machine than {here}: begun anew")
-                left = []
-        resumed = bool(left)
+                left = None
+        resumed, status = left is not None, 0
+        entries = left if resumed else self._anew(changes, overwrite=found != NOTHING)
+        begin = (lambda: None) if resumed else self.plan.begin
         with one.argv(["isas", "race", *self.overrides]):
-            status = engine.run(
-                left or self._anew(changes, overwrite=found != NOTHING),
-                self.slice_seconds,
-                (lambda: None) if resumed else self.plan.begin,
-            )
+            if entries:
+                status = engine.run(entries, self.slice_seconds, begin)
         with contextlib.suppress(InputError):  # nothing was reached that could be compared
-            compare([entry.folder for entry in self.plan.entries], self.folder / "comparison")
+            compare([entry.folder for entry in self.plan.entries], self.folder / _COMPARISON)
         failed = status not in (0, interrupt.STATUS)
         text = "a contestant failed numerically, the others went on" if failed else ""
         return Report(status, text, resumed=resumed)
