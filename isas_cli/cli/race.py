@@ -153,16 +153,24 @@ def write_yaml(path: Path, content: dict[str, Any]) -> None:
     write_atomically(path, lambda path: path.write_text(text, encoding="utf-8"))
 
 
-def read_yaml(path: Path, key: str) -> tuple[str | None, list[dict[str, Any]]]:
-    """Where it was started, and the list under ``key``. Raises InputError."""
+def read_yaml(path: Path, key: str, told: str) -> tuple[str | None, list[dict[str, Any]]]:
+    """Where it was started, and the list under ``key``, whose items have a folder and what they are
+    ``told``, a list of texts of that name. Raises InputError."""
     try:
         read = yaml.safe_load(path.read_text(encoding="utf-8"))
         home, listed = read.get("started_in"), read[key]
-        if all(isinstance(each["folder"], str) for each in listed):
-            return home, listed
-    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError):
-        pass
-    raise InputError(f"{path.parent} holds no race: {path.name} is missing or damaged")
+        for each in listed:
+            if not all(isinstance(text, str) for text in (each["folder"], *each[told])):
+                raise TypeError
+    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
+        holds = f"{path.parent} holds no race: {path.name} is missing or damaged"
+        raise InputError(holds) from error
+    return home, listed
+
+
+def entries_of(folder: Path) -> tuple[str | None, list[dict[str, Any]]]:
+    """Where the race in ``folder`` was started, and what race.yaml says of its entries."""
+    return read_yaml(folder / FILE, "entries", "settings")
 
 
 def _resumed(own: dict[str, str]) -> Path:
@@ -174,10 +182,10 @@ def _resumed(own: dict[str, str]) -> Path:
 
 def unfinished(folder: Path, changes: dict[str, Any]) -> list[Entry]:
     """The entries of an earlier race that have not ended, or not with these ``changes``."""
-    home, listed = read_yaml(folder / FILE, "entries")
+    home, listed = entries_of(folder)
     entries = []
     for each in listed:
-        label, place, settings = each.get("label"), folder / each["folder"], each.get("settings")
+        label, place, settings = each.get("label", ""), folder / each["folder"], each["settings"]
         if any((place / name).exists() for name in ("history.csv", "checkpoint/state.npz")):
             entry = race.continued(label, place, changes)
         else:  # killed before its record was whole, and before its first step
@@ -283,7 +291,7 @@ def folder_of(given: str) -> Path:
 def _compared(folder: Path, status: int) -> int:
     """The comparison's page, which a race is run for. Returns the race's status."""
     # Its own runs, not whatever else lies below its folder.
-    _, listed = read_yaml(folder / FILE, "entries")
+    _, listed = entries_of(folder)
     compared([folder / each["folder"] for each in listed], folder, status)
     return status
 

@@ -237,8 +237,9 @@ def test_what_cannot_be_held_is_one_line_and_leaves_nothing(isas, monkeypatch, t
     assert os.listdir() == []
 
 
-def test_a_damaged_list_of_races_is_refused(isas):
+@pytest.mark.parametrize("text", ["", "races: [1]", "races: [{folder: x}]", "races: [{folder: 1"])
+def test_a_damaged_list_of_races_is_refused(isas, text):
     Path("all").mkdir()
-    Path("all/races.yaml").write_text("races: [1]")
+    Path("all/races.yaml").write_text(text)
     status, _, err = isas("resume=all")
     assert status == 2 and err == "isas: all holds no race: races.yaml is missing or damaged\n"

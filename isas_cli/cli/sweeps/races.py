@@ -48,7 +48,7 @@ class Race(Job):
         contestant that failed numerically has ended."""
         if not (self.folder / race.FILE).exists():
             return NOTHING
-        _, listed = race.read_yaml(self.folder / race.FILE, "entries")
+        _, listed = race.entries_of(self.folder)
         if [_kept(each) for each in listed] != [_kept(each) for each in self.plan.written]:
             return OTHER
         ended = not self.changes and all(_ended(entry.folder) for entry in self.plan.entries)
@@ -105,7 +105,7 @@ def _kept(written: dict[str, Any]) -> dict[str, Any]:
     """What race.yaml says of an entry, without what changes no result."""
     settings = [
         each
-        for each in written.get("settings", ())
+        for each in written["settings"]
         if meaning(each.lstrip("+~").partition("=")[0]).role is not Role.PLACE
     ]
     return {**written, "settings": settings}
@@ -194,7 +194,7 @@ def main(own: dict[str, str], several: list[tuple[str, list[str]]]) -> int:
 def resume(root: Path, own: dict[str, str], overrides: list[str]) -> int:
     """Go on with the races in ``root``, by the launcher that ``overrides`` name and with what else
     they change. Returns the exit status."""
-    home, listed = race.read_yaml(root / FILE, "races")
+    home, listed = race.read_yaml(root / FILE, "races", "arguments")
     launcher = [each for each in overrides if each.startswith(_LAUNCHER)]
     changes = resumption.parse([each for each in overrides if each not in launcher])
     if "slice" in own:
