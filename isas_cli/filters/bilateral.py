@@ -36,7 +36,7 @@ class Bilateral(Filter):
     their weight; ``levels``: passes, which reach 2^(levels + 1) - 2 entries each way. Raises
     InputError for values that are none."""
 
-    edge: float = 0.1
+    edge: float = 0.03
     levels: int = 3
     name = "bilateral"
 

@@ -103,8 +103,8 @@ class OnUnknown:
 
 @dataclass(frozen=True)
 class Filter:
-    """Base of the filters' settings. ``β``: Adam's, (β₁, β₂); ``masked``: whether entries without
-    a gradient rest (``optimizer.mask_updates``)."""
+    """Base of the filters' settings. Each raises InputError, named as on the command line, for a
+    setting that is out of range."""
 
     name: ClassVar[str]
 
@@ -117,7 +117,8 @@ class Filter:
             )
 
     def on(self, layout: Layout, β: tuple[float, float], masked: bool) -> OnUnknown:
-        """Of one unknown that has neighbours."""
+        """The filter on one unknown that has neighbours. ``β``: Adam's, (β₁, β₂); ``masked``:
+        whether entries without a gradient rest (``optimizer.mask_updates``). Evaluates."""
         raise NotImplementedError
 
 

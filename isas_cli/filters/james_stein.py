@@ -42,7 +42,7 @@ class JamesStein(Filter):
     1 / (1 - β) steps. Raises InputError for values that are none."""
 
     width: float = 0.02
-    window: int = 3
+    window: int = 5
     memory: float = 0.99
     name = "james_stein"
 
