@@ -7,7 +7,7 @@ and texture of 128². Writes results/filters.csv: a row for each scene, filter a
 chose the factor (`judged` 0) and those that are judged, with the error over that of `none` with the
 same seed. What is not run again keeps its rows. No time is measured.
 
-    .venv/bin/python benchmarks/filters.py dodoco_a pottery
+    .venv/bin/python benchmarks/filters.py dodoco_a pottery --threads 1
     .venv/bin/python benchmarks/filters.py --iterations 400 --seeds 2 3 4
 """
 
@@ -19,6 +19,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import pages
 import pandas
 
 from isas_cli import records
@@ -26,8 +27,8 @@ from isas_cli import records
 RESULTS = Path(__file__).parent / "results"
 SCENES = ("dodoco_a", "pottery", "bowl", "jumpydumpy")
 BASE = "none"
-FACTORS = {BASE: (0.5, 1.0, 2.0), "gaussian": (0.5, 1.0, 2.0), "james_stein": (0.5, 1.0, 2.0)}
-FACTORS |= {"bilateral": (0.5, 1.0, 2.0), "laplacian": (0.125, 0.25, 0.5)}
+FILTERS = (BASE, "gaussian", "james_stein", "bilateral", "laplacian")
+FACTORS = (0.5, 1.0, 2.0)
 CHOOSING = 1  # the seed that chooses
 SETTINGS = ["evaluation.count=1", "frames.views=0", "frames.snapshots=0", "report=false"]
 SETTINGS += ["target.spp=1024", "evaluation.spp=16"]
@@ -69,7 +70,7 @@ def best(rows: pandas.DataFrame) -> dict[str, float]:
 def chose(scene: str, chosen: argparse.Namespace) -> pandas.DataFrame:
     """Runs of the choosing seed, with no filter best at an end of its factors."""
     names = list(dict.fromkeys([BASE, *chosen.filters]))
-    rows = raced(scene, [(n, f) for n in names for f in FACTORS[n]], [CHOOSING], chosen)
+    rows = raced(scene, [(n, f) for n in names for f in FACTORS], [CHOOSING], chosen)
     while True:
         more = []
         for name, factor in best(rows).items():
@@ -97,7 +98,7 @@ def against_none(rows: pandas.DataFrame) -> pandas.DataFrame:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}")
-    parser.add_argument("--filters", nargs="+", default=list(FACTORS), choices=list(FACTORS))
+    parser.add_argument("--filters", nargs="+", default=FILTERS, choices=FILTERS)
     parser.add_argument("--seeds", nargs="+", type=int, default=[2, 3], help="judged")
     parser.add_argument("--iterations", type=int, default=200)
     parser.add_argument("--batch", type=int, default=16384)
@@ -117,6 +118,7 @@ def main() -> None:
         found = found.sort_values([*RUN[:4], "judged", "factor", "seed"], kind="stable")
         # After each scene: what is measured survives what follows.
         found.to_csv(path, index=False, float_format="%.4g")
+        pages.write()
         means = found[found["judged"] == 1].groupby(RUN[:5])
         print(means[[*MEASURES, *(f"{name}_ratio" for name in MEASURES)]].mean().to_string())
 

@@ -5,12 +5,12 @@ There the unknown is the pyramid z and θ = Σ_l U_l z_l, U_l the way from level
 linear interpolation; each level is half of the one before along each axis, and level 0 is the array
 itself. Adam steps each level's entries by ∂ℒ/∂z_l = U_lᵀ ∂ℒ/∂θ,
 
-    θ ← θ - rate Σ_l U_l (m̂_l / √v̂_l).
+    θ ← θ - c rate Σ_l U_l (m̂_l / √v̂_l).
 
 z itself is never kept: many z are one θ, and no step asks which it is, so what clamps θ clamps
 nothing twice. Level 0 is Adam's own step. Coarse levels hear many texels and find their way through
-noise soon, so that a smaller rate does, with which the noise of the texels is less; and where views
-tell nothing of the texels they still tell of the coarser ones.
+noise soon, so that a smaller rate does, c of what it would be for the texels alone, with which
+their noise is less; and where views tell nothing of the texels they still tell of coarser ones.
 
 Bias: none beyond Adam's: the gradient by z is estimated without any, and the minima are θ's.
 Entries that are not seen tell the coarser levels nothing, and are moved by them.
@@ -18,6 +18,7 @@ Entries that are not seen tell the coarser levels nothing, and are moved by them
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import drjit as dr
@@ -26,28 +27,30 @@ import numpy as np
 
 from ..rendering.kernels import recorded
 from .axes import Table, applied, interpolation
-from .filter import Filter, Layout, OnUnknown, Step, along, at_least
+from .filter import Filter, Layout, OnUnknown, Step, along, at_least, within
 
 
 @dataclass(frozen=True)
 class Laplacian(Filter):
-    """``coarsest``: entries that the shortest axis of the last level has at least. Raises
-    InputError for a number that is none."""
+    """``rate``: c, what each level takes of the unknown's rate; ``coarsest``: entries that the
+    shortest axis of the last level has at least. Raises InputError for numbers that are none."""
 
+    rate: float = 0.25
     coarsest: int = 4
     name = "laplacian"
 
     def __post_init__(self) -> None:
+        within("rate", self.rate, 0, math.inf)
         at_least(1, "coarsest", self.coarsest)
 
     def on(self, layout: Layout, β: tuple[float, float], masked: bool) -> OnUnknown:
-        return _Laplacian(layout, self.coarsest, β, masked)
+        return _Laplacian(layout, self, β, masked)
 
 
 class _Laplacian(OnUnknown):
-    def __init__(self, layout: Layout, coarsest: int, β: tuple[float, float], masked: bool):
-        self.β, self.masked = β, masked
-        self.shapes = pyramid(layout, coarsest)
+    def __init__(self, layout: Layout, settings: Laplacian, β: tuple[float, float], masked: bool):
+        self.rate, self.β, self.masked = settings.rate, β, masked
+        self.shapes = pyramid(layout, settings.coarsest)
         # For each level but the last and each axis: from the next coarser one up, and back.
         self._ways = [
             [_ways(fine[axis], coarse[axis], wraps) for axis, wraps in layout.axes]
@@ -64,8 +67,11 @@ class _Laplacian(OnUnknown):
         if not self.memory:
             return None
         arguments = step.gradient, step.corrected, self.memory, self.layout.seen, self._ways
-        found, self.memory = self._stepped(*arguments)
-        return step.after - found
+        coarser, self.memory = self._stepped(*arguments)
+        # Opaque, because it differs from run to run and would compile anew.
+        return dr.fma(
+            step.after - step.before - coarser, dr.opaque(mi.Float, self.rate), step.before
+        )
 
     def _traced(self, gradient, corrected, memory, seen, ways):
         """What coarser levels subtract, and their moments."""

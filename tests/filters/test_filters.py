@@ -125,6 +125,7 @@ def test_a_grid_that_becomes_finer_on_the_way(name, tmp_path):
         ("bilateral", "levels=0"),
         ("bilateral", "levels=11"),
         ("laplacian", "coarsest=0"),
+        ("laplacian", "rate=0"),
     ],
 )
 def test_wrong_settings_are_refused_by_their_name(chosen, setting):

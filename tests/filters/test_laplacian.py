@@ -16,7 +16,7 @@ AXES = ((0, False), (1, True))
 def moved(gradients, shape, axes=AXES, seen=None, coarsest=2) -> np.ndarray:
     """What coarser levels add to the last of the steps along ``gradients``, at a rate of 1."""
     told = None if seen is None else own(mi.Float, seen.astype(np.float32).ravel())
-    on = Laplacian(coarsest).on(Layout(shape, axes, told), (0.9, 0.999), True)
+    on = Laplacian(1.0, coarsest).on(Layout(shape, axes, told), (0.9, 0.999), True)
     zero = dr.zeros(mi.Float, int(np.prod(shape)))
     for t, gradient in enumerate(gradients, 1):
         entries = mi.Float(gradient.ravel().astype(np.float32))
@@ -96,6 +96,16 @@ def test_what_is_not_seen_tells_coarser_levels_nothing():
     found = [moved([g], g.shape, seen=seen) for g in (gradient, loud)]
     assert np.array_equal(*found)
     assert not np.allclose(found[0], moved([gradient], gradient.shape))
+
+
+def test_each_level_takes_its_share_of_the_rate():
+    shape, zero = (8, 8, 1), dr.zeros(mi.Float, 64)
+    found = []
+    for rate in (1.0, 0.25):
+        on = Laplacian(rate).on(Layout(shape, AXES), (0.9, 0.999), True)
+        step = Step(zero + 0.5, zero + 0.4, zero + 1, zero, zero, dr.opaque(mi.Float, 0.03), 1.0)
+        found.append(np.array(on.moved(step)) - 0.5)
+    assert np.all(found[0] < -0.1) and np.allclose(found[1], 0.25 * found[0], atol=1e-6)
 
 
 def test_a_map_of_few_texels_has_no_coarser_level():
