@@ -27,12 +27,15 @@ class Table:
     @staticmethod
     def of(matrix: np.ndarray) -> Table:
         """``matrix``: dense, on the host. Evaluates."""
-        taps = int((matrix != 0).sum(axis=1).max())
-        columns = np.argsort(matrix == 0, axis=1, kind="stable")[:, :taps]
-        weights = np.take_along_axis(matrix, columns, axis=1)
+        rows, of_row = np.nonzero(matrix)
+        place = np.arange(rows.size) - np.searchsorted(rows, rows)
+        taps = int(place.max()) + 1
+        columns = np.zeros((len(matrix), taps), np.uint32)
+        weights = np.zeros((len(matrix), taps), np.float32)
+        columns[rows, place], weights[rows, place] = of_row, matrix[rows, of_row]
         return Table(
-            own(mi.UInt32, columns.astype(np.uint32).ravel()),
-            own(mi.Float, weights.astype(np.float32).ravel()),
+            own(mi.UInt32, columns.ravel()),
+            own(mi.Float, weights.ravel()),
             own(mi.UInt32, np.arange(len(matrix), dtype=np.uint32)),
         )
 
