@@ -2,10 +2,10 @@
 
 Each filter as it is by default, at its own best of several factors on the rates, found with a seed
 of its own: where the best is the largest or the smallest of them, one more is tried. Targets of
-1024 paths a pixel, since what is left of an error would else be theirs; `sampler=progress`, views
-and texture of 128². Writes results/filters.csv: a row for each scene, filter and seed, those that
-chose the factor (`judged` 0) and those that are judged, with the error over that of `none` with the
-same seed. What is not run again keeps its rows. No time is measured.
+1024 paths a pixel, since what is left of an error would else be theirs; `sampler=progress`, eight
+views and a texture of 128². Writes results/filters.csv: a row for each scene, filter and seed,
+those that chose the factor (`judged` 0) and those that are judged, with the error over that of
+`none` with the same seed. What is not run again keeps its rows. No time is measured.
 
     .venv/bin/python benchmarks/filters.py dodoco_a pottery --threads 1
     .venv/bin/python benchmarks/filters.py --iterations 400 --seeds 2 3 4
@@ -47,7 +47,8 @@ def raced(
     rows = []
     with tempfile.TemporaryDirectory(prefix="isas-filters-") as folder:
         command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *SETTINGS]
-        command += [f"scene.arguments.{name}=128" for name in ("resolution", "texture")]
+        sizes = {"views": 8, "resolution": 128, "texture": 128}
+        command += [f"scene.arguments.{name}={size}" for name, size in sizes.items()]
         command += [f"contestants=[{contestants}]", f"seed=[{','.join(map(str, seeds))}]"]
         command += [f"estimator.batch={chosen.batch}", f"budget.iterations={chosen.iterations}"]
         command += [f"threads={chosen.threads}", f"hydra.run.dir={folder}/race"]

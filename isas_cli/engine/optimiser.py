@@ -206,7 +206,8 @@ class Stepper:
         before = {key: dr.detach(self.adam[key]) for key in rates}
         self.adam.step(rates)
         for key, rate in rates.items():
-            self._move(key, before[key], gradient[key], rate, self._fallen(key, spent))
+            if self.filtered[key].moves:
+                self._move(key, before[key], gradient[key], rate, self._fallen(key, spent))
         self.steps += 1
         for unknown in self.unknowns:
             if np.isfinite(unknown.low) or np.isfinite(unknown.high):
@@ -219,16 +220,14 @@ class Stepper:
         dr.eval(self.adam.state, self.nonfinite, self.touched, self.visits, memory)
 
     def _move(self, key: str, before, gradient: mi.Float, rate: float, share: float) -> None:
-        """Put where Adam's step leads what the filter makes of it."""
+        """Put what the filter makes of Adam's step in its place. Traced."""
         after, (count, first, second, _) = self.adam[key], self.adam.state[key][3]
         t, (β1, β2) = mi.Float(count), (self.settings.beta_1, self.settings.beta_2)
         corrected = dr.sqrt(1 - dr.power(mi.Float(β2), t)) / (1 - dr.power(mi.Float(β1), t))
         corrected *= dr.opaque(mi.Float, rate)
         values = (flat(dr.detach(each)) for each in (before, after))
         step = Step(*values, gradient, flat(first), flat(second), corrected, share)
-        moved = self.filtered[key].moved(step)
-        if moved is not None:
-            self.adam[key] = unflat(before, moved)
+        self.adam[key] = unflat(before, self.filtered[key].moved(step))
 
     def _along(self, key: str, gradient) -> np.ndarray:
         """The entries that Adam averages of ``gradient``, float64, unscaled, on the host: those of

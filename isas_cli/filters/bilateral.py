@@ -51,6 +51,8 @@ class Bilateral(Filter):
 
 
 class _Bilateral(OnUnknown):
+    moves = True
+
     def __init__(self, layout: Layout, settings: Bilateral, masked: bool):
         super().__init__(layout)
         self.settings, self.masked = settings, masked

@@ -74,9 +74,11 @@ def along(corrected: mi.Float, first: mi.Float, second: mi.Float) -> mi.Float:
 class OnUnknown:
     """A filter on one unknown. As it stands it changes nothing.
 
-    ``memory``: what it has of earlier steps, by name, flat float arrays; saved with the run. The
-    caller evaluates it.
+    ``moves``: whether it makes another step of Adam's. ``memory``: what it has of earlier steps, by
+    name, flat float arrays; saved with the run. The caller evaluates it.
     """
+
+    moves: bool = False
 
     def __init__(self, layout: Layout):
         self.layout = layout
@@ -96,9 +98,9 @@ class OnUnknown:
         """What Adam is given for an estimated ``gradient``, finite, flat. Traced, or recorded."""
         return gradient
 
-    def moved(self, step: Step) -> mi.Float | None:
-        """The new values, within no range yet; None: Adam's own. Traced, or recorded."""
-        return None
+    def moved(self, step: Step) -> mi.Float:
+        """Where it ``moves``: the new values, within no range yet. Traced, or recorded."""
+        return step.after
 
 
 @dataclass(frozen=True)

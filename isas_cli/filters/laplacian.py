@@ -48,6 +48,8 @@ class Laplacian(Filter):
 
 
 class _Laplacian(OnUnknown):
+    moves = True
+
     def __init__(self, layout: Layout, settings: Laplacian, β: tuple[float, float], masked: bool):
         self.rate, self.β, self.masked = settings.rate, β, masked
         self.shapes = pyramid(layout, settings.coarsest)
@@ -63,15 +65,14 @@ class _Laplacian(OnUnknown):
         size = sum(int(np.prod(shape)) for shape in self.shapes[1:])
         return {"first": size, "second": size} if size else {}
 
-    def moved(self, step: Step) -> mi.Float | None:
-        if not self.memory:
-            return None
-        arguments = step.gradient, step.corrected, self.memory, self.layout.seen, self._ways
-        coarser, self.memory = self._stepped(*arguments)
+    def moved(self, step: Step) -> mi.Float:
+        found = step.after - step.before
+        if self.memory:
+            arguments = step.gradient, step.corrected, self.memory, self.layout.seen, self._ways
+            coarser, self.memory = self._stepped(*arguments)
+            found -= coarser
         # Opaque, because it differs from run to run and would compile anew.
-        return dr.fma(
-            step.after - step.before - coarser, dr.opaque(mi.Float, self.rate), step.before
-        )
+        return dr.fma(found, dr.opaque(mi.Float, self.rate), step.before)
 
     def _traced(self, gradient, corrected, memory, seen, ways):
         """What coarser levels subtract, and their moments."""
