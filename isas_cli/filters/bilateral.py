@@ -96,19 +96,17 @@ class _Bilateral(OnUnknown):
             at = mi.UInt32(index)
             if seen is not None:
                 weight *= dr.gather(mi.Float, seen, at, inside)
-            from_ = at - at % channels
-            apart_ = mi.Float(0)
+            squared = mi.Float(0)
             for c in range(channels):
-                other = dr.gather(mi.Float, value, from_ + c, inside)
-                apart_ += dr.square(other - values[c])
-            weight *= dr.exp(-dr.sqrt(apart_) / edge)
+                other = dr.gather(mi.Float, value, at - at % channels + c, inside)
+                squared += dr.square(other - values[c])
+            weight *= dr.exp(-dr.sqrt(squared) / edge)
             weight = dr.select(inside, weight, 0)
             m += weight * dr.gather(mi.Float, first, at, inside)
             v += weight * dr.gather(mi.Float, second, at, inside)
             return number + 1, total + weight, m, v
 
-        start = mi.UInt32(0), dr.zeros(mi.Float, self.layout.size)
-        start += dr.zeros(mi.Float, self.layout.size), dr.zeros(mi.Float, self.layout.size)
+        start = mi.UInt32(0), *(dr.zeros(mi.Float, self.layout.size) for _ in range(3))
         count = _TAPS ** len(axes)
         _, total, m, v = dr.while_loop(start, lambda n, *_: n < count, tap, label="bilateral")
         return self._blended(seen, total, first, m), self._blended(seen, total, second, v)
