@@ -20,7 +20,7 @@ def facts(results: Path) -> dict | None:
     judged, choosing = (table[table["judged"] == number] for number in (1, 0))
     means = judged.groupby(["scene", "filter"]).mean().reset_index()
     means["steps"] = means["iterations"].astype(int)
-    over = means[means["filter"] != BASE].groupby("filter", sort=False)[RATIOS]
+    over = means[means["filter"] != BASE].groupby("filter")[RATIOS]
     return {
         "scenes": {scene: rows.to_dict("records") for scene, rows in means.groupby("scene")},
         "seeds": judged.groupby(["scene", "filter"]).size().min(),
