@@ -2,9 +2,9 @@
 
 adaptive_sampling.md and plateau.md, a page a paper, cost.md, what steps and records cost,
 effects.md, what leaving out light transport saves, derivatives.md, which derivatives can be
-trusted, exports.md, which results can be written, shapes.md, volumes.md and pbdr.md, once there was
-a race on them, and the table in the README. What measures calls this at its end; all numbers in the
-text are filled in from the tables, by the templates in templates/.
+trusted, exports.md, which results can be written, shapes.md, volumes.md, pbdr.md and filters.md,
+once there was a race on them, and the table in the README. What measures calls this at its end; all
+numbers in the text are filled in from the tables, by the templates in templates/.
 
     python benchmarks/pages.py
 """
@@ -20,6 +20,7 @@ import _page_cost
 import _page_derivatives
 import _page_effects
 import _page_exports
+import _page_filters
 import _page_pbdr
 import _page_plateau
 import _page_shapes
@@ -41,6 +42,7 @@ PAGES = {
     "volumes": _page_volumes.facts,
     "pbdr": _page_pbdr.facts,
     "exports": _page_exports.facts,
+    "filters": _page_filters.facts,
 }
 
 

@@ -88,7 +88,7 @@ def specs(scene: str, **changed) -> dict[str, dict]:
 PRIOR = {"prior": "materials"} | {
     f"prior.{name}": WEIGHT for name in ("smooth", "metallic", "roughness")
 }
-SMOOTH = {"optimizer.smoothing": SMOOTHING}
+SMOOTH = {"optimizer.filter": "gaussian", "optimizer.filter.width": SMOOTHING}
 
 
 def methods(scene: str) -> dict[str, dict]:

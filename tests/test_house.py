@@ -17,7 +17,7 @@ FLOORS = (
     ("records",),
     ("unknowns", "scene"),
     ("rendering",),
-    ("losses", "samplers"),
+    ("losses", "samplers", "filters"),
     ("estimators",),
     ("effects",),
     ("report",),

@@ -32,9 +32,11 @@ _PATHS = (
 )
 # Of scene=photos: photos.path is short for scene.photos.path.
 _PHOTOS = "photos."
-# The sampler that another goes around: a choice within a choice, as typed and as Hydra takes it.
-_BASE, _BASE_OF_HYDRA = "sampler.base", "sampler@sampler.base"
-_CHOICES = ("sampler", _BASE, "estimator", "loss", "prior", "effects")
+# The sampler that another goes around.
+_BASE = "sampler.base"
+# Choices within choices, as typed and as Hydra takes them.
+_WITHIN = {_BASE: f"sampler@{_BASE}", "optimizer.filter": "filter@optimizer.filter"}
+_CHOICES = ("sampler", "estimator", "loss", "prior", "effects", *_WITHIN)
 # The sampler that looks at blurred renderings instead of paths.
 _BLURRED = "differences"
 # Settings of estimators that were settings of the samplers of the same names, and are still taken.
@@ -128,10 +130,10 @@ def _translate(override: str) -> str:
         raise InputError(
             f"{bare}: names a choice and makes none: say {key.rpartition('.')[0]}=NAME"
         )
-    if key in (*_GROUPS, _BASE) and not all(map(_may_be_a_name, value.split(","))):
-        names = options(key.partition(".")[0])
+    if key in (*_GROUPS, *_WITHIN) and not all(map(_may_be_a_name, value.split(","))):
+        names = options(_WITHIN.get(key, key).partition("@")[0])
         raise InputError(f"{bare}: give one name; valid: {', '.join(names)}")
-    return f"{_BASE_OF_HYDRA}={value}" if key == _BASE else bare
+    return f"{_WITHIN[key]}={value}" if key in _WITHIN else bare
 
 
 def _may_be_a_name(word: str) -> bool:
@@ -193,7 +195,9 @@ def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
             cfg = hydra_compose("config", overrides, return_hydra_config=hydra)
             OmegaConf.resolve(cfg.scene)
     except (HydraException, *_REFUSALS, OSError, ValueError) as error:
-        text = explain(error, overrides).replace(_BASE_OF_HYDRA, _BASE)
+        text = explain(error, overrides)
+        for typed, hydra_s in _WITHIN.items():
+            text = text.replace(hydra_s, typed)
         raise InputError(text[:_LONGEST]) from error
     return dropped.settled(cfg)
 
@@ -214,7 +218,8 @@ def explain(error: Exception, overrides: list[str]) -> str:
     missing = re.search(r"Could not find '([^'/]+)/([^']+)'", text)
     if missing:
         group, name = missing.groups()
-        typed = _BASE if f"{_BASE_OF_HYDRA}={name}" in overrides else group
+        within = (typed for typed, its in _WITHIN.items() if f"{its}={name}" in overrides)
+        typed = next(within, group)
         return f"{typed}={name}: no such {group}; {nearest(name, options(group))}"
     unspecified = re.search(r"You must specify '(\w+)'", text)
     if unspecified:
@@ -299,8 +304,11 @@ def instantiate(node: DictConfig, where: str):
             fields[key] = part
         return OmegaConf.to_object(fields)
     except InputError as error:
-        # A class names its fields as if it were the choice at the top.
-        raise InputError(str(error).replace(where.split(".")[0], where, 1)) from error
+        text = str(error)
+        # A class that may be such a choice or another's names its fields as if at the top.
+        if not text.startswith(where):
+            text = text.replace(where.split(".")[0], where, 1)
+        raise InputError(text) from error
     except _REFUSALS as error:
         message, key = str(error).split("\n")[0], getattr(error, "full_key", "")
         field = f"{where}.{key}" if key else where

@@ -16,8 +16,8 @@ def modern(config: dict[str, Any]) -> dict[str, Any]:
     the sampler that drew their pixels as ``base``. Modules have moved since as well.
     """
     config = _with_unknowns(config)
-    if isinstance(optimizer := config.get("optimizer"), dict) and "half" not in optimizer:
-        config = {**config, "optimizer": {**_OF_OPTIMIZER, **optimizer}}
+    if isinstance(optimizer := config.get("optimizer"), dict) and "filter" not in optimizer:
+        config = {**config, "optimizer": _with_filter({**_OF_OPTIMIZER, **optimizer})}
     sampler, estimator = config.get("sampler"), config.get("estimator")
     if not isinstance(sampler, dict) or not isinstance(estimator or {}, dict):
         return config
@@ -48,6 +48,14 @@ def modern(config: dict[str, Any]) -> dict[str, Any]:
     return {**config, "estimator": found, "prior": config.get("prior") or _NO_PRIOR}
 
 
+def _with_filter(optimizer: dict[str, Any]) -> dict[str, Any]:
+    """What was ``smoothing`` is the width of a filter."""
+    found = dict(optimizer)
+    if width := found.pop("smoothing", 0.0):
+        return {**found, "filter": {**_GAUSSIAN, "width": width}}
+    return {**found, "filter": _NO_FILTER}
+
+
 def _with_unknowns(config: dict[str, Any]) -> dict[str, Any]:
     """Unknowns with the settings that they got since."""
     scene = config.get("scene")
@@ -76,6 +84,8 @@ _ALL_EFFECTS = {
     "derivative_tolerance": 0.3,
     "finish": 0.0,
 }
+_NO_FILTER = {"name": "none", "_target_": "isas_cli.filters.none.Nothing"}
+_GAUSSIAN = {"name": "gaussian", "_target_": "isas_cli.filters.gaussian.Gaussian"}
 _NO_PRIOR = {"name": "none", "_target_": "isas_cli.losses.priors.Nothing"}
 
 

@@ -299,9 +299,8 @@ class OptimizerConfig:
     (None: 0.02), or inverse, halved after ``half`` steps; None: inverse, but exponential for
     unknowns that move objects, or whose blur, levels or stages follow the budget, and for all where
     ``final`` is given;
-    ``mask_updates``: leave entries alone whose gradient is exactly zero; ``smoothing``: of the
-    gradients of maps and grids over their neighbours, a standard deviation as a share of the side,
-    which shrinks as the rate does."""
+    ``mask_updates``: leave entries alone whose gradient is exactly zero; ``filter``: what
+    neighbouring entries of maps and grids do for each other, a choice of ``filters``."""
 
     lr: float = 0.02
     factor: float = 1.0
@@ -311,7 +310,8 @@ class OptimizerConfig:
     beta_1: float = 0.9
     beta_2: float = 0.999
     mask_updates: bool = True
-    smoothing: float = 0.0
+    # Measurements at a fixed point take no steps.
+    filter: Dict[str, Any] = setting(dict, Role.METHOD, looped=True)
 
     def __post_init__(self) -> None:
         for name in ("lr", "factor"):
@@ -322,8 +322,6 @@ class OptimizerConfig:
         for name in ("beta_1", "beta_2"):
             if not 0 <= getattr(self, name) < 1:
                 raise InputError(f"optimizer.{name}={getattr(self, name)}: must lie in [0, 1)")
-        if not 0 <= self.smoothing < 0.25:
-            raise InputError(f"optimizer.smoothing={self.smoothing}: must lie in [0, 0.25)")
         factor(*self.falling(), self.half)
 
     def falling(

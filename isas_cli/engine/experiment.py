@@ -75,6 +75,7 @@ def started(cfgs: list[DictConfig], typed: Config) -> backend.Backend:
     for cfg in cfgs:
         loss, sampler, estimator = (instantiate(cfg[name], name) for name in _CHOSEN)
         instantiate(cfg.prior, "prior")
+        instantiate(cfg.optimizer.filter, "optimizer.filter")
         simulated = instantiate(cfg.effects, "effects")
         estimator.fits(sampler)
         if cfg.profile and simulated.finish:
@@ -134,6 +135,7 @@ def built(typed: Config, phases: Phases, cfgs: Iterable[DictConfig] = ()) -> "Pr
                 )
             footprint.check(problem, estimator.batch)
             instantiate(cfg.prior, "prior").on(problem.unknowns)
+            instantiate(cfg.optimizer.filter, "optimizer.filter").check(problem.unknowns)
 
     return assemble.problem(typed.scene, typed.target, phases.rendered, phases.begin, check)
 

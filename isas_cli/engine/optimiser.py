@@ -9,11 +9,11 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import OptimizerConfig
+from ..filters import Filter, Layout, Nothing, OnUnknown, Step
 from ..runtime.schedule import factor
 from ..samplers.sampler import Moments
 from ..unknowns.parameters import as_numpy, flat, own, unflat
 from ..unknowns.unknowns import Unknown, Unknowns
-from .neighbours import smoothed
 
 # Of a gradient's entry in units of ``Stepper.scale``: the square of a larger one is infinite, and a
 # second moment that was infinite once holds its entry still for good.
@@ -23,6 +23,7 @@ _LARGEST = 1e18
 # have no finite variance (the hit moves by 1 / cos, and 1 / cos² has no mean over the pixels of
 # something round): one such path, early in a run, would slow every vertex for hundreds of steps.
 _OUTLIER = 4.0
+_NONE = Nothing()
 
 
 class Adam:
@@ -70,8 +71,7 @@ class Stepper:
       gradients of that size, and ε would slow it silently. ``scale`` (per unknown, fixed for the
       run, from a rehearsal's root mean square) brings them to order 1; Adam is invariant to it
       but for ε.
-    - What has neighbours may have its gradient smoothed over them (``settings.smoothing``),
-      less and less as the rate falls.
+    - What has neighbours may be filtered over them (``filter``).
     - Where one number divides all entries of an unknown, larger ones than ``_OUTLIER`` allows are
       cut.
     - After the step, values are clamped to their legal ranges.
@@ -80,8 +80,9 @@ class Stepper:
       moments; each level has a ``scale`` of its own (``scales``).
     """
 
-    def __init__(self, unknowns: Unknowns, settings: OptimizerConfig):
-        self.unknowns, self.settings = unknowns, settings
+    def __init__(self, unknowns: Unknowns, settings: OptimizerConfig, filter: Filter = _NONE):
+        self.unknowns, self.settings, self.filter = unknowns, settings, filter
+        self._filters: dict[tuple, OnUnknown] = {}
         self._falling = {}
         for u in unknowns:
             # What moves keeps the schedule that scenes found its rates with.
@@ -103,12 +104,28 @@ class Stepper:
         self.adam = Adam([u.key for u in self.unknowns if u.kind.uniform], s)
         for key, value in values.items():
             self.adam[key] = value
+        self.filtered = {key: self._filtering(key, values[key]) for key in self.unknowns.keys}
         self.nonfinite, self.touched = mi.UInt64(0), mi.UInt64(0)
         self.steps = 0  # at coarser levels too, unlike ``taken``
         # The steps that each entry has taken part in, for the moments' bias corrections.
         self.visits = {key: dr.zeros(mi.Float, dr.width(flat(values[key]))) for key in values}
         # Opaque: as literals they would be compiled into the first step.
         dr.make_opaque(self.nonfinite, self.touched, self.visits)
+
+    def _filtering(self, key: str, value) -> OnUnknown:
+        """The filter on an unknown as coarse as ``value``, which has seen no step."""
+        shape, unknown = tuple(np.shape(value)), self.unknowns[key]
+        if (key, shape) not in self._filters:
+            if unknown.kind.axes and not unknown.kind.uniform:
+                layout = Layout.of(unknown, shape, bool(self.unknowns.moving))
+                β = self.settings.beta_1, self.settings.beta_2
+                made = self.filter.on(layout, β, self.settings.mask_updates)
+            else:
+                made = OnUnknown(Layout(shape, ()))
+            self._filters[key, shape] = made
+        made = self._filters[key, shape]
+        made.forget()
+        return made
 
     @property
     def scale(self) -> dict[str, float]:
@@ -127,6 +144,7 @@ class Stepper:
                 # Adam begins anew where a shape is new.
                 self.adam[u.key] = dr.clip(fine, u.low, u.high)
                 self.visits[u.key] = dr.zeros(mi.Float, dr.width(flat(fine)))
+                self.filtered[u.key] = self._filtering(u.key, fine)
         dr.make_opaque(self.visits)
         dr.eval(self.adam.state)
 
@@ -164,7 +182,7 @@ class Stepper:
 
     def step(self, gradients: dict, spent: float) -> None:
         """One Adam step along ``gradients`` (by key, any scale). Evaluates the new values."""
-        rates, bad, touched = {}, mi.UInt64(0), mi.UInt64(0)
+        rates, gradient, bad, touched = {}, {}, mi.UInt64(0), mi.UInt64(0)
         for unknown in self.unknowns:
             key = unknown.key
             if not unknown.moves(spent):
@@ -178,15 +196,18 @@ class Stepper:
             clean = dr.select(finite, entries, 0)
             if unknown.kind.uniform:
                 clean = own(mi.Float, self._cut(key, self._along(key, clean)))
-            elif unknown.kind.axes and self.settings.smoothing:
-                wide = self.settings.smoothing, self._fallen(key, spent)
-                clean = smoothed(unflat(gradients[key], clean), unknown.kind.axes, *wide).array
+            clean = self.filtered[key].gradient(clean, self._fallen(key, spent))
             took_part = (clean != 0) | (not self.settings.mask_updates)
             self.visits[key] += dr.select(took_part, mi.Float(1), 0)
             dr.set_grad(self.adam[key], unflat(gradients[key], clean))
+            gradient[key] = clean
         self.nonfinite += bad
         self.touched += touched
+        before = {key: dr.detach(self.adam[key]) for key in rates}
         self.adam.step(rates)
+        for key, rate in rates.items():
+            if self.filtered[key].moves:
+                self._move(key, before[key], gradient[key], rate, self._fallen(key, spent))
         self.steps += 1
         for unknown in self.unknowns:
             if np.isfinite(unknown.low) or np.isfinite(unknown.high):
@@ -195,7 +216,18 @@ class Stepper:
             value = dr.detach(self.adam[unknown.key])
             if (projected := unknown.kind.projected(value)) is not value:
                 self.adam[unknown.key] = projected
-        dr.eval(self.adam.state, self.nonfinite, self.touched, self.visits)
+        memory = [each.memory for each in self.filtered.values()]
+        dr.eval(self.adam.state, self.nonfinite, self.touched, self.visits, memory)
+
+    def _move(self, key: str, before, gradient: mi.Float, rate: float, share: float) -> None:
+        """Put what the filter makes of Adam's step in its place. Traced."""
+        after, (count, first, second, _) = self.adam[key], self.adam.state[key][3]
+        t, (β1, β2) = mi.Float(count), (self.settings.beta_1, self.settings.beta_2)
+        corrected = dr.sqrt(1 - dr.power(mi.Float(β2), t)) / (1 - dr.power(mi.Float(β1), t))
+        corrected *= dr.opaque(mi.Float, rate)
+        values = (flat(dr.detach(each)) for each in (before, after))
+        step = Step(*values, gradient, flat(first), flat(second), corrected, share)
+        self.adam[key] = unflat(before, self.filtered[key].moved(step))
 
     def _along(self, key: str, gradient) -> np.ndarray:
         """The entries that Adam averages of ``gradient``, float64, unscaled, on the host: those of
@@ -289,6 +321,8 @@ class Stepper:
             arrays[f"first/{key}"] = np.array(first)
             arrays[f"second/{key}"] = np.array(second)
             arrays[f"visits/{key}"] = np.array(self.visits[key])
+            for name, memory in self.filtered[key].memory.items():
+                arrays[f"filter/{name}/{key}"] = np.array(memory)
             steps[key] = int(count[0])
         counters = {"nonfinite": int(self.nonfinite[0]), "touched": int(self.touched[0])}
         levels = {"level": self.level, "scales": self.scales, "all_steps": self.steps}
@@ -306,6 +340,9 @@ class Stepper:
             steps = type(count)(state["steps"][key])
             self.adam.of(key).state[key] = value, promoted, rate, (steps, *moments, most)
             self.visits[key] = mi.Float(arrays[f"visits/{key}"])
+            memory = self.filtered[key].memory
+            for name in memory:
+                memory[name] = own(mi.Float, arrays[f"filter/{name}/{key}"])
         # Checkpoints of earlier versions lack it: no rate fell by steps.
         self.steps = state.get("all_steps", 0)
         self.nonfinite = mi.UInt64(state["nonfinite"])

@@ -88,7 +88,11 @@ class Workshop:
         loop = Loop(
             problem,
             self._once("sampler", (chosen, named, how, paths), sampler),
-            Stepper(self.problem.unknowns, typed.optimizer),
+            Stepper(
+                self.problem.unknowns,
+                typed.optimizer,
+                instantiate(cfg.optimizer.filter, "optimizer.filter"),
+            ),
             self._once(
                 "evaluator",
                 measuring,

@@ -43,3 +43,13 @@ def test_today_s_configuration_stays_as_it_is():
     today["effects"] = {"name": "auto", "directions": None}
     assert modern(today) is today
     assert modern({}) == {}
+
+
+def test_what_was_smoothing_is_the_width_of_a_filter():
+    today = compose(translate(["scene=pottery", "optimizer.filter=gaussian"])).optimizer
+    old = {key: value for key, value in today.items() if key != "filter"}
+    found = modern({"optimizer": {**old, "smoothing": 0.03}})["optimizer"]
+    assert found == {**today, "filter": {**today.filter, "width": 0.03}}
+    none = compose(translate(["scene=pottery"])).optimizer
+    for smoothing in ({}, {"smoothing": 0.0}):
+        assert modern({"optimizer": {**old, **smoothing}})["optimizer"] == none

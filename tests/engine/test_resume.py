@@ -78,8 +78,13 @@ def stop_after(folder: Path, rows: int, process: subprocess.Popen, number: int) 
             marks=pytest.mark.slow,
         ),
         pytest.param(["scene=smoke", "sampler=ours"], signal.SIGKILL, marks=pytest.mark.slow),
+        pytest.param(
+            ["scene=dodoco_a", "optimizer.filter=james_stein"],
+            signal.SIGKILL,
+            marks=pytest.mark.slow,
+        ),
     ],
-    ids=("ours", "levels", "balanced", "plateau", "silhouettes", "volume"),
+    ids=("ours", "levels", "balanced", "plateau", "silhouettes", "volume", "filter"),
 )
 def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(
     tmp_path, chosen, number, fixed_order

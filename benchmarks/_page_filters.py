@@ -1,0 +1,32 @@
+"""What filters.md says: of runs at equal iterations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas
+
+BASE = "none"
+RATIOS = ["parameter_rmse_ratio", "image_rmse_ratio"]
+
+
+def facts(results: Path) -> dict | None:
+    """None before there was a run."""
+    path = results / "filters.csv"
+    if not path.exists():
+        return None
+    table = pandas.read_csv(path)
+    judged, choosing = (table[table["judged"] == number] for number in (1, 0))
+    means = judged.groupby(["scene", "filter"]).mean().reset_index()
+    means["steps"] = means["iterations"].astype(int)
+    over = means[means["filter"] != BASE].groupby("filter")[RATIOS]
+    return {
+        "scenes": {scene: rows.to_dict("records") for scene, rows in means.groupby("scene")},
+        "seeds": judged.groupby(["scene", "filter"]).size().min(),
+        "batch": int(judged["batch"].iloc[0]),
+        "iterations": sorted(set(means["steps"])),
+        "across": over.agg(lambda each: np.exp(np.log(each).mean())).to_dict("index"),
+        "worst": over.max().to_dict("index"),
+        "tried": choosing.groupby("filter")["factor"].agg(["min", "max"]).to_dict("index"),
+    }
