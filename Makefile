@@ -39,8 +39,8 @@ bench: setup ## run the measurements under benchmarks/, one after the other
 		$(VENV)/bin/python "$$script"
 	done
 
-reproduce: setup ## race the samplers on every scene of the paper: hours; SCENES="pottery bowl" for some
-	@$(VENV)/bin/python benchmarks/reproduce.py $(SCENES)
+reproduce: setup ## race the samplers on every scene of the paper: hours; SCENES="pottery bowl" for some, LAUNCHER=ray for a cluster
+	@$(VENV)/bin/python benchmarks/reproduce.py $(SCENES) $(if $(LAUNCHER),--launcher $(LAUNCHER))
 
 clean: ## remove .venv, build outputs and caches; runs/ stays
 	@rm -rf $(VENV) build dist *.egg-info .pytest_cache

@@ -8,9 +8,13 @@ reported. Contestants take turns.
 Writes for each scene results/<scene>.csv (a row per sampler), <scene>_rates.csv (the search for
 rates), <scene>_errors.png (error against billed time and light paths) and <scene>_gallery.png
 (target, start, result, density of `ours`); over all scenes measured so far reproduce.csv; and the
-pages (`pages.py`). The whole takes hours.
+pages (`pages.py`). The whole takes hours; how many is said at the start. The same command goes on
+where it was stopped, in runs/reproduce; to measure anew, name another folder (--folder) or remove
+it. With a launcher the races of all scenes are handed out together.
 
     make reproduce SCENES="pottery bowl"
+    make reproduce LAUNCHER=ray
+    make reproduce LAUNCHER="submitit_slurm partition=NAME timeout_min=120"
     make reproduce SCENES="dodoco_b kirby"       shapes: see shapes.py
     make reproduce SCENES="smoke lego"           volumes: see volumes.py
     make reproduce SCENES=pbdr                   everything at once: see pbdr.py, whose other
@@ -20,9 +24,8 @@ pages (`pages.py`). The whole takes hours.
 from __future__ import annotations
 
 import argparse
-import subprocess
+import datetime
 import sys
-import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -34,7 +37,10 @@ import pandas
 from PIL import Image
 
 from isas_cli import records
-from isas_cli.runtime import images
+from isas_cli.cli.sweeps import races
+from isas_cli.cli.sweeps.job import DONE
+from isas_cli.runtime import images, interrupt
+from isas_cli.runtime.errors import IsasError
 
 RESULTS = Path(__file__).parent / "results"
 MEASURE = "parameter_rmse"
@@ -85,15 +91,15 @@ SCENES = {
 
 def race(
     folder: Path, scene: str, contestants: list, seeds: list[int], seconds: float, spp: int
-) -> None:
-    """Race ``contestants``, (sampler, rate) each; ``spp`` of the pictures at the end."""
+) -> races.Race:
+    """A race of ``contestants``, (sampler, rate) each; ``spp`` of the pictures at the end."""
     own = SCENES[scene].scene or scene
     listed = ",".join(f"{{sampler:{s},optimizer.lr:{rate}}}" for s, rate in contestants)
-    command = [sys.executable, "-m", "isas_cli", "race", f"scene={own}", *COMMON]
-    command += [*SCENES[scene].settings, f"frames.spp={spp}", f"budget.seconds={seconds}"]
-    command += ["effects=full"]  # `effects.py` compares plans
-    command += [f"contestants=[{listed}]", f"seed=[{','.join(map(str, seeds))}]"]
-    subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
+    arguments = [f"scene={own}", *COMMON, *SCENES[scene].settings]
+    arguments += [f"frames.spp={spp}", f"budget.seconds={seconds}"]
+    arguments += ["effects=full"]  # `effects.py` compares plans
+    arguments += [f"contestants=[{listed}]", f"seed=[{','.join(map(str, seeds))}]"]
+    return races.planned([*arguments, f"hydra.run.dir={folder}"], f"{scene}/{folder.name}")
 
 
 def runs(folder: Path) -> pandas.DataFrame:
@@ -183,10 +189,13 @@ def table(scene: str, found: pandas.DataFrame, budget: float) -> pandas.DataFram
     return pandas.DataFrame(rows)
 
 
-def _best(scene: str, folder: Path, chosen: argparse.Namespace, seconds: float) -> list:
-    """(sampler, rate) pairs, each sampler at its best rate with the first seed."""
-    every = [(s, rate) for rate in SCENES[scene].rates for s in SCENES[scene].samplers]
-    race(folder, scene, every, chosen.seeds[:1], seconds, spp=1)
+def _every(scene: str) -> list:
+    """(sampler, rate) pairs: each sampler at every rate."""
+    return [(s, rate) for rate in SCENES[scene].rates for s in SCENES[scene].samplers]
+
+
+def _best(scene: str, folder: Path) -> list:
+    """Each sampler at its best rate in the race of all."""
     first = runs(folder)
     first.drop(columns=["folder", "history"]).to_csv(
         RESULTS / f"{scene}_rates.csv", index=False, float_format="%.4g"
@@ -195,27 +204,59 @@ def _best(scene: str, folder: Path, chosen: argparse.Namespace, seconds: float) 
     return list(zip(best["sampler"], best["rate"]))
 
 
-def compared(scene: str, root: Path, chosen: argparse.Namespace) -> pandas.DataFrame:
-    """Both races of a scene and what is kept of them."""
-    seconds = chosen.seconds or SCENES[scene].seconds
-    pairs = _best(scene, root / scene / "rates", chosen, seconds)
-    race(root / scene / "seeds", scene, pairs, chosen.seeds[1:], seconds, spp=16)
-    found = runs(root / scene / "seeds")
-    comparison = root / scene / "comparison"
-    folders = [str(path) for path in found["folder"]]
-    command = [sys.executable, "-m", "isas_cli", "compare", *folders, "--output", comparison]
-    subprocess.run(command, check=True)
-    (errors,) = (comparison / "plots").glob("*_errors.png")
+def kept(scene: str, folder: Path, seed: int, seconds: float) -> pandas.DataFrame:
+    """What is kept of the second race of a scene; the pictures are of ``seed``."""
+    found = runs(folder)
+    (errors,) = (folder / "comparison" / "plots").glob("*_errors.png")
     with Image.open(errors) as plot:
         # Few colours: a plot needs no more, and the file is a quarter as large.
         small = plot.convert("RGB").quantize(64)
         small.save(RESULTS / f"{scene}_errors.png", optimize=True)
-    ours = found[(found["sampler"] == "ours") & (found["seed"] == chosen.seeds[1])]
+    ours = found[(found["sampler"] == "ours") & (found["seed"] == seed)]
     _gallery.write(ours["folder"].iloc[0], RESULTS / f"{scene}_gallery.png")
     made = table(scene, found, seconds)
-    # After each scene: what is measured survives what follows.
     made.to_csv(RESULTS / f"{scene}.csv", index=False, float_format="%.4g")
     return made
+
+
+def raced(scenes: list[str], root: Path, chosen: argparse.Namespace) -> bool:
+    """Both races of each scene, and what is kept of them; whether all were held."""
+    seconds = {scene: chosen.seconds or SCENES[scene].seconds for scene in scenes}
+
+    def held(name: str, contestants: dict[str, list], seeds: list[int], spp: int) -> list[str]:
+        """The scenes whose races of this ``name`` have been held."""
+        jobs = {
+            scene: race(root / scene / name, scene, each, seeds, seconds[scene], spp)
+            for scene, each in contestants.items()
+        }
+        if jobs:
+            races.launch(root, list(jobs.values()), chosen.launcher)
+        return [scene for scene, job in jobs.items() if job.found() == DONE]
+
+    first = held("rates", {scene: _every(scene) for scene in scenes}, chosen.seeds[:1], spp=1)
+    best = {scene: _best(scene, root / scene / "rates") for scene in first}
+    done = held("seeds", best, chosen.seeds[1:], spp=16)
+    for scene in done:
+        made = kept(scene, root / scene / "seeds", chosen.seeds[1], seconds[scene])
+        print(made.to_string(index=False), flush=True)
+    # After each scene: what is measured survives what follows.
+    found = [RESULTS / f"{name}.csv" for name in SCENES]
+    tables = [pandas.read_csv(path) for path in found if path.exists()]
+    if done:
+        pandas.concat(tables).to_csv(RESULTS / "reproduce.csv", index=False)
+        pages.write()
+    return done == scenes
+
+
+def forecast(scenes: list[str], chosen: argparse.Namespace) -> str:
+    """What all races are billed together, those that are done included."""
+    each = {s: len(_every(s)) + len(SCENES[s].samplers) * (len(chosen.seeds) - 1) for s in scenes}
+    billed = sum(count * (chosen.seconds or SCENES[s].seconds) for s, count in each.items())
+    together = datetime.timedelta(seconds=round(billed))
+    return (
+        f"scenes: {len(scenes)}, with {2 * len(scenes)} races of {sum(each.values())} runs: "
+        f"{together} billed, plus targets, compiling and pictures"
+    )
 
 
 def main() -> None:
@@ -225,8 +266,19 @@ def main() -> None:
     )
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4])
     parser.add_argument("--seconds", type=float, help="budget of each run, instead of the scene's")
-    parser.add_argument("--folder", type=Path, help="where the runs go (default: a new folder)")
+    parser.add_argument(
+        "--folder", type=Path, help="where the runs go (default: runs/reproduce); done ones stay"
+    )
+    parser.add_argument(
+        "--launcher",
+        nargs="+",
+        default=[],
+        metavar=("NAME", "KEY=VALUE"),
+        help="what does the races, such as ray, and its settings, such as ray.remote.num_cpus=8",
+    )
     chosen = parser.parse_args()
+    if chosen.launcher and not set(chosen.scenes) <= set(SCENES):
+        parser.error(f"--launcher: is for {', '.join(SCENES)}")
     if "plateau" in chosen.scenes:
         if chosen.scenes != ["plateau"] or chosen.seeds != parser.get_default("seeds"):
             parser.error("plateau: by itself, and its starts are not seeds: see _plateau.py --help")
@@ -255,14 +307,22 @@ def main() -> None:
         parser.error(f"{strange[0]}: no such scene; valid: {valid}")
     if len(chosen.seeds) < 2:
         parser.error("--seeds: at least two; the first is for the rates")
-    root = chosen.folder or Path(tempfile.mkdtemp(prefix="isas-reproduce-"))
+    name, *settings = chosen.launcher or ["basic"]
+    chosen.launcher = [f"hydra/launcher={name}", *(f"hydra.launcher.{each}" for each in settings)]
+    scenes = chosen.scenes or list(SCENES)
+    root = chosen.folder or Path("runs/reproduce")
     RESULTS.mkdir(exist_ok=True)
-    for scene in chosen.scenes or SCENES:
-        print(compared(scene, root, chosen).to_string(index=False), flush=True)
-        found = [RESULTS / f"{name}.csv" for name in SCENES]
-        tables = [pandas.read_csv(path) for path in found if path.exists()]
-        pandas.concat(tables).to_csv(RESULTS / "reproduce.csv", index=False)
-        pages.write()
+    print(forecast(scenes, chosen), flush=True)
+    try:
+        # In turn, so that there is something to be seen; or whatever can be done side by side.
+        together = [[scene] for scene in scenes] if name == "basic" else [scenes]
+        held = [raced(some, root, chosen) for some in together]
+    except IsasError as error:
+        sys.exit(f"reproduce.py: {error}\n(here another folder is given by --folder DIR)")
+    except KeyboardInterrupt:
+        print("interrupted: the same command goes on", file=sys.stderr)
+        sys.exit(interrupt.STATUS)
+    sys.exit(not all(held))
 
 
 if __name__ == "__main__":

@@ -38,7 +38,8 @@ Status: 0 done, 2 bad configuration or input, 3 numerical failure, 130 interrupt
 _RACE_HELP = """\
 usage: isas race scene=NAME samplers=[A,B,…] [seed=[1,2,…]] [KEY=VALUE ...]
        isas race scene=NAME contestants=[{KEY:VALUE,…},{…}] [seed=[1,2,…]] [KEY=VALUE ...]
-       isas race resume=DIR [budget.seconds=…]
+       isas race scene=A,B [seed=1,2,…] samplers=… [hydra/launcher=NAME] [KEY=A,B ...]
+       isas race resume=DIR [budget.seconds=…] [hydra/launcher=NAME]
 
 Let several configurations take turns in one process until each has had the same billed budget,
 and compare them. Scene, targets and compiled kernels are shared; a drift of the machine falls on
@@ -47,6 +48,13 @@ all alike. Each contestant and seed leaves an ordinary run folder below the race
   isas race scene=pottery 'samplers=[uniform,gradient,ours]' budget.seconds=60 'seed=[1,2,3]'
   isas race scene=pottery 'contestants=[{sampler:ours,optimizer.lr:0.01},{sampler:uniform}]'
   isas race scene=pottery 'samplers=[uniform,ours]' hydra.run.dir=DIR slice=0.5
+  isas race scene=pottery,bowl seed=1,2,3 samplers=uniform,ours       six races, and one comparison
+  isas race scene=pottery,bowl seed=1,2,3 samplers=uniform,ours hydra/launcher=ray
+
+Several values of a setting are several races, every value with every other. Each is held whole, on
+one machine; a launcher says on which, as in a sweep. seed=1,2 makes two races, seed=[1,2] one.
+They go to runs/races-TIME, or hydra.run.dir=DIR, as <scene>/seed<k>. The same command again, with
+its hydra.run.dir, or resume=DIR skips what is done and goes on with what was stopped or lost.
 
 slice is a turn's length in billed seconds (default 1). Everything else is as in isas run --help.
 Status: 0 done, 2 bad configuration or input, 3 numerical failure of one, 130 interrupted."""

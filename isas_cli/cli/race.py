@@ -6,25 +6,56 @@ import datetime
 import json
 import os
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import ChoiceSweep
 from hydra.errors import HydraException
 
 from ..config import paths
 from ..config.compose import compose, options, translate
 from ..config.grammar import override
 from ..config.roles import meaning
-from ..engine import resumption
+from ..engine import race, resumption
+from ..engine.race import Entry
 from ..records import write_atomically
 from ..runtime import interrupt
 from ..runtime.errors import InputError, nearest
 from . import one
 
-_FILE = "race.yaml"
+FILE = "race.yaml"
 _SLICE_SECONDS = 1.0
+_OWN = ("samplers", "contestants", "seed", "slice", "resume", "hydra.run.dir")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A race that is to be: its folder, its entries, what race.yaml says of these, and from where
+    they name files."""
+
+    folder: Path
+    entries: list[Entry]
+    written: list[dict[str, Any]]
+    home: str
+
+    def check(self) -> None:
+        """Raises InputError where the folders cannot be used or hold something."""
+        overwrite = self.entries[0].cfg.overwrite
+        for entry in self.entries:
+            one.check_folder(entry.folder, overwrite)
+        if (self.folder / FILE).exists() and not overwrite:
+            raise InputError(
+                f"{self.folder} already holds a race: choose another folder with "
+                f"hydra.run.dir=DIR, go on with it by resume={self.folder}, or replace it with "
+                "overwrite=true"
+            )
+
+    def begin(self) -> None:
+        """Write race.yaml."""
+        write_yaml(self.folder / FILE, {"started_in": self.home, "entries": self.written})
 
 
 def main(arguments: list[str]) -> int:
@@ -32,29 +63,34 @@ def main(arguments: list[str]) -> int:
     for argument in arguments:
         if argument.startswith("-"):
             raise InputError(f"{argument}: no such flag; see isas race --help")
-    own, overrides = _own(arguments)
+    own, overrides = options_of(arguments)
     with one.argv(["isas", "race", *arguments]), interrupt.prompt():
-        turn = _slice(own)
-        plan = _continued if "resume" in own else _fresh
-        folder, entries, begin = plan(own, overrides)
-        from ..engine import race
+        turn = slice_seconds(own)
+        from .sweeps import races
 
-        return _compared(folder, race.run(entries, turn, begin))
+        if "resume" in own:
+            folder = _resumed(own)
+            if (folder / races.FILE).exists():
+                return races.resume(folder, own, overrides)
+            left = unfinished(folder, resumption.parse(overrides))
+            if not left:
+                spent = "every contestant has spent its budget: give a larger one"
+                raise InputError(f"{folder}: {spent}")
+            return _compared(folder, race.run(left, turn, lambda: None))
+        several = races.expanded(own, overrides)
+        if several:
+            return races.main(own, several)
+        plan = planned(own, overrides)
+        plan.check()
+        return _compared(plan.folder, race.run(plan.entries, turn, plan.begin))
 
 
-def _own(arguments: list[str]) -> tuple[dict[str, str], list[str]]:
+def options_of(arguments: list[str]) -> tuple[dict[str, str], list[str]]:
     """The race's own settings by name, and the overrides that all contestants share."""
     own, overrides = {}, []
     for argument in arguments:
         key, equals, value = argument.partition("=")
-        if equals and key in (
-            "samplers",
-            "contestants",
-            "seed",
-            "slice",
-            "resume",
-            "hydra.run.dir",
-        ):
+        if equals and key in _OWN:
             if key in own:
                 raise InputError(f"{argument}: {key} is given twice")
             own[key] = value
@@ -63,7 +99,8 @@ def _own(arguments: list[str]) -> tuple[dict[str, str], list[str]]:
     return own, overrides
 
 
-def _slice(own: dict[str, str]) -> float:
+def slice_seconds(own: dict[str, str]) -> float:
+    """Billed seconds of a turn."""
     text = own.get("slice", str(_SLICE_SECONDS))
     try:
         seconds = float(text)
@@ -74,13 +111,17 @@ def _slice(own: dict[str, str]) -> float:
     return seconds
 
 
-def _fresh(own: dict[str, str], overrides: list[str]):
-    """Folder and entries of a new race, and what writes them down in race.yaml."""
-    from ..engine.race import Entry
-
+def planned(own: dict[str, str], overrides: list[str], home: str | None = None) -> Plan:
+    """A new race: every contestant with every seed; ``home``: where it was started, if not here.
+    Raises InputError."""
     for text in overrides:
         if text.split("=")[0] == "sampler":
             raise InputError(f"{text}: a race has several: samplers=[A,B] or contestants=[…]")
+        if text.lstrip("+~").startswith("hydra"):
+            raise InputError(
+                f"{text}: of Hydra's settings a race takes hydra/launcher, hydra.launcher.KEY and "
+                "hydra.run.dir"
+            )
     differing = differences(own)
     seeds = _values("seed", own.get("seed", "1"))
     if not all(isinstance(seed, int) and not isinstance(seed, bool) for seed in seeds):
@@ -89,62 +130,71 @@ def _fresh(own: dict[str, str], overrides: list[str]):
     common = translate(overrides)
     if not any(each.lstrip("+").startswith("budget") for each in common):
         common.append("budget.seconds=null")  # equal time, and not the scene's iterations
-    entries, folder, planned = [], None, []
+    entries, folder, written = [], None, []
     for difference in differing:
         more = translate([f"{key}={override(value)}" for key, value in difference.items()])
         for seed in seeds:
             settings = [*common, *more, f"seed={seed}", f"name=seed{seed}"]
             cfg = compose(settings)
+            paths.locate(cfg, home)
             folder = folder or _folder(own, cfg.scene.name)
             label = _label(cfg, difference)
-            place = folder / _slug(label) / f"seed{seed}"
-            one.check_folder(place, cfg.overwrite)
+            place = folder / slug(label) / f"seed{seed}"
             entries.append(Entry(label, cfg, place))
             relative = str(place.relative_to(folder))
-            planned.append({"label": label, "folder": relative, "settings": settings})
-    if (folder / _FILE).exists() and not cfg.overwrite:
-        raise InputError(
-            f"{folder} already holds a race: choose another folder with hydra.run.dir=DIR, go on "
-            f"with it by resume={folder}, or replace it with overwrite=true"
-        )
-    _distinct("contestants: folder", [plan["folder"] for plan in planned])
-    plan = {"schema": 1, "started_in": os.getcwd(), "entries": planned}
-    written = yaml.safe_dump(plan, sort_keys=False)
-
-    def begin() -> None:
-        write_atomically(folder / _FILE, lambda path: path.write_text(written, encoding="utf-8"))
-
-    return folder, entries, begin
+            written.append({"label": label, "folder": relative, "settings": settings})
+    _distinct("contestants: folder", [each["folder"] for each in written])
+    return Plan(folder, entries, written, home or os.getcwd())
 
 
-def _continued(own: dict[str, str], overrides: list[str]):
-    """Folder and unfinished entries of an earlier race; there is nothing to write down."""
-    from ..engine.race import Entry, continued
+def write_yaml(path: Path, content: dict[str, Any]) -> None:
+    """What there is to go on with."""
+    text = yaml.safe_dump({"schema": 1, **content}, sort_keys=False)
+    write_atomically(path, lambda path: path.write_text(text, encoding="utf-8"))
 
+
+def read_yaml(path: Path, key: str, told: str) -> tuple[str | None, list[dict[str, Any]]]:
+    """Where it was started, and the list under ``key``, whose items have a folder and what they are
+    ``told``, a list of texts of that name. Raises InputError."""
+    try:
+        read = yaml.safe_load(path.read_text(encoding="utf-8"))
+        home, listed = read.get("started_in"), read[key]
+        for each in listed:
+            if not all(isinstance(text, str) for text in (each["folder"], *each[told])):
+                raise TypeError
+    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
+        holds = f"{path.parent} holds no race: {path.name} is missing or damaged"
+        raise InputError(holds) from error
+    return home, listed
+
+
+def entries_of(folder: Path) -> tuple[str | None, list[dict[str, Any]]]:
+    """Where the race in ``folder`` was started, and what race.yaml says of its entries."""
+    return read_yaml(folder / FILE, "entries", "settings")
+
+
+def _resumed(own: dict[str, str]) -> Path:
     strange = sorted(set(own) - {"resume", "slice"})
     if strange:
         raise InputError(f"{strange[0]}={own[strange[0]]}: a continued race keeps its contestants")
-    folder = Path(own["resume"].strip("\"'"))
-    try:
-        read = yaml.safe_load((folder / _FILE).read_text(encoding="utf-8"))
-        home, planned = read.get("started_in"), read["entries"]
-        places = [(plan["label"], folder / plan["folder"], plan["settings"]) for plan in planned]
-    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{folder} holds no race: {_FILE} is missing or damaged") from error
-    changes = resumption.parse(overrides)
+    return Path(own["resume"].strip("\"'"))
+
+
+def unfinished(folder: Path, changes: dict[str, Any]) -> list[Entry]:
+    """The entries of an earlier race that have not ended, or not with these ``changes``."""
+    home, listed = entries_of(folder)
     entries = []
-    for label, place, settings in places:
+    for each in listed:
+        label, place, settings = each.get("label", ""), folder / each["folder"], each["settings"]
         if any((place / name).exists() for name in ("history.csv", "checkpoint/state.npz")):
-            entry = continued(label, place, changes)
+            entry = race.continued(label, place, changes)
         else:  # killed before its record was whole, and before its first step
             cfg = compose([*settings, "overwrite=true"])
             paths.locate(cfg, home)
             entry = Entry(label, resumption.changed(cfg, changes), place)
         if entry is not None:
             entries.append(entry)
-    if not entries:
-        raise InputError(f"{folder}: every contestant has spent its budget: give a larger one")
-    return folder, entries, lambda: None
+    return entries
 
 
 def differences(own: dict[str, str]) -> list[dict[str, Any]]:
@@ -189,6 +239,7 @@ def _values(name: str, text: str) -> list[Any]:
     except json.JSONDecodeError:
         try:
             value = OverridesParser.create().parse_override(f"{name}={text}").value()
+            value = value.list if isinstance(value, ChoiceSweep) else value
         except HydraException as error:
             raise InputError(f"{name}={text}: cannot be read as a list [A,B]") from error
     values = value if isinstance(value, list) else [value]
@@ -218,29 +269,41 @@ def _label(cfg, difference: dict[str, Any]) -> str:
     return " ".join([str(cfg.sampler.name), *others])
 
 
-def _slug(label: str) -> str:
+def slug(label: str) -> str:
     """A folder's name: readable, nothing that a shell would take apart."""
     return re.sub(r"[^\w.=+-]+", "_", label).strip("_.") or "contestant"
 
 
 def _folder(own: dict[str, str], scene: str) -> Path:
-    given = own.get("hydra.run.dir", "").strip("\"'")
-    if given:
-        return Path(given)
     if "hydra.run.dir" in own:
-        raise InputError("hydra.run.dir is empty: give hydra.run.dir=DIR")
+        return folder_of(own["hydra.run.dir"])
     return Path("runs") / scene / f"race-{datetime.datetime.now():%Y%m%d-%H%M%S}"
+
+
+def folder_of(given: str) -> Path:
+    """The folder that was ``given`` as hydra.run.dir. Raises InputError where it is empty."""
+    folder = given.strip("\"'")
+    if not folder:
+        raise InputError("hydra.run.dir is empty: give hydra.run.dir=DIR")
+    return Path(folder)
 
 
 def _compared(folder: Path, status: int) -> int:
     """The comparison's page, which a race is run for. Returns the race's status."""
+    # Its own runs, not whatever else lies below its folder.
+    _, listed = entries_of(folder)
+    compared([folder / each["folder"] for each in listed], folder, status)
+    return status
+
+
+def compared(folders: list[Path], output: Path, status: int) -> None:
+    """Compare what there is of the runs in ``folders``, into ``output``/comparison. Raises
+    InputError where nothing was reached that could be, unless a ``status`` tells why."""
     from .compare import main as compare
 
-    # Its own runs, not whatever else lies below its folder.
-    planned = yaml.safe_load((folder / _FILE).read_text(encoding="utf-8"))["entries"]
     try:
-        compare([folder / plan["folder"] for plan in planned], folder / "comparison", None)
-    except InputError:  # nothing was reached that could be compared
+        begun = [each for each in folders if (each / "manifest.json").is_file()]
+        compare(begun, output / "comparison", None)
+    except InputError:
         if not status:
             raise
-    return status

@@ -67,6 +67,12 @@ class Continuation:
     arrays: dict[str, np.ndarray]
     state: dict
 
+    @property
+    def device(self) -> str | None:
+        """What it was last computed on."""
+        latest = [self.manifest.get("machine", {}), *self.manifest.get("resumed", [])][-1]
+        return latest.get("device")
+
 
 def prepare(folder: Path, changes: dict) -> Continuation:
     """What to go on with. Reads records only.

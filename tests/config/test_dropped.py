@@ -83,7 +83,7 @@ def test_what_was_dropped_is_not_there_any_more():
 def test_contestants_drop_them(tmp_path):
     contestants = [{"sampler": "plateau"}, {f"~scene.unknowns.{LAMP}": None}]
     own = {"contestants": json.dumps(contestants), "hydra.run.dir": str(tmp_path)}
-    _, entries, _ = race._fresh(own, ["scene=global_illumination", "~scene.unknowns.box.angle"])
+    entries = race.planned(own, ["scene=global_illumination", "~scene.unknowns.box.angle"]).entries
     assert [list(entry.cfg.scene.unknowns) for entry in entries] == [[LAMP, WALL], [WALL]]
 
 

@@ -86,11 +86,11 @@ def test_targets_of_ones_own_are_not_rendered():
 
 def test_a_race_is_of_equal_time(tmp_path):
     own = {"samplers": "[plateau,mitsuba]", "hydra.run.dir": str(tmp_path)}
-    _, entries, _ = race._fresh(own, ["scene=cup"])
+    entries = race.planned(own, ["scene=cup"]).entries
     assert [entry.cfg.estimator.name for entry in entries] == ["plateau", "mitsuba"]
     assert [entry.cfg.estimator.batch for entry in entries] == [2048, 65536]
     assert {entry.budget for entry in entries} == {Budget(seconds=60)}
-    _, entries, _ = race._fresh(own, ["scene=cup", "budget.iterations=3"])
+    entries = race.planned(own, ["scene=cup", "budget.iterations=3"]).entries
     assert {entry.budget for entry in entries} == {Budget(iterations=3)}
 
 

@@ -1,1 +1,1 @@
-"""Sweeps: many runs of one command line, composed by Hydra."""
+"""Sweeps: many runs, or races, of one command line, composed by Hydra."""

@@ -24,6 +24,18 @@ NOTHING, DONE, FAILED, UNFINISHED, OTHER = "nothing", "done", "failed", "unfinis
 
 
 @dataclass(frozen=True)
+class Report:
+    """How an attempt ended: exit status, error in one line, traceback of an unexpected one;
+    ``killed``: its process died, which is all that is known."""
+
+    status: int
+    error: str = ""
+    trace: str = ""
+    resumed: bool = False
+    killed: bool = False
+
+
+@dataclass(frozen=True)
 class Job:
     """What is planned: a name for messages, the settings that were typed or chosen, the run's
     folder and its resolved configuration."""
@@ -54,27 +66,64 @@ class Job:
             return None
         return outcome(self.label, self.folder, "skipped")
 
+    def stamp(self) -> int | None:
+        """Another one each time that an attempt opens the record, or goes on with it."""
+        return stamp(self.folder)
 
-@dataclass(frozen=True)
-class Report:
-    """How an attempt ended: exit status, error in one line, traceback of an unexpected one;
-    ``killed``: its process died, which is all that is known."""
+    def go(self, threads: int | None) -> Report:
+        """Do it in this process; ``threads``: see ``attempt``. Raises what a run raises."""
+        from ...engine import experiment
 
-    status: int
-    error: str = ""
-    trace: str = ""
-    resumed: bool = False
-    killed: bool = False
+        cfg = self.cfg.copy()
+        cfg.threads = cfg.threads or threads or 0
+        found = self.found()
+        if found == UNFINISHED and not cfg.overwrite:
+            _refuse_if_alive(self.folder)
+            try:
+                changes = {"threads": cfg.threads} if cfg.threads else {}
+                return Report(experiment.resume(self.folder, changes), resumed=True)
+            except InputError as error:
+                if _has_checkpoint(self.folder):  # nothing that was computed is thrown away
+                    raise
+                print(f"not resumed, begun anew: {error}", file=sys.stderr)
+        if found in (UNFINISHED, FAILED):
+            cfg.overwrite = True
+        return Report(one.run(cfg, str(self.folder)))
+
+    def record_failure(self, report: Report, begun: bool) -> None:
+        """Leave the error in the folder's summary.json, and a traceback in error.txt.
+
+        ``begun``: the attempt had opened its record, whose own summary, where there is one, stays
+        and gets the error. A failure of writing is not a second one: the table shows the error
+        anyway.
+        """
+        cfg = self.cfg
+        summary = {
+            "status": "failed",
+            "scene": cfg.scene.name,
+            "sampler": cfg.sampler.name,
+            "loss": cfg.loss.name,
+            "seed": cfg.seed,
+            **((read_summary(self.folder) or {}) if begun else {}),
+            "overrides": self.overrides,
+            "error": report.error,
+        }
+        if report.killed:
+            summary["killed"] = True
+        with contextlib.suppress(IsasError, OSError):
+            if not (self.folder / "config.yaml").exists():
+                text = OmegaConf.to_yaml(cfg, resolve=True)
+                files.write_text(self.folder / "config.yaml", text)
+            files.write_json(self.folder / "summary.json", summary)
+            leave_trace(self.folder, report.trace)
 
 
 def attempt(job: Job, command: list[str], threads: int | None) -> Report:
     """Do the job in this process. ``command``: what was typed; ``threads``: where the settings
     leave them open. Whatever goes wrong is in the report."""
-    cfg = job.cfg.copy()
-    cfg.threads = cfg.threads or threads or 0
     with one.argv(command), interrupt.prompt():
         try:
-            return _go(cfg, job)
+            return job.go(threads)
         except IsasError as error:
             return Report(error.status, " ".join(str(error).splitlines()))
         except KeyboardInterrupt:
@@ -84,24 +133,6 @@ def attempt(job: Job, command: list[str], threads: int | None) -> Report:
                 return Report(interrupt.STATUS)
             text = " ".join([f"{type(error).__name__}:", *str(error).split()]).rstrip(":")
             return Report(1, text, traceback.format_exc())
-
-
-def _go(cfg: DictConfig, job: Job) -> Report:
-    from ...engine import experiment
-
-    found = job.found()
-    if found == UNFINISHED and not cfg.overwrite:
-        _refuse_if_alive(job.folder)
-        try:
-            changes = {"threads": cfg.threads} if cfg.threads else {}
-            return Report(experiment.resume(job.folder, changes), resumed=True)
-        except InputError as error:
-            if _has_checkpoint(job.folder):  # nothing that was computed is thrown away
-                raise
-            print(f"not resumed, begun anew: {error}", file=sys.stderr)
-    if found in (UNFINISHED, FAILED):
-        cfg.overwrite = True
-    return Report(one.run(cfg, str(job.folder)))
 
 
 def _has_checkpoint(folder: Path) -> bool:
@@ -131,7 +162,7 @@ def supervise(
     skipped = job.skipped()  # a twin may have done it, or an earlier attempt on a cluster
     if skipped:
         return skipped
-    found, before = job.found(), stamp(job.folder)
+    found, before = job.found(), job.stamp()
     report = worker.run(job, command, threads, quiet, stop)
     if report.status == 0:
         status = "resumed" if report.resumed else "done"
@@ -141,8 +172,9 @@ def supervise(
     else:
         status = "failed"
         # What is unfinished and was refused stays so: as a failure it would be begun anew.
-        if found not in (DONE, OTHER, UNFINISHED) or stamp(job.folder) != before:
-            record_failure(job, report, begun=stamp(job.folder) != before)
+        begun = job.stamp() != before
+        if found not in (DONE, OTHER, UNFINISHED) or begun:
+            job.record_failure(report, begun)
     return outcome(job.label, job.folder, status, report.status, report.error)
 
 
@@ -153,30 +185,9 @@ def stamp(folder: Path) -> int | None:
     return None
 
 
-def record_failure(job: Job, report: Report, begun: bool) -> None:
-    """Leave the error in the folder's summary.json, and a traceback in error.txt.
-
-    ``begun``: the attempt had opened its record, whose own summary, where there is one, stays and
-    gets the error. A failure of writing is not a second one: the table shows the error anyway.
-    """
-    cfg = job.cfg
-    summary = {
-        "status": "failed",
-        "scene": cfg.scene.name,
-        "sampler": cfg.sampler.name,
-        "loss": cfg.loss.name,
-        "seed": cfg.seed,
-        **((read_summary(job.folder) or {}) if begun else {}),
-        "overrides": job.overrides,
-        "error": report.error,
-    }
-    if report.killed:
-        summary["killed"] = True
-    with contextlib.suppress(IsasError, OSError):
-        if not (job.folder / "config.yaml").exists():
-            files.write_text(job.folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
-        files.write_json(job.folder / "summary.json", summary)
-        if report.trace:
-            files.write_text(job.folder / "error.txt", report.trace)
-        else:
-            (job.folder / "error.txt").unlink(missing_ok=True)  # of an earlier attempt
+def leave_trace(folder: Path, text: str) -> None:
+    """``text`` as the folder's error.txt; without one, no such file of an earlier attempt."""
+    if text:
+        files.write_text(folder / "error.txt", text)
+    else:
+        (folder / "error.txt").unlink(missing_ok=True)

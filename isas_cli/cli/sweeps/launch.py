@@ -13,7 +13,7 @@ from omegaconf import OmegaConf, open_dict
 from ...config.compose import compose
 from ...runtime import interrupt
 from ...runtime.errors import InputError
-from .job import DONE, Job, Report, record_failure, stamp, supervise
+from .job import DONE, Job, Report, supervise
 from .launchers import Launcher
 from .outcome import Outcome, outcome, shown
 
@@ -73,7 +73,7 @@ class Sweep:
         self.jobs += jobs
         todo = {}
         for job in jobs:
-            self.stamps.setdefault(job.folder, stamp(job.folder))
+            self.stamps.setdefault(job.folder, job.stamp())
             skipped = None if job.folder in self.settled else job.skipped()
             if skipped:
                 say(f"{job.label}: skipped: done in {shown(job.folder)}")
@@ -98,13 +98,13 @@ class Sweep:
 
     def _unsettled(self, job: Job) -> Outcome:
         """Of a job that the sweep's interruption left."""
-        begun = stamp(job.folder) != self.stamps[job.folder]
+        begun = job.stamp() != self.stamps[job.folder]
         status = "interrupted" if begun else "not begun"
         return self._finished(job) or outcome(job.label, job.folder, status, interrupt.STATUS)
 
     def _finished(self, job: Job) -> Outcome | None:
         """Of a job that was done, though its process did not live to say so; else None."""
-        if stamp(job.folder) == self.stamps[job.folder] or job.found() != DONE:
+        if job.stamp() == self.stamps[job.folder] or job.found() != DONE:
             return None
         return outcome(job.label, job.folder, "done")
 
@@ -112,7 +112,7 @@ class Sweep:
         """Of a job whose worker was lost; recorded."""
         text = " ".join(str(error).split("\n")[0].split())
         report = Report(1, f"its worker was lost: {type(error).__name__}: {text}", killed=True)
-        record_failure(job, report, begun=stamp(job.folder) != self.stamps[job.folder])
+        job.record_failure(report, begun=job.stamp() != self.stamps[job.folder])
         return outcome(job.label, job.folder, "failed", 1, report.error)
 
 

@@ -79,21 +79,23 @@ def exit_status(outcomes: list[Outcome]) -> int:
     return 0 if all(o.finished for o in outcomes) else interrupt.STATUS
 
 
-def show(outcomes: list[Outcome]) -> None:
-    """The table, and below it why jobs failed, on standard error."""
+def show(outcomes: list[Outcome], figures: bool = True) -> None:
+    """The table, and below it why jobs failed, on standard error. ``figures``: errors and seconds,
+    which single runs have."""
     console = Console(stderr=True)
     if not console.is_terminal:
         console = Console(stderr=True, width=_WIDTH)
     table = Table(box=None, pad_edge=False)
     table.add_column("job", overflow="fold")
     table.add_column("status", no_wrap=True)
-    for title in ("image error", "parameter error", "seconds"):
+    for title in ("image error", "parameter error", "seconds") if figures else ():
         table.add_column(title, justify="right")
     table.add_column("folder", overflow="fold")
     for o in outcomes:
         colour = _COLOURS.get(o.status, "")
         numbers = (_number(o.image), _number(o.parameter), _number(o.seconds, ".1f"))
         status = f"[{colour}]{o.status}[/]" if colour else o.status
+        numbers = numbers if figures else ()
         table.add_row(escape(o.label), status, *numbers, escape(shown(o.folder)))
     console.print(table, highlight=False)
     for o in outcomes:

@@ -52,16 +52,16 @@ def _sweep(typed: list[str]) -> int:
     for override in typed:
         if override.startswith("hydra.run.dir="):
             raise InputError("hydra.run.dir is for single runs: give hydra.sweep.dir=DIR")
-    with _explained(typed):
-        settings = compose([_first(o) for o in _parsed(typed)], hydra=True).hydra
+    with explained(typed):
+        settings = compose([_first(o) for o in parsed(typed)], hydra=True).hydra
         params = [f"{name}={value}" for name, value in (settings.sweeper.params or {}).items()]
-        overrides = _last(_parsed([*params, *typed]))
+        overrides = _last(parsed([*params, *typed]))
     searching = settings.runtime.choices["hydra/sweeper"] == "optuna"
     with interrupt.graceful() as stop:
         sweep = Sweep(launchers.launcher(settings), stop)
 
         def launch(combinations: list[list[str]]) -> list[Outcome]:
-            with _explained(typed):
+            with explained(typed):
                 first = len(sweep.jobs)
                 jobs = [
                     planned(own, _label(own, typed), number)
@@ -86,7 +86,7 @@ def _sweep(typed: list[str]) -> int:
     return outcome.exit_status(sweep.outcomes)
 
 
-def _parsed(overrides: list[str]) -> list[Override]:
+def parsed(overrides: list[str]) -> list[Override]:
     with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
         parser = OverridesParser.create(GlobalHydra.instance().config_loader())
         return parser.parse_overrides(overrides)
@@ -113,16 +113,16 @@ def _first(override: Override) -> str:
 
 def _combinations(overrides: list[Override]) -> list[list[str]]:
     """The settings of each job: every value with every other."""
-    choices = []
-    for override in overrides:
-        if not override.is_sweep_override():
-            choices.append([override.input_line])
-        elif override.is_discrete_sweep():
-            name = override.get_key_element()
-            choices.append([f"{name}={value}" for value in override.sweep_string_iterator()])
-        else:
-            raise InputError(f"{override.input_line}: for a search: add hydra/sweeper=optuna")
-    return [list(chosen) for chosen in itertools.product(*choices)]
+    return [list(chosen) for chosen in itertools.product(*map(choices, overrides))]
+
+
+def choices(override: Override) -> list[str]:
+    """The settings that it stands for, one for each value. Raises InputError for an interval."""
+    if not override.is_sweep_override():
+        return [override.input_line]
+    if not override.is_discrete_sweep():
+        raise InputError(f"{override.input_line}: for a search: isas run -m hydra/sweeper=optuna")
+    return [f"{override.get_key_element()}={each}" for each in override.sweep_string_iterator()]
 
 
 def _label(overrides: list[str], typed: list[str]) -> str:
@@ -152,7 +152,7 @@ def _other(flags: list[str], overrides: list[str]) -> int:
 
     main = hydra.main(version_base="1.3", config_path=schema.folder(), config_name="config")
     overrides = complete(overrides)
-    with one.argv(["isas run", *overrides, *flags]), _errors_raised(), _explained(overrides):
+    with one.argv(["isas run", *overrides, *flags]), _errors_raised(), explained(overrides):
         try:
             main(run)()
         except OSError as error:
@@ -169,7 +169,7 @@ def _other(flags: list[str], overrides: list[str]) -> int:
 
 
 @contextlib.contextmanager
-def _explained(overrides: list[str]) -> Iterator[None]:
+def explained(overrides: list[str]) -> Iterator[None]:
     """What Hydra refuses within the context becomes one line; ``compose.explain`` does not know
     Hydra's own groups."""
     try:

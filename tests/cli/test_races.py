@@ -1,0 +1,245 @@
+"""Several races of one command: each whole, by whatever launcher, as if it had been held here."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+import yaml
+
+from isas_cli import records
+from isas_cli.cli import race
+from isas_cli.cli.app import main
+from isas_cli.cli.sweeps import races, worker
+from isas_cli.cli.sweeps.job import Report
+
+TINY = ["size=tiny", "estimator.batch=256", "evaluation.pixels=64", "evaluation.count=20"]
+TINY += ["frames.views=0", "frames.snapshots=0", "target.spp=4", "effects=full", "report=false"]
+TINY += ["threads=1", "samplers=uniform,relevant", "hydra.run.dir=all"]
+
+
+@pytest.fixture
+def isas(tmp_path, monkeypatch, capfd):
+    """Calls `isas race` in an empty folder: arguments → (status, stdout, stderr)."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        status = main(["race", *arguments])
+        captured = capfd.readouterr()
+        return status, captured.out, captured.err
+
+    return call
+
+
+def begin(*arguments: str) -> tuple[subprocess.Popen, Path]:
+    """`isas race` in a process of its own, and the folder of a run that goes on."""
+    command = [sys.executable, "-m", "isas_cli", "race", *TINY, *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while True:
+        for history in Path("all").rglob("history.csv"):
+            if len(history.read_text().splitlines()) > 2:
+                return process, history.parent
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.02)
+
+
+def table(err: str) -> dict[str, str]:
+    """Race → status, from the table at the end."""
+    rows = [re.split(r"\s{2,}", line.strip()) for line in err.splitlines()]
+    return {row[0]: row[1] for row in rows if len(row) == 3 and row[0] != "job"}
+
+
+def runs() -> dict[str, records.Run]:
+    return {str(p.parent): records.load(p.parent) for p in Path().rglob("manifest.json")}
+
+
+def test_each_seed_is_a_race_and_what_is_done_is_skipped(isas):
+    command = [*TINY, "scene=dodoco", "seed=1,2", "budget.iterations=2"]
+    status, out, err = isas(*command)
+    assert status == 0, err
+    assert "races: 2 of 2 to be held, with 4 runs\n" in err
+    assert table(err) == {"dodoco/seed1": "done", "dodoco/seed2": "done"}
+    assert out.count("dodoco: errors") == 1
+    assert out.endswith("report: all/comparison/report.html\n")
+    names = ("relevant", "uniform")
+    held = [f"all/dodoco/seed{n}/{name}/seed{n}" for n in (1, 2) for name in names]
+    found = runs()
+    assert sorted(found) == held
+    for n in (1, 2):
+        folder = Path(f"all/dodoco/seed{n}")
+        planned = yaml.safe_load((folder / "race.yaml").read_text())["entries"]
+        assert [each["folder"] for each in planned] == [f"uniform/seed{n}", f"relevant/seed{n}"]
+        assert (folder / "comparison/report.html").is_file()
+        typed = found[f"{folder}/uniform/seed{n}"].manifest["command"]
+        assert typed[:2] == ["isas", "race"] and f"hydra.run.dir={folder}" in typed
+
+    # One that was killed before its record was whole.
+    (Path(held[3]) / "summary.json").unlink()
+    status, _, err = isas(*command)
+    assert status == 0 and "races: 1 of 2 to be held, with 2 runs\n" in err
+    assert list(table(err).values()) == ["skipped", "resumed"]
+    after = runs()
+    same = [after[name].manifest == found[name].manifest for name in held]
+    assert same == [True] * 3 + [False]
+    assert len(after[held[3]].manifest["resumed"]) == 1
+
+    status, _, err = isas(*command[:-1], "budget.iterations=3")
+    assert (
+        status == 2
+        and err.count("\n") == 1
+        and "all/dodoco/seed1 holds a race with other settings" in err
+    )
+    status, out, err = isas("resume=all")
+    assert status == 0 and list(table(err).values()) == ["skipped"] * 2
+    assert out.endswith("report: all/comparison/report.html\n")
+
+
+def test_ctrl_c_leaves_what_resume_goes_on_with(isas, monkeypatch):
+    process, folder = begin("scene=dodoco", "seed=1,2", "budget.iterations=4000")
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate()
+    assert process.returncode == 130 and err.endswith("isas: interrupted\n")
+    assert table(err) == {"dodoco/seed1": "interrupted", "dodoco/seed2": "not begun"}
+    assert "report: all/comparison/report.html" in out
+    first = {name: run.summary for name, run in runs().items()}
+    assert len(first) == 2 and {end["status"] for end in first.values()} == {"interrupted"}
+    monkeypatch.chdir("all")  # files and folders are found from elsewhere
+    more = max(end["iterations"] for end in first.values()) + 2
+    status, _, err = isas("resume=.", f"budget.iterations={more}")
+    assert status == 0, err
+    monkeypatch.chdir("..")
+    ends = runs()
+    assert len(ends) == 4 and {run.summary["iterations"] for run in ends.values()} == {more}
+    assert ["resumed" in ends[name].manifest for name in first] == [True, True]
+
+
+def test_ray_holds_a_race_again_whose_worker_is_lost(isas):
+    pytest.importorskip("ray", reason="pip install '.[ray]'")
+    ray = ["hydra/launcher=ray", "hydra.launcher.ray.init.num_cpus=2"]
+    process, folder = begin(*ray, "scene=dodoco", "seed=1,2", "budget.iterations=600")
+    job = psutil.Process(json.loads((folder / "manifest.json").read_text())["pid"])
+    lost = job.parent()
+    assert lost.name().startswith("ray::")
+    lost.kill()
+    out, err = process.communicate()
+    assert process.returncode == 0, err
+    assert sorted(table(err).values()) == ["done", "resumed"]
+    ends = runs()
+    assert len(ends) == 4
+    assert {(run.summary["status"], run.summary["iterations"]) for run in ends.values()} == {
+        ("done", 600)
+    }
+    again = ends[str(folder)].manifest
+    assert [again, *again.get("resumed", [])][-1]["pid"] != job.pid
+    assert "dodoco: errors" in out
+
+
+@pytest.fixture
+def job(tmp_path, monkeypatch) -> races.Race:
+    monkeypatch.chdir(tmp_path)
+    return races.planned([*TINY, "scene=dodoco", "budget.iterations=2"], "a")
+
+
+def test_a_race_of_another_machine_begins_anew(job, monkeypatch):
+    assert job.go(1) == Report(0)
+    entry = job.plan.entries[0]
+    manifest = json.loads((entry.folder / "manifest.json").read_text())
+    manifest["machine"]["device"] = "another"
+    (entry.folder / "manifest.json").write_text(json.dumps(manifest))
+    assert job.found() == "done"
+    before = runs()
+    (page := job.folder / "comparison/report.html").unlink()
+    assert job.found() == "unfinished"
+    assert job.go(1) == Report(0, resumed=True)  # only its comparison was left
+    assert page.exists() and {n: run.manifest for n, run in runs().items()} == {
+        n: run.manifest for n, run in before.items()
+    }
+    (entry.folder / "summary.json").unlink()
+    assert job.found() == "unfinished"
+    assert job.go(1) == Report(0)
+    assert not any("resumed" in run.manifest for run in runs().values())
+    assert job.found() == "done"
+
+
+def test_other_settings_are_another_race_and_other_threads_are_not(job):
+    job.plan.begin()
+
+    def found(*changes: str) -> str:
+        own, overrides = race.options_of([*TINY, "scene=dodoco", "budget.iterations=2", *changes])
+        return races.Race("a", [], job.folder, job.cfg, race.planned(own, overrides), 1, {}).found()
+
+    assert found() == found("variant=llvm_ad_rgb") == "unfinished"
+    assert found("optimizer.lr=0.5") == found("seed=2") == "other"
+
+
+def test_one_whose_worker_is_lost_is_told_and_ends_no_other(isas, monkeypatch):
+    def attempt(job, command, threads, quiet, stop):
+        if job.label.endswith("seed1"):
+            raise OSError("no more processes")
+        return Report(3, "a contestant failed numerically, the others went on")
+
+    monkeypatch.setattr(worker, "run", attempt)
+    status, _, err = isas(*TINY, "scene=dodoco", "seed=1,2", "budget.seconds=90")
+    assert status == 1 and set(table(err).values()) == {"failed"}
+    assert "with 4 runs: 0:06:00 billed, plus targets" in err
+    lost = "its worker was lost: OSError: no more processes"
+    assert f"isas: dodoco/seed1: {lost}" in err.splitlines()
+    assert Path("all/dodoco/seed1/error.txt").read_text() == f"{lost}\n"
+
+
+@pytest.mark.parametrize(
+    "typed, places",
+    [
+        ("scene=dodoco seed=[1,2]", []),
+        ("scene=dodoco seed=[1,2] hydra/launcher=joblib", ["dodoco"]),
+        ("scene=dodoco,cup seed=1,2", ["dodoco/seed1", "dodoco/seed2", "cup/seed1", "cup/seed2"]),
+        ("scene=cup seed=[1,2],[3]", ["cup/seed_1_2", "cup/seed_3"]),
+        ("seed=range(1,3) scene=cup size=tiny,paper", None),
+    ],
+)
+def test_every_value_is_a_race_with_every_other(typed, places):
+    found = races.expanded(*race.options_of([*typed.split(), "~scene.method"]))
+    if places is None:
+        places = [f"cup/size={size}/seed{n}" for size in ("tiny", "paper") for n in (1, 2)]
+    assert [place for place, _ in found] == places
+    for _, arguments in found:
+        assert "~scene.method" in arguments and arguments[-1].startswith("seed=")
+
+
+@pytest.mark.parametrize(
+    "typed, words",
+    [
+        ("scene=dodoco,potery", "did you mean 'pottery'"),
+        ("scene=dodoco seed=1,a", "whole numbers"),
+        ("scene=dodoco,cup samplers=uniform,urs", "did you mean 'ours'"),
+        ("scene=dodoco optimizer.lr=interval(0,1)", "hydra/sweeper=optuna"),
+        ("scene=dodoco hydra/sweeper=optuna", "of Hydra's settings a race takes"),
+        ("scene=dodoco seed=1,2 hydra.sweep.dir=x", "of Hydra's settings a race takes"),
+        ("scene=dodoco hydra/launcher=rai", "hydra/launcher=rai: no such hydra/launcher"),
+        ("scene=dodoco hydra/launcher=ray hydra.launcher.rai=1", "hydra.launcher.rai: no such"),
+        ("scene=dodoco seed=1,2 hydra.run.dir=", "hydra.run.dir is empty"),
+        ("scene=dodoco seed=1,2 slice=0", "above 0"),
+        ("scene=dodoco seed=1,2 budget.seconds=-1", "budget"),
+    ],
+)
+def test_what_cannot_be_held_is_one_line_and_leaves_nothing(isas, monkeypatch, typed, words):
+    monkeypatch.setattr("isas_cli.cli.sweeps.launchers._installed", lambda package: True)
+    samplers = [] if "samplers=" in typed else ["samplers=[uniform]"]
+    status, out, err = isas(*typed.split(), *samplers)
+    assert (status, out) == (2, "")
+    assert words in err and err.count("\n") == 1, err
+    assert os.listdir() == []
+
+
+@pytest.mark.parametrize("text", ["", "races: [1]", "races: [{folder: x}]", "races: [{folder: 1"])
+def test_a_damaged_list_of_races_is_refused(isas, text):
+    Path("all").mkdir()
+    Path("all/races.yaml").write_text(text)
+    status, _, err = isas("resume=all")
+    assert status == 2 and err == "isas: all holds no race: races.yaml is missing or damaged\n"
