@@ -1,11 +1,11 @@
-"""What targets cost: noise × time of a rendering as `isas` makes it, over that of independent paths.
+"""Noise × time of targets as `isas` renders them, over that of independent paths.
 
-Of the scenes with an unknown texture, at their truths, films of 128². Independent paths are those of
-`Renderer`, one a pixel and pass, as targets were rendered before. Sides take turns; each turn's
-noise is measured: of independent paths by the difference of two renderings, of the others as they
-tell it themselves (tests/rendering/test_stratified.py compares that with many renderings). Both over
-all pixels and over the 99 in 100 with the least noise, as rare bright paths rule the former. Writes
-results/targets.csv, a row a scene and `target.noise`: `of_time` below 1 / 6 is the goal.
+Of the scenes with an unknown texture, at their truths, films of 128². Independent paths are those
+of `Renderer`, one a pixel and pass, as targets were rendered before. Sides take turns, and each
+turn's noise is measured: of independent paths by the difference of two renderings, of the others as
+they tell it themselves (tests/rendering/test_stratified.py compares that with many renderings).
+Over the 99 in 100 pixels with the least noise, and over all, whose noise rare bright paths rule.
+Writes results/targets.csv, a row a scene and `target.noise`: the goal is an `of_time` of 1 / 6.
 
     .venv/bin/python benchmarks/targets.py [SCENE …] [--noise 0.05 0.02] [--turns 2]
 """

@@ -29,7 +29,9 @@ _LANES = 1 << 20
 # that a pixel has several sequences in the mean.
 _LONGEST, _SEVERAL = 64, 8
 # Sides of blocks that share a number of sequences, and of the squares of which each has a pilot.
-_BLOCK, _SQUARE = 8, 4
+_BLOCK, _SQUARE = 4, 2
+# Parts of a sequence, of which a pilot is one.
+_PARTS = 4
 # Of the mean standard deviation: what a block is taken to have at least, so that what few pilots
 # did not see is seen later, and at most.
 _LEAST, _MOST = 0.25, 32.0
@@ -118,9 +120,12 @@ class _Rendering:
         self.told, self.keep = told, keep
         self.pixels = problem.views.total
         most = _LONGEST if spp is None else max(1, min(_LONGEST, spp // _SEVERAL))
-        self.length = math.isqrt(most) ** 2
+        self.length = max(1, (math.isqrt(most) // 2 * 2) ** 2)
+        # Of which a pilot has the paths of one, so that one kernel does for both.
+        self.parts = _PARTS if self.length >= 4 * _PARTS else 1
         self.width = max(1, min(self.pixels, _LANES // self.length))
-        self._kernel = recorded(_kernel(problem.integrator, self.length, self.width), problem)
+        own = self.length, self.parts, self.width
+        self._kernel = recorded(_kernel(problem.integrator, *own), problem)
 
     def sums(self, kept: Sums | None) -> Sums:
         found = Sums.none(self._shared_out()) if kept is None else kept
@@ -147,8 +152,9 @@ class _Rendering:
         blocks, pilots = _blocks(self.problem.film_sizes, streams.seed(self.seed, 0, "target"))
         sums, squares = np.zeros((2, 3, pilots.size))
         finite = np.zeros(pilots.size)
-        for number, first in enumerate(range(0, pilots.size, self.width)):
-            part = slice(first, first + self.width)
+        width = self.width * self.parts
+        for number, first in enumerate(range(0, pilots.size, width)):
+            part = slice(first, first + width)
             found = self._traced(pilots[part], _PILOT + number)
             sums[:, part], squares[:, part], finite[part] = found
         means = sums / np.maximum(finite, 1)
@@ -191,7 +197,11 @@ class _Rendering:
         found.rounds, found.at = found.rounds + 1, 0
 
     def _add(self, found: Sums, chosen: np.ndarray, number: int) -> None:
-        sums, _, finite = self._traced(chosen, number)
+        parts = np.repeat(chosen, self.parts)
+        sums, _, finite = (
+            each.reshape(*each.shape[:-1], chosen.size, self.parts).sum(-1)
+            for each in self._traced(parts, number)
+        )
         means = sums / np.maximum(finite, 1)
         first, last = chosen[0], chosen[-1] + 1  # in order
         own = chosen - first
@@ -203,21 +213,21 @@ class _Rendering:
         found.lost += chosen.size * self.length - int(finite.sum())
 
     def _traced(self, chosen: np.ndarray, number: int) -> tuple[np.ndarray, ...]:
-        """Of a sequence through each pixel ``chosen``: sums of radiance and of its square
+        """Of a part of a sequence through each pixel ``chosen``: sums of radiance and of its square
         ``(3, n)``, and how many paths were finite ``(n,)``, all ``float64``."""
         p = self.problem
-        pixel = mi.UInt32(np.resize(chosen, self.width).astype(np.uint32))
+        pixel = mi.UInt32(np.resize(chosen, self.width * self.parts).astype(np.uint32))
         drawn = dr.opaque(mi.UInt32, streams.seed(self.seed, number, "target"))
         found = self._kernel(p.scene, p.sensors, p.views, p.unknowns.leaves, pixel, drawn)
         sums = [np.array(each, np.float64)[: chosen.size] for each in found]
         return np.stack(sums[:3]), np.stack(sums[3:6]), sums[6]
 
 
-def _kernel(integrator, length: int, width: int):
+def _kernel(integrator, length: int, parts: int, width: int):
     def kernel(scene, sensors, views, leaves, pixel, seed):
         with dr.suspend_grad():
             lane = dr.arange(mi.UInt32, width * length)
-            view, column, row = views.locate(dr.gather(mi.UInt32, pixel, lane // length))
+            view, column, row = views.locate(dr.gather(mi.UInt32, pixel, lane // (length // parts)))
             stream = mi.load_dict({"type": "multijitter", "sample_count": length})
             stream.set_samples_per_wavefront(length)
             stream.seed(seed, width * length)
@@ -227,9 +237,9 @@ def _kernel(integrator, length: int, width: int):
             finite = dr.all(dr.isfinite(radiance))
             radiance = dr.select(finite, radiance, 0)
             dr.eval(radiance, finite)
-        parts = [*map(mi.Float64, radiance), *(dr.square(mi.Float64(c)) for c in radiance)]
-        parts.append(dr.select(finite, mi.Float64(1), 0))
-        return [dr.block_sum(each, length) for each in parts]
+        sums = [*map(mi.Float64, radiance), *(dr.square(mi.Float64(c)) for c in radiance)]
+        sums.append(dr.select(finite, mi.Float64(1), 0))
+        return [dr.block_sum(each, length // parts) for each in sums]
 
     return kernel
 
