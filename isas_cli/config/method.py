@@ -20,6 +20,15 @@ from .schema import PRESETS
 NONE = "scene.method=null"
 # Chosen for the estimator that the scene names; another one's are its own.
 _OF_ESTIMATOR = ("estimator", "optimizer")
+# Settings of which one is enough: what is typed of a line leaves out all that a scene has of it.
+_INSTEAD = {
+    key: line
+    for line in (
+        ("budget", "budget.seconds", "budget.iterations", "budget.paths"),
+        ("target", "target.spp", "target.noise"),
+    )
+    for key in line
+}
 
 
 def completed(overrides: list[str]) -> list[str]:
@@ -39,11 +48,11 @@ def completed(overrides: list[str]) -> list[str]:
 
     def left(key: str) -> bool:
         group, dot, _ = key.partition(".")
-        if group == "budget":
-            return not any(each.partition(".")[0] == group for each in typed)
-        if dot and group in _OF_ESTIMATOR and not same:
-            return False
         if group == "target" and "scene.targets" in typed:  # which are not rendered
+            return False
+        if key in _INSTEAD:
+            return not any(each in _INSTEAD[key] for each in typed)
+        if dot and group in _OF_ESTIMATOR and not same:
             return False
         return key not in typed and not (key == "estimator" and preset)
 

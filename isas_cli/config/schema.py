@@ -268,16 +268,38 @@ class SceneConfig:
         _at_least(-1, scene__max_depth=self.max_depth)
 
 
+# Of targets, where nothing is said: benchmarks/targets.py.
+_NOISE = 0.02
+
+
 @dataclass
 class TargetConfig:
-    """Rendered targets: paths per pixel, and the seed of a stream of their own."""
+    """Rendered targets. ``noise``: the standard deviation of their pixels as a share of their mean
+    brightness (``rendering.stratified.noise``; None: 0.02), or instead ``spp``: paths per pixel,
+    in the mean. ``seed``: of a stream of their own."""
 
-    spp: int = 128
+    noise: Optional[float] = None
+    spp: Optional[int] = None
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _at_least(1, target__spp=self.spp)
+        if self.noise is not None and self.spp is not None:
+            raise InputError(
+                f"target.noise={self.noise} and target.spp={self.spp}: one of them says how well "
+                "targets are rendered; null takes the other out"
+            )
+        if self.noise is not None and not 1e-4 <= self.noise < 1:
+            raise InputError(
+                f"target.noise={self.noise}: a share of the brightness, at least 1e-4, below 1"
+            )
+        if self.spp is not None:
+            _at_least(1, target__spp=self.spp)
         _at_least(0, target__seed=self.seed)
+
+    @property
+    def wanted(self) -> Optional[float]:
+        """The noise that is wanted, None where paths are counted."""
+        return None if self.spp is not None else self.noise or _NOISE
 
 
 _OF_RUNS = {"shared": True, "looped": True}
@@ -285,11 +307,13 @@ _OF_RUNS = {"shared": True, "looped": True}
 
 @dataclass
 class BudgetConfig:
-    """When to stop: the first of those given. None of them: 60 billed seconds."""
+    """When to stop: the first of those given. None of them: 60 billed seconds. ``converged``: also
+    where what is left of the images' error is the targets' noise (``engine.floor``)."""
 
     seconds: Optional[float] = setting(None, Role.METHOD, resumes=True, **_OF_RUNS)
     iterations: Optional[int] = setting(None, Role.METHOD, resumes=True, **_OF_RUNS)
     paths: Optional[float] = setting(None, Role.METHOD, resumes=True, **_OF_RUNS)
+    converged: bool = setting(False, Role.METHOD, resumes=True, **_OF_RUNS)
 
 
 @dataclass

@@ -119,8 +119,8 @@ def problem(
     # Last, because this may take minutes and nothing can be refused after it.
     if truth_known:
         phase("targets")
-        pixels, digest = targets.render(result, target.spp, target.seed, rendered)
-        result.set_targets(pixels, None, digest)
+        pixels, variance, digest = targets.render(result, target, rendered)
+        result.set_targets(pixels, None, digest, variance)
     if scene.weights is not None:
         result.weigh(scene.weights)
     return result

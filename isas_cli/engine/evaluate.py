@@ -14,6 +14,8 @@ from ..rendering import rays
 from ..rendering.renderer import Renderer
 from ..runtime import streams
 from ..scene.problem import Problem
+from . import floor
+from .floor import Floor
 
 
 class Evaluator:
@@ -83,6 +85,16 @@ class Evaluator:
         )
         dr.eval(halves)
         return halves
+
+    def products(self, values: dict) -> np.ndarray:
+        """(A - A*)(B - B*) of the chosen pixels, their channels' mean, ``(n,) float32``."""
+        (first, second), (a, b) = self._halves(values), self.references
+        return np.array(dr.mean((first - a) * (second - b)), np.float32)
+
+    @cached_property
+    def floor(self) -> Floor | None:
+        """What fitting the targets' noise leaves."""
+        return floor.measure(self, self.seed)
 
     def __call__(self, values: dict) -> dict[str, float]:
         """``loss``, ``image_rmse``, ``parameter_rmse``, ``parameter_rmse/<key>``, and ``value/…``:

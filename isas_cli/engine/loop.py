@@ -24,6 +24,7 @@ from ..samplers.sampler import Sampler
 from ..scene.problem import Problem
 from ..unknowns.parameters import flat
 from .evaluate import Evaluator
+from .floor import Floor
 from .optimiser import Stepper
 
 # Recording a frozen kernel takes two or three calls; from the fourth on a step is steady.
@@ -76,10 +77,11 @@ class Loop:
         evaluations: int,
         prior: OnUnknowns | None = None,
         plan: Plan | None = None,
+        until_converged: bool = False,
     ):
         self.problem, self.sampler, self.stepper = problem, sampler, stepper
         self.evaluator, self.budget, self.seed = evaluator, budget, seed
-        self.evaluations = evaluations
+        self.evaluations, self.until_converged = evaluations, until_converged
         self.clock = Clock()
         self.position = Position()
         self.last: dict | None = None
@@ -102,6 +104,18 @@ class Loop:
     def whole(self) -> Problem:
         """The problem with all effects and views."""
         return self.evaluator.problem
+
+    @property
+    def floor(self) -> Floor | None:
+        """What fitting the targets' noise to the end leaves, where that is known. Unbilled."""
+        with self.clock.unbilled("evaluation"):
+            return self.evaluator.floor
+
+    @property
+    def converged(self) -> bool:
+        """Whether what the last evaluation found is the targets' noise."""
+        floor, last = self.floor, self.last
+        return floor is not None and last is not None and last["image_rmse"] <= floor.image_rmse
 
     @property
     def spent(self) -> float:
@@ -176,7 +190,8 @@ class Loop:
             self._evaluate(hooks)
 
     def advance(self, hooks: Hooks, seconds: float = math.inf) -> bool:
-        """Iterate for about ``seconds`` of billed time, at least once; True: the budget is spent.
+        """Iterate for about ``seconds`` of billed time, at least once; True: the budget is spent,
+        or it goes ``until_converged`` and is.
 
         Raises NumericalError like ``run``.
         """
@@ -190,6 +205,9 @@ class Loop:
             spent = self.spent
             if spent >= 1 or spent >= self._next_evaluation():
                 self._evaluate(hooks)
+                if self.until_converged and self.converged:
+                    self._count_lost()
+                    return True
             hooks.stepped(self, spent)
             if self.clock.seconds >= until:
                 break

@@ -12,7 +12,7 @@ from .. import records
 from ..config.schema import Config
 from ..runtime import backend, interrupt
 from ..runtime.budget import Budget
-from ..runtime.errors import NumericalError
+from ..runtime.errors import InputError, NumericalError
 from . import resumption
 from .display import RaceDisplay
 from .experiment import Phases, built, checked, started
@@ -31,6 +31,8 @@ class Entry:
 
     def __post_init__(self) -> None:
         self.typed, self.budget = checked(self.cfg)
+        if self.typed.budget.converged:
+            raise InputError("budget.converged=true: a race gives all the same time; leave it out")
 
     @property
     def name(self) -> str:

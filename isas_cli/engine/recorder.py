@@ -70,6 +70,7 @@ class Recorder:
                     typed.target.seed,
                     loop.plan.statements,
                     loop.plan.record(),
+                    None if loop.floor is None else loop.floor.record,
                 )
             )
         self._checkpoint()
@@ -259,6 +260,11 @@ class Recorder:
                     kept = f"meshes/good_{safe_name(key)}.*"
                     doubt += f"; {kept} is as of iteration {self._good[key][0]['iteration']}"
                 warnings.append(doubt)
+        if self.loop.converged:
+            warnings.append(
+                "what is left is the targets' noise: a fit to them ends at an image_rmse of "
+                f"{self.loop.floor.image_rmse:.2g}; target.noise=… lowers it"
+            )
         if not self.loop.evaluator.loss.linear:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
         for entry in self._resumed:

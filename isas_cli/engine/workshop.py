@@ -12,6 +12,7 @@ from ..effects import Plan, decide
 from ..estimators.staged import Staged
 from ..rendering.renderer import Renderer
 from ..runtime.budget import Budget
+from ..runtime.errors import InputError
 from ..scene.problem import Problem
 from .evaluate import Evaluator
 from .loop import Loop
@@ -106,7 +107,13 @@ class Workshop:
                 "prior", (held,), lambda: instantiate(cfg.prior, "prior").on(problem.unknowns)
             ),
             plan,
+            typed.budget.converged,
         )
+        if typed.budget.converged and loop.floor is None:
+            raise InputError(
+                "budget.converged=true stops a run at its targets' noise, which is not known here: "
+                "it is of rendered targets, where nothing moves; leave it out"
+            )
         if plan.seconds:
             loop.clock.billed_seconds["probe"] = plan.seconds
         return loop

@@ -7,7 +7,7 @@ import math
 import os
 import platform
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -198,4 +198,6 @@ def _row(run: Run, index: int) -> dict[str, float]:
 
 def _budget(config: dict[str, Any]) -> Budget | None:
     limits = config.get("budget")
-    return Budget(**limits) if isinstance(limits, dict) else None
+    if not isinstance(limits, dict):
+        return None
+    return Budget(*(limits.get(each.name) for each in fields(Budget)))

@@ -77,11 +77,13 @@ def describe(
     target_seed: int,
     effects: dict[str, str],
     plan: dict | None = None,
+    floor: dict | None = None,
 ) -> dict:
     """Versions, machine, seeds, content hashes, what is simulated, and the command line.
 
     ``effects``: effect → what is done about it; ``plan``: the same in numbers, with what was
-    measured for it (``effects.Plan``); None of what has none."""
+    measured for it (``effects.Plan``); ``floor``: the targets' noise and what fitting it leaves
+    (``engine.floor.Floor``); None of what has none."""
     integrator = problem.integrator
     return {
         "isas": __version__,
@@ -105,6 +107,7 @@ def describe(
         "integrator": {"class": integrator.name, "max_depth": integrator.max_depth},
         "effects": effects,
         **({} if plan is None else {"plan": plan}),
+        **({} if floor is None else {"targets": floor}),
         "views": [list(size) for size in problem.film_sizes],
         "parameter_rmse_is": _headline(problem.unknowns.unit),
         "unknowns": {

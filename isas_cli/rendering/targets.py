@@ -10,45 +10,55 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..runtime import images, streams
-from ..runtime.cache import cached, digest
+from ..config.schema import TargetConfig
+from ..runtime import images
+from ..runtime.cache import cached, digest, unfinished
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
-from . import rays
-from .renderer import Renderer
+from . import rays, stratified
+from .stratified import Sums
 
 # Raised when what a cached target means changes.
-_FORMAT = 1
+_FORMAT = 2
+# Times the noise that is wanted: more than this is said.
+_MISSED = 1.05
 
 
 def render(
-    problem: Problem, spp: int, seed: int, told: Callable[[int, int], None]
-) -> tuple[mi.Float, str]:
-    """Targets rendered at the truth with ``spp`` paths a pixel, from the cache where possible.
+    problem: Problem, target: TargetConfig, told: Callable[[int, int], None]
+) -> tuple[mi.Float, np.ndarray, str]:
+    """Targets rendered at the truth as ``target`` says, from the cache where possible.
 
-    ``told(done, total)`` counts light paths. Returns the images and their content hash.
+    ``told(done, total)`` counts light paths. Returns the images, the variance of each pixel
+    ``(n,) float32`` (NaN where it is not known) and their content hash. What is there of a
+    rendering that stops halfway is kept, and goes on.
     """
-    key = digest("target", _FORMAT, problem.content_hash, spp, seed, mi.__version__)
-    total = problem.views.total
+    wanted = target.wanted
+    how = ["spp", target.spp] if wanted is None else ["noise", wanted]
+    key = digest("target", _FORMAT, problem.content_hash, how, target.seed, mi.__version__)
 
     def compute() -> dict[str, np.ndarray]:
         problem.unknowns.write(problem.unknowns.truths())
-        done = 0
-
-        def advance(paths: int) -> None:
-            nonlocal done
-            done += paths
-            told(done, total * spp)
-
-        renderer = Renderer(problem)
-        rendered = renderer.range(0, total, spp, lambda i: streams.seed(seed, i, "target"), advance)
-        return {"images": rendered, "nonfinite": np.array(renderer.nonfinite)}
+        with unfinished(f"target-{key}-part") as (part, keep):
+            begun = Sums.of(part) if part else None
+            sums = stratified.render(
+                *(problem, wanted, target.spp, target.seed, told, begun),
+                keep=lambda sums: keep(sums.arrays),
+            )
+        found = {"images": sums.images, "variance": sums.variance}
+        return found | {"lost": np.array(sums.lost), "paths": np.array(sums.paths)}
 
     arrays = cached(f"target-{key}", compute)
-    lost = int(arrays["nonfinite"])
+    lost, paths = int(arrays["lost"]), int(arrays["paths"])
     if lost:
-        problem.warnings.append(f"{lost} of {total * spp} target paths were not finite: left out")
-    return mi.Float(arrays["images"].reshape(-1)), key
+        problem.warnings.append(f"{lost} of {paths} target paths were not finite: left out")
+    has = stratified.noise(arrays["images"], arrays["variance"])
+    if wanted is not None and has > _MISSED * wanted:
+        problem.warnings.append(
+            f"the targets' noise is {has:.2g} of their brightness, not target.noise={wanted}, "
+            f"after {paths // problem.views.total} paths a pixel, the most: target.spp=N takes more"
+        )
+    return mi.Float(arrays["images"].reshape(-1)), arrays["variance"], key
 
 
 def given(

@@ -33,6 +33,7 @@ def write_page(run: Run, pictures: list[Picture], plots: list[Picture]) -> Path:
         summary=summary,
         results=_results(summary),
         effects=run.manifest.get("effects") or {},
+        targets=run.manifest.get("targets") or {},
         parameter_rmse_is=run.parameter_rmse_is,
         truth_known=_value(summary, "start", "parameter_rmse") is not None,
         phases=_phases(summary),

@@ -8,7 +8,7 @@ import json
 import os
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
 
 _DEFAULT_GIB = 4.0
+_KEPT_EVERY = 20.0  # seconds between writes of what is not whole yet
 _OLD = 3600.0  # seconds after which nobody writes a file any more
 
 
@@ -72,6 +73,43 @@ def cached(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, 
         write_atomically(path, lambda temporary: _save(temporary, arrays))
         _shrink(most, keep=path)
     return arrays
+
+
+@contextlib.contextmanager
+def unfinished(key: str) -> Iterator[tuple[dict[str, np.ndarray], Callable]]:
+    """For a long computation that can go on: what an earlier one that stopped has left under
+    ``key`` (nothing: empty), and ``keep(arrays)``, to be called after each part with a function
+    that gives all there is. It is written now and then, and where the computation is stopped; where
+    it ends nothing stays.
+    """
+    import numpy as np
+
+    path, latest, written = folder() / f"{key}.npz", [], [time.monotonic()]
+
+    def write() -> None:
+        with contextlib.suppress(OSError, IsasError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(path, lambda temporary: _save(temporary, latest[0]()))
+            _shrink(limit(), keep=path)
+        written[0] = time.monotonic()
+
+    def keep(arrays: Callable[[], dict]) -> None:
+        latest[:] = [arrays]
+        if time.monotonic() - written[0] > _KEPT_EVERY:
+            write()
+
+    found = {}
+    with contextlib.suppress(OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+        with np.load(path) as stored:
+            found = {name: stored[name] for name in stored.files}
+    try:
+        yield found, keep
+    except BaseException:
+        if latest:
+            write()
+        raise
+    with contextlib.suppress(OSError):
+        path.unlink()
 
 
 def digest(*parts) -> str:

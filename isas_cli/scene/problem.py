@@ -24,6 +24,8 @@ class Problem:
     """Everything that defines what is to be found; knows no sampler and no optimiser.
 
     ``targets``: ``(3 n,) float32``, linear radiance, pixel after pixel of all views;
+    ``variance``: of their pixels' noise ``(n,) float32``, the channels' mean, or None where nothing
+    is known of it;
     ``mask``: ``(n,) float32`` weights of the pixels, or None for all ones;
     ``share``: 1 / (3 Σ_j w_j), the factor between a pixel's ∂ℓ/∂I and ∂ℒ/∂I (opaque, one entry);
     ``film_sizes``: ``[(width, height), …]`` per view; ``content_hash``: of scene and cameras;
@@ -42,6 +44,7 @@ class Problem:
     unknowns: Unknowns
     content_hash: str
     targets: mi.Float | None = None
+    variance: np.ndarray | None = None
     mask: mi.Float | None = None
     share: mi.Float | None = None
     target_hash: str = ""
@@ -56,9 +59,16 @@ class Problem:
     def truth_known(self) -> bool:
         return all(u.truth is not None for u in self.unknowns)
 
-    def set_targets(self, images: mi.Float, mask: mi.Float | None, digest: str) -> None:
+    def set_targets(
+        self,
+        images: mi.Float,
+        mask: mi.Float | None,
+        digest: str,
+        variance: np.ndarray | None = None,
+    ) -> None:
         """Take target images over and fix the loss's normalisation."""
         self.targets, self.mask, self.target_hash = images, mask, digest
+        self.variance = variance
         weight = float(self.views.total) if mask is None else float(dr.sum(mask)[0])
         self.share = dr.opaque(mi.Float, 1.0 / (3.0 * weight))
 
@@ -69,7 +79,7 @@ class Problem:
         factors = weights.of_views(given, np.split(mask, np.cumsum(counts)[:-1]))
         mask = own(mi.Float, mask * np.repeat(factors, counts).astype(np.float32))
         weighed = digest("weights", self.target_hash, [float(each) for each in factors])
-        self.set_targets(self.targets, mask, weighed)
+        self.set_targets(self.targets, mask, weighed, self.variance)
 
     def pixels(self, views: tuple[int, ...]) -> np.ndarray:
         """The pixels of some views, ``uint32``, view after view."""
@@ -87,6 +97,7 @@ class Problem:
             film_sizes=sizes,
             views=Views.of(sizes),
             targets=dr.ravel(dr.gather(mi.Color3f, self.targets, pixels)),
+            variance=None if self.variance is None else self.variance[np.array(pixels)],
             mask=None if self.mask is None else dr.gather(mi.Float, self.mask, pixels),
             kept=tuple(views),
         )

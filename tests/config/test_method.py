@@ -72,7 +72,9 @@ def test_a_word_counts_instead(words, found):
 
 
 def test_a_budget_counts_instead_of_the_scenes():
-    assert composed("scene=cup").budget == {"seconds": None, "iterations": 400, "paths": None}
+    own = {"seconds": None, "iterations": 400, "paths": None, "converged": False}
+    assert composed("scene=cup").budget == own
+    assert composed("scene=cup", "budget.converged=true").budget == own | {"converged": True}
     assert composed("scene=cup", "budget.seconds=9").budget.iterations is None
     assert composed("scene=cup", "sampler=mitsuba").budget.iterations == 400
     assert composed("scene=cup", "~scene.method").budget.iterations is None
@@ -80,6 +82,7 @@ def test_a_budget_counts_instead_of_the_scenes():
 
 def test_targets_of_ones_own_are_not_rendered():
     assert composed("scene=caustic").target.spp == 2048
+    assert composed("scene=caustic", "target.noise=0.1").target.spp is None
     found = composed("scene=caustic", "scene.targets=[a.exr]")
     assert found.target.spp == schema.TargetConfig().spp
 

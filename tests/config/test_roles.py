@@ -59,5 +59,5 @@ def test_a_sweep_s_folder_is_named_after_what_is_computed():
 
 
 def test_what_a_continued_run_may_change():
-    budgets = {f"budget.{name}" for name in ("seconds", "iterations", "paths")}
+    budgets = {f"budget.{name}" for name in ("seconds", "iterations", "paths", "converged")}
     assert set(resuming()) == {*budgets, "threads", "tracker", "profile"}

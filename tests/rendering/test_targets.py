@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scenes_for_tests import ROUGHNESS, TEXTURE, dictionary, problem
 
+from isas_cli.config.schema import TargetConfig
 from isas_cli.engine import assemble
 from isas_cli.engine.evaluate import Evaluator
 from isas_cli.losses import L2
@@ -22,6 +23,10 @@ def own_cache(tmp_path, monkeypatch):
 
 def silent(done: int, total: int) -> None:
     pass
+
+
+def paths(number: int) -> TargetConfig:
+    return TargetConfig(spp=number)
 
 
 def test_pixels_match_mitsuba_s_own_rendering():
@@ -41,32 +46,32 @@ def test_rendered_targets_are_cached_by_content():
     calls = []
     p = problem({TEXTURE: 0.5})
     count = lambda done, total: calls.append(done)  # noqa: E731
-    first, key = targets.render(p, 4, 0, count)
+    first, _, key = targets.render(p, paths(4), count)
     rendered = len(calls)
     assert rendered > 0
-    again, same = targets.render(p, 4, 0, count)
+    again, _, same = targets.render(p, paths(4), count)
     assert len(calls) == rendered and same == key
     assert np.array_equal(np.array(first), np.array(again))
-    targets.render(p, 5, 0, count)
+    targets.render(p, paths(5), count)
     assert len(calls) > rendered, "another sample count is another target"
     p.content_hash = "other"
     seen = len(calls)
-    targets.render(p, 4, 0, count)
+    targets.render(p, paths(4), count)
     assert len(calls) > seen, "another scene is another target"
 
 
 def test_a_damaged_cache_is_made_anew(tmp_path):
     p = problem({TEXTURE: 0.5})
-    first, key = targets.render(p, 2, 0, silent)
+    first, _, key = targets.render(p, paths(2), silent)
     (tmp_path / f"target-{key}.npz").write_bytes(b"half a file")
-    again, _ = targets.render(p, 2, 0, silent)
+    again, _, _ = targets.render(p, paths(2), silent)
     assert np.array_equal(np.array(first), np.array(again))
 
 
 def test_a_cache_that_cannot_be_written_does_not_stop_the_run(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path / "file" / "below"))
-    images, _ = targets.render(problem({TEXTURE: 0.5}), 2, 0, silent)
+    images, _, _ = targets.render(problem({TEXTURE: 0.5}), paths(2), silent)
     assert dr.width(images) == 3 * 2 * 96
 
 
@@ -142,7 +147,7 @@ def test_the_image_error_is_that_of_the_mean_images():
     """Neither the noise of the targets nor the evaluation's own counts: zero at the truth, and
     elsewhere what a rendering with many paths says."""
     p = problem({ROUGHNESS: 0.4}, resolution=(48, 32))
-    rendered, key = targets.render(p, 2, 0, silent)
+    rendered, _, key = targets.render(p, paths(2), silent)
     p.set_targets(rendered, None, key)
     evaluator = Evaluator(p, L2(), 100_000, 8, 1)
     assert evaluator(p.unknowns.truths())["image_rmse"] == 0

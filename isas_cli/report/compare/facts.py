@@ -187,6 +187,7 @@ def effects(methods: list[Method]) -> list[tuple[list[str], dict[str, str]]]:
             "plan of effects": run.manifest.get("effects"),
             "integrator": run.manifest.get("integrator"),
             "longest path": None if depth is None else f"{depth} segments",
+            "targets": _noise(run.manifest.get("targets")),
         }
         told = {name: _text(value) for name, value in known.items() if value is not None}
         alike = next((labels for labels, other in made if other == told), None)
@@ -195,6 +196,16 @@ def effects(methods: list[Method]) -> list[tuple[list[str], dict[str, str]]]:
         elif told:
             made.append(([method.label], told))
     return made
+
+
+def _noise(floor: dict | None) -> str | None:
+    """Of the manifest's ``targets``."""
+    if not floor:
+        return None
+    return (
+        f"noise of {floor['noise']:.2g} of their brightness; fitting it leaves an image error of "
+        f"{floor['image_rmse']:.2g}"
+    )
 
 
 def number(value: float | None) -> str:

@@ -1,0 +1,86 @@
+"""Where a run fits the noise of its targets: the errors that a perfect fit would be left with.
+
+A fit of p numbers to targets with noise takes a part of the noise for truth. To first order it is
+the noise's projection on what the numbers can do to the images: of N pixel channels, p σ² / N of
+the images' mean squared error, σ² the targets' variance where the numbers show. Of the numbers
+themselves it is what that error comes to by the images' sensitivity, which is measured: all numbers
+of an unknown are moved a little from the truth, each up or down at random, and the images' error is
+set against theirs. Neighbours that the images hardly tell apart have more.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..rendering.stratified import noise
+from ..runtime import streams
+
+if TYPE_CHECKING:
+    from .evaluate import Evaluator
+
+# How far numbers are moved, of their range or their scale.
+_MOVED = 0.05
+
+
+@dataclass(frozen=True)
+class Floor:
+    """``noise``: the targets' (``rendering.stratified.noise``); ``pixel_rms``: the same in units of
+    radiance, all pixels together; what a perfect fit is left with: ``image_rmse``, and by unknown
+    ``parameter_rmse``, in its own unit."""
+
+    noise: float
+    pixel_rms: float
+    image_rmse: float
+    parameter_rmse: dict[str, float]
+
+    @property
+    def record(self) -> dict:
+        return asdict(self)
+
+
+def measure(evaluator: "Evaluator", seed: int) -> Floor | None:
+    """Of the evaluator's problem; None where the targets' noise or the truth is not known, where
+    something moves, or where no image shows the unknowns. Renders."""
+    problem = evaluator.problem
+    variance, unknowns = problem.variance, problem.unknowns
+    if variance is None or not np.all(np.isfinite(variance)) or not problem.truth_known:
+        return None
+    if any(u.kind.moves_geometry for u in unknowns):
+        return None
+    truths = {u.key: u.truth for u in unknowns}
+    here, squares, errors = variance[np.array(evaluator.pixels)], {}, {}
+    channels = 3 * problem.views.total
+    for number, u in enumerate(unknowns):
+        rng = np.random.default_rng(streams.seed(seed, number, "evaluation_place"))
+        moved = _moved(u, rng)
+        shown = evaluator.products(unknowns.values_of(truths | {u.key: moved}))
+        image, error = float(shown.mean()), u.error(moved)
+        if not (image > 0 and error > 0):
+            continue
+        # The part of the variance where the unknown shows; single products are noisy.
+        weights = np.maximum(shown, 0)
+        local = float((weights * here).sum() / weights.sum())
+        squares[u.key] = min(local * int(np.sum(u.seen)) / channels, local)
+        errors[u.key] = error * math.sqrt(squares[u.key] / image)
+    if not squares:
+        return None
+    whole = float(np.mean(variance, dtype=np.float64))
+    images = np.array(problem.targets).reshape(-1, 3)
+    return Floor(
+        noise(images, variance), math.sqrt(whole), math.sqrt(sum(squares.values())), errors
+    )
+
+
+def _moved(unknown, rng: np.random.Generator) -> np.ndarray:
+    """The truth with each entry that is seen a little up or down, within its range."""
+    span = unknown.high - unknown.low
+    step = _MOVED * (span if math.isfinite(span) else unknown.scale)
+    truth = unknown.truth
+    signs = rng.choice([-1.0, 1.0], truth.shape) * unknown.seen
+    there = truth + step * signs
+    there = np.where((there < unknown.low) | (there > unknown.high), truth - step * signs, there)
+    return np.clip(there, unknown.low, unknown.high).astype(truth.dtype)

@@ -1,0 +1,262 @@
+"""Images of many views with little noise: stratified paths, more of them where it is noisy.
+
+A pixel's paths come in sequences of correlated multi-jittered numbers (Kensler 2013, Mitsuba's
+``multijitter``), each with a scramble of its own, so that means are unbiased. A pilot of few pixels
+tells how noisy each block of pixels is, and blocks get sequences in proportion to their standard
+deviation, which for a given number of paths makes the mean squared error least (Neyman 1934). What
+the pilot saw is not used again: numbers of paths that hang on the paths themselves would bend the
+means. A pixel's sequences are alike and independent: their differences tell the noise of its mean.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..runtime import streams
+from ..scene.problem import Problem
+from . import rays
+from .kernels import recorded
+
+# Lanes per pass: large enough to fill the cores, small enough for a few hundred MB.
+_LANES = 1 << 20
+# Paths of a sequence at most, a square, so that strata are; of a given number of paths, fewer, so
+# that a pixel has several sequences in the mean.
+_LONGEST, _SEVERAL = 64, 8
+# Sides of blocks that share a number of sequences, and of the squares of which each has a pilot.
+_BLOCK, _SQUARE = 4, 2
+# Parts of a sequence, of which a pilot is one.
+_PARTS = 4
+# Of the mean standard deviation: what a block is taken to have at least, so that what few pilots
+# did not see is seen later, and at most.
+_LEAST, _MOST = 0.25, 32.0
+# Rounds that there are at least, so that each pixel has several sequences; of a given noise, paths
+# a pixel at most.
+_FEWEST, _DEAREST = 2, 4096
+# The share of pixels whose noise is the images': a few with rare bright paths would else be all of
+# it, and no number of paths would do.
+_SHARE = 0.99
+# Before any round: the number of the pilot's first pass, for its seed.
+_PILOT = 1 << 26
+# What strata are taken to gain, before there is a measurement.
+_GAIN = 4.0
+
+
+@dataclass
+class Sums:
+    """What has been found of ``n`` pixels. Of the means of sequences ``(n, 3) float64``: ``first``,
+    their sum, and ``second``, of their squares. ``sequences``: how many ``(n,)``; ``counts``: how
+    many in a round ``(n,)``. ``rounds`` that are whole, the next pass ``at`` in the one that runs;
+    ``paths``, and those ``lost``, which were not finite."""
+
+    first: np.ndarray
+    second: np.ndarray
+    sequences: np.ndarray
+    counts: np.ndarray
+    rounds: int = 0
+    at: int = 0
+    paths: int = 0
+    lost: int = 0
+
+    @classmethod
+    def none(cls, counts: np.ndarray) -> "Sums":
+        return cls(*np.zeros((2, counts.size, 3)), np.zeros(counts.size, np.int64), counts)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        return {name: np.asarray(value) for name, value in vars(self).items()}
+
+    @classmethod
+    def of(cls, arrays: dict[str, np.ndarray]) -> "Sums":
+        return cls(**{n: a if a.ndim else int(a) for n, a in arrays.items()})
+
+    @property
+    def images(self) -> np.ndarray:
+        """``(n, 3) float32``"""
+        return (self.first / np.maximum(self.sequences, 1)[:, None]).astype(np.float32)
+
+    @property
+    def variance(self) -> np.ndarray:
+        """Of a mean, its channels' mean, ``(n,) float32``; NaN of one sequence."""
+        n = self.sequences
+        spread = np.maximum(self.second - self.first**2 / np.maximum(n, 1)[:, None], 0).mean(1)
+        found = spread / np.maximum(n * (n - 1), 1)
+        return np.where(n > 1, found, np.nan).astype(np.float32)
+
+
+def noise(images: np.ndarray, variance: np.ndarray) -> float:
+    """The standard deviation of pixels, as a share of the images' mean, root mean square over the
+    99 in 100 with the least of it; 0 of black images."""
+    kept = np.sort(variance)[: math.ceil(_SHARE * len(variance))]
+    brightness = float(np.mean(images, dtype=np.float64))
+    return math.sqrt(float(np.mean(kept, dtype=np.float64))) / brightness if brightness else 0.0
+
+
+def render(
+    problem: Problem,
+    wanted: float | None,
+    spp: int | None,
+    seed: int,
+    told: Callable[[int, int], None],
+    kept: Sums | None = None,
+    keep: Callable[[Sums], None] = lambda sums: None,
+) -> Sums:
+    """All pixels of ``problem`` at the scene's present values, to the ``noise`` that is ``wanted``,
+    or with ``spp`` paths a pixel in the mean.
+
+    ``told(done, total)`` counts paths. ``keep(sums)`` is given what there is after every pass;
+    with that as ``kept`` a rendering goes on, and ends in the same bits. Waits.
+    """
+    return _Rendering(problem, wanted, spp, seed, told, keep).sums(kept)
+
+
+class _Rendering:
+    def __init__(self, problem: Problem, wanted, spp, seed, told, keep):
+        self.problem, self.wanted, self.spp, self.seed = problem, wanted, spp, seed
+        self.told, self.keep = told, keep
+        self.pixels = problem.views.total
+        most = _LONGEST if spp is None else max(1, min(_LONGEST, spp // _SEVERAL))
+        self.length = max(1, (math.isqrt(most) // 2 * 2) ** 2)
+        # Of which a pilot has the paths of one, so that one kernel does for both.
+        self.parts = _PARTS if self.length >= 4 * _PARTS else 1
+        self.width = max(1, min(self.pixels, _LANES // self.length))
+        own = self.length, self.parts, self.width
+        self._kernel = recorded(_kernel(problem.integrator, *own), problem)
+
+    def sums(self, kept: Sums | None) -> Sums:
+        found = Sums.none(self._shared_out()) if kept is None else kept
+        while found.rounds < (aim := self._rounds(found)):
+            self._round(found, aim)
+        return found
+
+    def _rounds(self, found: Sums) -> int:
+        """Of how many rounds there are to be, as far as those so far tell."""
+        if self.wanted is None:
+            return min(_FEWEST, self.spp)
+        if found.rounds < _FEWEST:
+            return _FEWEST
+        has = noise(found.images, found.variance)
+        if has <= self.wanted:
+            return found.rounds
+        most = max(_FEWEST, _DEAREST * self.pixels // int(found.counts.sum() * self.length))
+        return min(most, math.ceil(found.rounds * (has / self.wanted) ** 2))
+
+    def _shared_out(self) -> np.ndarray:
+        """Sequences of each pixel in a round, ``(n,) int64``, at least one."""
+        if self.length == 1:
+            return np.full(self.pixels, -(-self.spp // _FEWEST))
+        blocks, pilots = _blocks(self.problem.film_sizes, streams.seed(self.seed, 0, "target"))
+        sums, squares = np.zeros((2, 3, pilots.size))
+        finite = np.zeros(pilots.size)
+        width = self.width * self.parts
+        for number, first in enumerate(range(0, pilots.size, width)):
+            part = slice(first, first + width)
+            found = self._traced(pilots[part], _PILOT + number)
+            sums[:, part], squares[:, part], finite[part] = found
+        means = sums / np.maximum(finite, 1)
+        spread = np.maximum(squares / np.maximum(finite, 1) - means**2, 0).mean(0)
+        counted = np.maximum(np.bincount(blocks[pilots], minlength=blocks.max() + 1), 1)
+        deviation = np.sqrt(np.bincount(blocks[pilots], spread, counted.size) / counted)[blocks]
+        whole = float(deviation.mean())
+        weight = np.clip(deviation / whole, _LEAST, _MOST) if whole > 0 else np.ones(self.pixels)
+        each = self._of_a_round(whole, float(means.mean()))
+        low, high = 0.0, 2 * each / weight.min() + 1
+        for _ in range(40):  # so that the mean is what is wanted, where none has less than one
+            middle = (low + high) / 2
+            few = np.maximum(np.rint(weight * middle), 1).mean() < each
+            low, high = (middle, high) if few else (low, middle)
+        return np.maximum(np.rint(weight * high), 1).astype(np.int64)
+
+    def _of_a_round(self, deviation: float, brightness: float) -> float:
+        """Sequences a pixel in the mean: of given paths their part; of a given noise what would
+        reach it in the fewest rounds, but no more than blocks need to share them out."""
+        if self.wanted is None:
+            return self.spp / (_FEWEST * self.length)
+        most = 1 / _LEAST
+        if not brightness > 0:
+            return 1.0
+        paths = (deviation / (self.wanted * brightness)) ** 2 / _GAIN
+        return float(np.clip(paths / (_FEWEST * self.length), 1, most))
+
+    def _round(self, found: Sums, aim: int) -> None:
+        """What is left of the round that runs. ``aim``: of how many there are to be."""
+        which = np.repeat(np.arange(self.pixels), found.counts)
+        passes = -(-which.size // self.width)
+        total = aim * which.size * self.length
+        while found.at < passes:
+            chosen = which[found.at * self.width : (found.at + 1) * self.width]
+            number = 1 + found.rounds * passes + found.at
+            self._add(found, chosen, number)
+            found.at += 1
+            self.told(min(found.paths, total), total)
+            self.keep(found)
+        found.rounds, found.at = found.rounds + 1, 0
+
+    def _add(self, found: Sums, chosen: np.ndarray, number: int) -> None:
+        parts = np.repeat(chosen, self.parts)
+        sums, _, finite = (
+            each.reshape(*each.shape[:-1], chosen.size, self.parts).sum(-1)
+            for each in self._traced(parts, number)
+        )
+        means = sums / np.maximum(finite, 1)
+        first, last = chosen[0], chosen[-1] + 1  # in order
+        own = chosen - first
+        for channel in range(3):
+            found.first[first:last, channel] += np.bincount(own, means[channel])
+            found.second[first:last, channel] += np.bincount(own, means[channel] ** 2)
+        found.sequences[first:last] += np.bincount(own, finite > 0).astype(np.int64)
+        found.paths += chosen.size * self.length
+        found.lost += chosen.size * self.length - int(finite.sum())
+
+    def _traced(self, chosen: np.ndarray, number: int) -> tuple[np.ndarray, ...]:
+        """Of a part of a sequence through each pixel ``chosen``: sums of radiance and of its square
+        ``(3, n)``, and how many paths were finite ``(n,)``, all ``float64``."""
+        p = self.problem
+        pixel = mi.UInt32(np.resize(chosen, self.width * self.parts).astype(np.uint32))
+        drawn = dr.opaque(mi.UInt32, streams.seed(self.seed, number, "target"))
+        found = self._kernel(p.scene, p.sensors, p.views, p.unknowns.leaves, pixel, drawn)
+        sums = [np.array(each, np.float64)[: chosen.size] for each in found]
+        return np.stack(sums[:3]), np.stack(sums[3:6]), sums[6]
+
+
+def _kernel(integrator, length: int, parts: int, width: int):
+    def kernel(scene, sensors, views, leaves, pixel, seed):
+        with dr.suspend_grad():
+            lane = dr.arange(mi.UInt32, width * length)
+            view, column, row = views.locate(dr.gather(mi.UInt32, pixel, lane // (length // parts)))
+            stream = mi.load_dict({"type": "multijitter", "sample_count": length})
+            stream.set_samples_per_wavefront(length)
+            stream.seed(seed, width * length)
+            ray, weight = rays.spawn(sensors, views, view, column, row, stream)
+            radiance, _ = integrator.primal(scene, stream, ray)
+            radiance *= weight
+            finite = dr.all(dr.isfinite(radiance))
+            radiance = dr.select(finite, radiance, 0)
+            dr.eval(radiance, finite)
+        sums = [*map(mi.Float64, radiance), *(dr.square(mi.Float64(c)) for c in radiance)]
+        sums.append(dr.select(finite, mi.Float64(1), 0))
+        return [dr.block_sum(each, length // parts) for each in sums]
+
+    return kernel
+
+
+def _blocks(sizes: list[tuple[int, int]], seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """The block of every pixel of films of ``sizes``, ``(n,)``, and the pilots among the pixels, in
+    order: one of each square."""
+    rng, blocks, pilots, before, pixels = np.random.default_rng(seed), [], [], 0, 0
+    for width, height in sizes:
+        row, column = np.divmod(np.arange(width * height), width)
+        across = -(-width // _BLOCK)
+        own = row // _BLOCK * across + column // _BLOCK
+        blocks.append(before + own)
+        before += across * -(-height // _BLOCK)
+        wide, high = -(-width // _SQUARE), -(-height // _SQUARE)
+        at = np.indices((high, wide)) * _SQUARE + rng.integers(0, _SQUARE, (2, high, wide))
+        at = np.minimum(at, np.array([height - 1, width - 1])[:, None, None])
+        pilots.append(pixels + np.unique(at[0] * width + at[1]))
+        pixels += width * height
+    return np.concatenate(blocks), np.concatenate(pilots)

@@ -1,0 +1,128 @@
+"""Where a run fits its targets' noise: foretold, reached, said, and stopped at."""
+
+import json
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+from scenes_for_tests import ROUGHNESS, TEXTURE, problem
+
+import isas_cli
+from isas_cli.cli.app import main
+from isas_cli.config.compose import compose
+from isas_cli.config.schema import TargetConfig
+from isas_cli.engine import assemble
+from isas_cli.engine.evaluate import Evaluator
+from isas_cli.losses import L2
+from isas_cli.runtime.errors import InputError
+
+TINY = ["scene=pottery", "size=tiny", "sampler=uniform", "effects=full", "estimator.batch=1024"]
+TINY += ["frames.views=0", "frames.snapshots=0", "evaluation.pixels=512", "report=false"]
+
+
+def measured(*settings):
+    cfg = OmegaConf.to_object(compose([*TINY, *settings]))
+    made = assemble.problem(cfg.scene, cfg.target, lambda done, total: None)
+    return made, Evaluator(made, L2(), 1024, 8, 0).floor
+
+
+def test_four_times_the_paths_halve_it():
+    (_, few), (_, many) = measured("target.spp=64"), measured("target.spp=256")
+    for coarse, fine in (
+        (few.image_rmse, many.image_rmse),
+        *zip(few.parameter_rmse.values(), many.parameter_rmse.values()),
+    ):
+        print("quotient", coarse / fine)
+        assert 1.6 < coarse / fine < 4  # strata gain more than by 1 / √n
+
+
+@pytest.mark.parametrize("key", [TEXTURE, ROUGHNESS])
+def test_it_is_what_a_least_squares_fit_is_left_with(key):
+    """Against the fit itself: a linear problem, its matrix by differences, and targets to which
+    noise is added that is known."""
+    p = problem({key: 0.5}, constant_target=None)
+    truth, pixels = p.unknowns[key].truth, p.views.total
+    evaluator = Evaluator(p, L2(), pixels, 256, 1)
+    p.variance = np.full(pixels, 0.05**2, np.float32)
+    found = evaluator.floor
+
+    def shown(array):
+        (first, second) = evaluator._halves(p.unknowns.values_of({key: array}))
+        return np.array((first + second) / 2, np.float64).T.reshape(-1)
+
+    here, columns, flat = shown(truth), [], truth.reshape(-1)
+    for entry in range(flat.size):
+        moved = flat.copy()
+        moved[entry] += 0.1
+        columns.append((shown(moved.reshape(truth.shape)) - here) / 0.1)
+    matrix = np.stack(columns, 1)
+    seen = np.linalg.norm(matrix, axis=0) > 0
+    covariance = 0.05**2 * np.linalg.pinv(matrix[:, seen].T @ matrix[:, seen])
+    image = np.sqrt(np.trace(matrix[:, seen] @ covariance @ matrix[:, seen].T) / (3 * pixels))
+    parameter = np.sqrt(np.trace(covariance) / seen.sum())
+    print("image", found.image_rmse / image, "parameter", found.parameter_rmse[key] / parameter)
+    assert found.image_rmse == pytest.approx(image, rel=0.3)
+    # To first order: what neighbours share is left out, so that it is less.
+    assert 0.3 * parameter < found.parameter_rmse[key] < 1.3 * parameter
+
+
+def test_what_is_not_known_has_none():
+    assert measured("target.spp=1")[1] is None
+    p = problem({TEXTURE: 0.5})
+    assert Evaluator(p, L2(), 64, 4, 0).floor is None
+
+
+def record(folder):
+    return (
+        json.loads((folder / "manifest.json").read_text()),
+        json.loads((folder / "summary.json").read_text()),
+    )
+
+
+def test_a_run_stops_there_and_says_so(tmp_path):
+    """Noisy targets, so that few steps are enough."""
+    settings = [*TINY, "target.spp=16", "budget.iterations=2000", "evaluation.count=100"]
+    settings += ["optimizer.lr=0.05"]
+    folder = tmp_path / "run"
+    run = ["run", *settings, "budget.converged=true", f"hydra.run.dir={folder}"]
+    assert main(run) == 0
+    manifest, summary = record(folder)
+    floor = manifest["targets"]["image_rmse"]
+    assert summary["status"] == "done" and summary["iterations"] < 2000
+    assert summary["final"]["image_rmse"] <= floor
+    history = isas_cli.load(folder).history.image_rmse
+    assert np.all(history[:-1] > floor)
+    assert any("what is left is the targets' noise" in each for each in summary["warnings"])
+
+
+def test_a_run_with_clean_targets_does_not(tmp_path):
+    folder = tmp_path / "run"
+    settings = [*TINY, "target.spp=64", "budget.iterations=2"]
+    assert main(["run", *settings, "budget.converged=true", f"hydra.run.dir={folder}"]) == 0
+    manifest, summary = record(folder)
+    assert summary["iterations"] == 2
+    assert not any("targets' noise" in each for each in summary["warnings"])
+    assert set(manifest["targets"]) == {"noise", "pixel_rms", "image_rmse", "parameter_rmse"}
+
+
+def test_one_setting_says_how_clean_targets_are():
+    assert TargetConfig().wanted == TargetConfig(noise=0.02).wanted == 0.02
+    assert TargetConfig(spp=4).wanted is None
+    for wrong in ({"noise": 0.1, "spp": 4}, {"noise": 0.0}, {"noise": 2.0}, {"spp": 0}):
+        with pytest.raises(InputError, match="target"):
+            TargetConfig(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (["run", "target.spp=1"], ["budget.converged=true", "not known"]),
+        (["race", "samplers=uniform,ours", "target.spp=2"], ["a race gives all the same time"]),
+    ],
+)
+def test_where_it_cannot_stop_it_says_why(capfd, words, parts, tmp_path):
+    command = [*words, *(each for each in TINY if not each.startswith("sampler"))]
+    assert main([*command, "budget.converged=true", f"hydra.run.dir={tmp_path / 'r'}"]) == 2
+    said = " ".join(capfd.readouterr().err.split())
+    for part in parts:
+        assert part in said
