@@ -12,6 +12,7 @@ import mitsuba as mi
 from ..runtime.backend import sync
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
+from . import undone
 from .coverage import Pass, replayed
 from .renderer import Renderer
 
@@ -77,6 +78,4 @@ def _traced(problem: Problem, differentiated: bool) -> Callable[[], None]:
 
 def _first_line(error: BaseException) -> str:
     """Of what was said first in a chain of errors."""
-    while error.__cause__ is not None:
-        error = error.__cause__
-    return str(error).strip().splitlines()[0]
+    return str(undone.root(error)).strip().splitlines()[0]
