@@ -16,7 +16,7 @@ from ..config.schema import SceneConfig, TargetConfig
 from ..rendering import coverage, integrators, light, targets, trial
 from ..runtime import backend
 from ..runtime.errors import InputError
-from ..scene import built, flat, lenses, mesh_checks, scene_file
+from ..scene import built, flat, lenses, mesh_checks, scene_file, stand_ins
 from ..scene.photos import building, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
@@ -77,6 +77,7 @@ def bare(
         content,
         warnings=[
             *mesh_checks.check_scene(loaded, unknowns.textures),
+            *_other_pictures(loaded, adapted),
             *narrow_blurs(found),
             *(warning for each in found for warning in each.kind.warnings()),
             *_doubtful_starts(found),
@@ -171,6 +172,12 @@ def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:
         for role in ("light", "colour")
     )
     return [f"light ({light}) and colour ({colour}) can trade brightness: {told}"]
+
+
+def _other_pictures(scene: mi.Scene, integrator: integrators.Integrator) -> list[str]:
+    """Where a file's own integrator shows something else; never of a medium alone."""
+    alone = isinstance(integrator, integrators.Medium)
+    return [] if alone else stand_ins.warnings(scene, integrator.mitsuba)
 
 
 def _flat_densities(found: list[Unknown], integrator: integrators.Integrator) -> list[str]:
