@@ -21,6 +21,12 @@ def missed(problem: "Problem") -> list["Unknown"]:
 
 
 def refusal(integrator: Integrator, unknowns: list["Unknown"]) -> str:
+    """Of a run: which ``integrator`` misses, and the ``reason``."""
+    keys = named(each.key for each in unknowns)
+    return f"scene.unknowns: {keys}: {reason(integrator, unknowns)}"
+
+
+def reason(integrator: Integrator, unknowns: list["Unknown"]) -> str:
     """Why ``integrator`` misses them, and what helps."""
     way = "find these in a run of their own"
     if not integrator.moves:
@@ -28,10 +34,7 @@ def refusal(integrator: Integrator, unknowns: list["Unknown"]) -> str:
     where = "while meshes move" if integrator.moves else f"with {named_causes(integrator)}"
     if sum(each.start.size for each in unknowns) <= _FEW:
         way += ", or take sampler=finite_differences, with a blur"
-    return (
-        f"scene.unknowns: {named(each.key for each in unknowns)}: no derivative by what mirrors, "
-        f"clear glass and gaps pass on is taken {where}: {way}"
-    )
+    return f"no derivative by what mirrors, clear glass and gaps pass on is taken {where}: {way}"
 
 
 def named_causes(integrator: Integrator) -> str:
