@@ -23,7 +23,7 @@ from isas_cli.config import schema
 from isas_cli.config.compose import compose, translate
 from isas_cli.engine import assemble
 from isas_cli.estimators.two_path import TwoPath
-from isas_cli.rendering import rays
+from isas_cli.rendering import rays, undone
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.runtime import backend
 from isas_cli.runtime.errors import InputError
@@ -257,10 +257,7 @@ def _unattached_is_zero() -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:
-        cause = error
-        while cause.__cause__ is not None:
-            cause = cause.__cause__
-        if "not attached to the AD graph" not in str(cause):
+        if not undone.unattached(error):
             raise
 
 

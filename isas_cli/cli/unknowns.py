@@ -71,8 +71,9 @@ def show(found: "Offers", console: Console) -> None:
             told = _range(each), each.estimator, seen, each.verdict
             table.add_row(each.key, each.kind, shape, *told)
     console.print(table)
-    for note in dict.fromkeys(each.note for each in found.found if each.note):
-        keys = ", ".join(each.key for each in found.found if each.note == note)
+    taken = [each for each in found.found if not each.refused]
+    for note in dict.fromkeys(each.note for each in taken if each.note):
+        keys = ", ".join(each.key for each in taken if each.note == note)
         console.print(f"{keys}: {note}", highlight=False)
     if found.movable:
         console.print(f"scene.poses can move: {', '.join(found.movable)}", highlight=False)

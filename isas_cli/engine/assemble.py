@@ -16,7 +16,7 @@ from ..config.schema import SceneConfig, TargetConfig
 from ..rendering import coverage, integrators, light, targets, trial
 from ..runtime import backend
 from ..runtime.errors import InputError
-from ..scene import built, flat, lenses, mesh_checks, scene_file
+from ..scene import built, flat, lenses, mesh_checks, scene_file, stand_ins
 from ..scene.photos import building, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
@@ -43,9 +43,9 @@ def bare(
             description = built_by if taken is None else str(scene.photos.up)
     sensors = loaded.sensors()
     if not sensors:
-        raise InputError(f"{_where(scene)} has no sensor: add at least one camera")
+        raise InputError(f"{where_of(scene)} has no sensor: add at least one camera")
     if not loaded.emitters():
-        raise InputError(f"{_where(scene)} has no emitter: without light all images are black")
+        raise InputError(f"{where_of(scene)} has no emitter: without light all images are black")
     every = [tuple(int(x) for x in s.film().crop_size()) for s in sensors]
     sizes = every if taken is None else every[: len(taken.shown)]
     pixels = sum(width * height for width, height in sizes)
@@ -62,7 +62,7 @@ def bare(
     written = {key for each in found for key in each.kind.writes}
     single = flat.reduce(mi.traverse(loaded), written)
     held = sorted(written & set(params.keys()))
-    adapted = integrators.adapt(integrator, _where(scene), loaded, held)
+    adapted = integrators.adapt(integrator, where_of(scene), loaded, held)
     lights_stay = not any(isinstance(owner(params, key), mi.Emitter) for key in written)
     light.prepare(loaded, adapted.cuts and adapted.samples_lights and lights_stay)
     unknowns = Unknowns(mi.traverse(loaded), found)
@@ -77,6 +77,7 @@ def bare(
         content,
         warnings=[
             *mesh_checks.check_scene(loaded, unknowns.textures),
+            *_other_pictures(loaded, adapted),
             *narrow_blurs(found),
             *(warning for each in found for warning in each.kind.warnings()),
             *_doubtful_starts(found),
@@ -106,7 +107,7 @@ def problem(
     check(result)
     # isas's own scenes hold nothing that cannot be frozen.
     if taken is None and not str(scene.builder).startswith("isas_cli.scenes."):
-        trial.look(result, _where(scene))
+        trial.look(result, where_of(scene))
     if taken is not None:
         phase("targets")
         _take(taken, result, every)
@@ -173,6 +174,12 @@ def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:
     return [f"light ({light}) and colour ({colour}) can trade brightness: {told}"]
 
 
+def _other_pictures(scene: mi.Scene, integrator: integrators.Integrator) -> list[str]:
+    """Where a file's own integrator shows something else; never of a medium alone."""
+    alone = isinstance(integrator, integrators.Medium)
+    return [] if alone else stand_ins.warnings(scene, integrator.mitsuba)
+
+
 def _flat_densities(found: list[Unknown], integrator: integrators.Integrator) -> list[str]:
     """Of densities that start alike everywhere, where Mitsuba follows paths in media: it learns by
     collisions that are none, of which it samples none where a density is the largest."""
@@ -197,7 +204,7 @@ def _doubtful_starts(found: list[Unknown]) -> list[str]:
     return [f"start of '{key}': {doubt.partition('; ')[0]}" for key, doubt in doubts if doubt]
 
 
-def _where(scene: SceneConfig) -> str:
+def where_of(scene: SceneConfig) -> str:
     if scene.photos.path is not None:
         return f"photos.path={scene.photos.path}"
     return f"scene.path={scene.path}" if scene.path is not None else f"scene={scene.name}"

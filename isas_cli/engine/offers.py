@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mitsuba as mi
 
 from ..config.schema import SceneConfig
-from ..rendering import onlookers
+from ..rendering import lobes, onlookers, trial, undone
 from ..runtime.errors import InputError
 from ..scene import mesh_checks
 from ..unknowns import registry, verdicts
@@ -57,7 +57,7 @@ def of(scene: SceneConfig) -> Offers:
         """All that path replay differentiates, as it stands in the scene."""
         loaded = Loaded(params, dict(poses or {}), **(of_views or {}))
         movable.extend(registry.movable(params))
-        replayed = []
+        replayed, kinds = [], []
         for key, kind in registry.offered(loaded).items():
             try:
                 made = kind(key, loaded)
@@ -74,12 +74,23 @@ def of(scene: SceneConfig) -> Offers:
                     verdicts.note(*what),
                 )
             if made.carried and not made.moves_geometry:
+                kinds.append(made)
+        hidden = {*lobes.hidden(params, [key for made in kinds for key in made.writes])}
+        for made in kinds:
+            if hidden.intersection(made.writes):
+                offers[made.key].refused = lobes.HIDDEN
+            else:
                 replayed.append(Unknown(made, made.present, made.present, *made.range, None))
         return replayed
 
     problem = assemble.bare(scene, every)[0]
-    for key, views in onlookers.of(problem).items():
-        offers[key].views = views
+    try:
+        for key, views in onlookers.of(problem).items():
+            offers[key].views = views
+    except RuntimeError as error:
+        raise trial.untraceable(assemble.where_of(scene), error) from error
+    for missed in undone.missed(problem):
+        offers[missed.key].refused = undone.reason(problem.integrator, [missed])
     for key, texture in textures.items():
         try:
             mesh_checks.check_scene(problem.scene, {key: texture})

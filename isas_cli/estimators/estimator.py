@@ -67,13 +67,14 @@ class Estimator:
         no targets, which may take minutes; traces nothing."""
         self.fits(sampler)
         problem = self.on(problem)
+        # What it cannot differentiate comes first: with no sampler could it.
+        self.made(problem, loss)
         if "forward" in sampler.needs and not problem.integrator.has_forward:
             raise InputError(
                 f"sampler={sampler.name} differentiates paths in forward mode, which the scene's "
                 f"integrator {problem.integrator.name} cannot: take sampler=uniform or "
                 "sampler=gradient"
             )
-        self.made(problem, loss)
         self.prepare(problem, sampler, loss)
 
     def on(self, problem: "Problem") -> "Problem":

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..rendering import convex
+from ..rendering import convex, undone
 from ..rendering.own_film import OwnFilm
 from ..rendering.pixels import PixelDistribution
 from ..rendering.projective import projective
@@ -87,6 +87,8 @@ class WholeImages:
     point light) is not differentiated, however silhouettes are sampled: no traced ray meets such a
     light. What lies behind clear glass is reached by chance alone. What enters or leaves the image
     at its border is not differentiated. Nothing is frozen: projective integrators cannot be.
+
+    The first estimate raises InputError where no derivative by any unknown is Mitsuba's.
     """
 
     def __init__(
@@ -189,7 +191,12 @@ class WholeImages:
                 adjoint = self._adjoint(view, found)
             total += dr.sum(image.array * adjoint)
         # Once for all views: the first pass would clear the way from the scene to the leaves.
-        dr.backward(total)
+        try:
+            dr.backward(total)
+        except RuntimeError as error:
+            if not undone.unattached(error):
+                raise
+            raise InputError(_undone(p)) from error
 
     def _adjoint(self, view: int, image: mi.TensorXf) -> mi.Float:
         """∂ℒ/∂I of a view's pixels, ``(H W 3,)``."""
@@ -235,13 +242,26 @@ def _warn(problem: "Problem") -> None:
     lobes = problem.integrator.lobes
     wrong = {*(lobes.keys if lobes else problem.integrator.misses)}
     wrong |= {unknown.key for unknown in problem.unknowns if unknown.kind.aside}
+    # What the scene's integrator misses two_path has not either.
+    other = "sampler=finite_differences" if problem.integrator.misses else "estimator=two_path"
     told = (
         "Mitsuba's own derivative by "
         + ", ".join(f"'{key}'" for key in sorted(wrong))
-        + " is wrong (benchmarks/derivatives.md): compare with estimator=two_path"
+        + f" is wrong (benchmarks/derivatives.md): compare with {other}"
     )
     if wrong and told not in problem.warnings:
         problem.warnings.append(told)
+
+
+def _undone(problem: "Problem") -> str:
+    """That Mitsuba has no derivative by any unknown, and who has."""
+    told = (
+        f"scene.unknowns: Mitsuba does not differentiate by {undone.named(problem.unknowns.keys)}: "
+        "take sampler=uniform estimator=two_path"
+    )
+    if not problem.integrator.misses:
+        return told
+    return f"{told}, without {undone.named_causes(problem.integrator)} in the scene"
 
 
 def _integrator(problem: "Problem", silhouettes: str) -> mi.Integrator:

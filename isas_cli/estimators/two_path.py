@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..rendering import derivative_sampling, rays
+from ..rendering import derivative_sampling, rays, undone
 from ..rendering.kernels import recorded
 from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
@@ -110,12 +110,8 @@ class TwoPath:
             )
         self.problem, self.loss, self.batch = problem, loss, batch
         integrator = problem.integrator
-        if integrator.misses:
-            raise InputError(
-                f"scene.unknowns: '{integrator.misses[0]}' is of a material with mirrors, clear "
-                "glass or gaps, whose derivative is not taken where media are, emitters are hidden "
-                "or meshes move: take sampler=finite_differences, with a blur"
-            )
+        if missed := undone.missed(problem):
+            raise InputError(undone.refusal(integrator, missed))
         exposed, moved = (problem.unknowns.of(kind) for kind in (Exposure, Motion))
         self._moved = moved
         self.blur = Blur(problem, "estimator.blurred=true") if blurred else None

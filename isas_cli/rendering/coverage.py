@@ -17,10 +17,11 @@ from ..scene.problem import Problem
 from ..unknowns.kind import THRESHOLD, WELL_SEEN
 from ..unknowns.parameters import as_numpy
 from ..unknowns.unknowns import Unknown
-from . import rays
+from . import rays, undone
 from .integrators import Integrator
 from .kernels import recorded
 from .renderer import Renderer
+from .volume import only_emits
 
 _LANES = 1 << 20
 _MOST = 1 << 24  # pixels visited; above this a stratified subset of them
@@ -31,6 +32,7 @@ _FIRST, _EACH, _WORTH = (1 << 12, 1 << 16), 4, 0.1
 _WARM_UP = 2  # the first call compiles
 # ``unmoved`` looks at so many places, by at most so many pixels.
 _PLACES, _LOOKED_AT = 8, 1 << 16
+_ANY = 1 << 20  # edges: as good as no limit
 _DIFFER = 1e-3  # of radiance: more than rounding
 
 
@@ -56,15 +58,29 @@ def fill_in(problem: Problem, seed: int) -> None:
         if seen.any():
             unknown.seen = seen
         elif not problem.unknowns.moving:
+            by, way = _short(problem.integrator)
             raise InputError(
-                f"scene.unknowns['{unknown.key}']: no view sees it, so no image can tell its "
-                "value; turn a camera towards it or take it off the list"
+                f"scene.unknowns['{unknown.key}']: no view sees it{by}, so no image can tell its "
+                f"value; {way}turn a camera towards it or take it off the list"
             )
 
 
+def _short(integrator: Integrator) -> tuple[str, str]:
+    """That paths may be too short to show anything, and what to do."""
+    depth = integrator.max_depth
+    if depth >= _ANY or only_emits(integrator.mitsuba):
+        return "", ""
+    by = f" by paths of at most {depth} edges"
+    if depth == 1:
+        by = " by paths of one edge, which show lights alone"
+    return by, f"take scene.max_depth={depth + 1} or more, "
+
+
 def replayed(problem: Problem) -> list[Unknown]:
-    """The unknowns that path replay differentiates by: what paths carry and no geometry moves."""
-    carried = [u for u in problem.unknowns if u.kind.carried]
+    """The unknowns that path replay differentiates by: what paths carry and no geometry moves, but
+    for what the scene's integrator misses."""
+    missed = {u.key for u in undone.missed(problem)}
+    carried = [u for u in problem.unknowns if u.kind.carried and u.key not in missed]
     return [u for u in carried if not u.kind.moves_geometry]
 
 

@@ -19,7 +19,7 @@ what comes of that, as all pictures are rendered by it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -310,29 +310,42 @@ def _only(component: int) -> mi.BSDFContext:
 
 
 _TURNING = "BumpMap", "NormalMap"
+HIDDEN = (
+    "of a material with mirrors, clear glass or gaps, whose mask, blendbsdf or twosided is under a "
+    "bump or normal map: put the map inside, around each part's own material"
+)
 _OF_CLASS = {"MaskBSDF": _mask, "BlendBSDF": _blend, "TwoSidedBRDF": _two_sided}
 
 
 def touched(params: mi.SceneParameters, keys: Iterable[str]) -> Lobes | None:
     """The materials with discrete lobes, at any depth, that the parameters ``keys`` are of; None
     where there are none. Raises InputError for one that cannot be taken apart."""
-    wanted, found, inside = {key: owner(params, key) for key in keys}, [], set()
+    keys = tuple(keys)
+    if refused := hidden(params, keys):
+        raise InputError(f"scene.unknowns: '{next(iter(refused))}': {HIDDEN}")
+    found = list(_holding(params, keys))
+    inside = {key for _, mine in found for key in mine}
+    bsdfs = tuple(bsdf for bsdf, _ in found)
+    return Lobes(bsdfs, tuple(k for k in keys if k in inside)) if found else None
+
+
+def hidden(params: mi.SceneParameters, keys: Iterable[str]) -> list[str]:
+    """Those of ``keys`` whose material cannot be taken apart (``HIDDEN``): a map that turns the
+    frame hides what the material under it is made of."""
+    refused = []
+    for bsdf, mine in _holding(params, keys):
+        under = _named(bsdf).parts.get("nested_bsdf")
+        if bsdf.class_name() in _TURNING and under.class_name() in _OF_CLASS:
+            refused += mine
+    return list(dict.fromkeys(refused))
+
+
+def _holding(params: mi.SceneParameters, keys: Iterable[str]) -> Iterator[tuple]:
+    """Materials with discrete lobes, at any depth, and the keys of the parameters in each."""
+    wanted = {key: owner(params, key) for key in keys}
     for thing in params.hierarchy:
         if isinstance(thing, mi.BSDF) and discrete(thing):
             own = mi.traverse(thing).hierarchy
             mine = [key for key, holder in wanted.items() if holder in own]
             if mine:
-                _check(thing, mine[0])
-                found.append(thing)
-                inside.update(mine)
-    return Lobes(tuple(found), tuple(k for k in wanted if k in inside)) if found else None
-
-
-def _check(bsdf: mi.BSDF, key: str) -> None:
-    """A map that turns the frame hides what the material under it is made of."""
-    under = _named(bsdf).parts.get("nested_bsdf")
-    if bsdf.class_name() in _TURNING and under.class_name() in _OF_CLASS:
-        raise InputError(
-            f"scene.unknowns: '{key}' is of a material with mirrors, clear glass or gaps under a "
-            "bump or normal map: put the map inside, around each part's own material"
-        )
+                yield thing, mine

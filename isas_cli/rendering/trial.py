@@ -12,6 +12,7 @@ import mitsuba as mi
 from ..runtime.backend import sync
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
+from . import undone
 from .coverage import Pass, replayed
 from .renderer import Renderer
 
@@ -50,9 +51,7 @@ def look(problem: Problem, where: str) -> None:
     try:
         anew = seconds(replace(problem, freezes=False))
     except RuntimeError as error:
-        raise InputError(
-            f"{where}: Mitsuba cannot trace paths through it: {_first_line(error)}"
-        ) from error
+        raise untraceable(where, error) from error
     try:
         seconds(problem)
     except RuntimeError:
@@ -75,8 +74,7 @@ def _traced(problem: Problem, differentiated: bool) -> Callable[[], None]:
     return lambda: renderer.pixels(pixel, 1, lambda sample: sample)
 
 
-def _first_line(error: BaseException) -> str:
-    """Of what was said first in a chain of errors."""
-    while error.__cause__ is not None:
-        error = error.__cause__
-    return str(error).strip().splitlines()[0]
+def untraceable(where: str, error: RuntimeError) -> InputError:
+    """That Mitsuba cannot trace the scene, in what was said first in a chain of errors."""
+    first = str(undone.root(error)).strip().splitlines()[0]
+    return InputError(f"{where}: Mitsuba cannot trace paths through it: {first}")

@@ -99,6 +99,15 @@ class Panel:
     title: str = ""
     height: float = 3.2
 
+    @property
+    def placed(self) -> list[Points | Bars | Rule]:
+        """The marks without rules that have no place on a logarithmic axis."""
+
+        def lies(mark: Rule) -> bool:
+            return mark.at > 0 or not (self.x if mark.upright else self.y).log
+
+        return [mark for mark in self.marks if not isinstance(mark, Rule) or lies(mark)]
+
 
 @dataclass(frozen=True)
 class Chart:

@@ -54,7 +54,7 @@ def draw(chart: Chart) -> go.Figure:
             first = trace.pop("shown") and name not in named
             named |= {name} if first else set()
             figure.add_trace(trace | {"legendgroup": name, "showlegend": first}, row=row, col=1)
-        for mark in panel.marks:
+        for mark in panel.placed:
             if isinstance(mark, Rule):
                 _add_rule(figure, row, mark, panel.y)
     if chart.alternatives:

@@ -43,7 +43,7 @@ def draw(chart: Chart) -> Figure:
 
 
 def _draw_panel(axes: Axes, panel: Panel, styles: dict[str, Style]) -> None:
-    for mark in panel.marks:
+    for mark in panel.placed:
         if isinstance(mark, Points):
             _draw_points(axes, mark, styles[mark.entry])
         elif isinstance(mark, Bars):

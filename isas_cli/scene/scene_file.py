@@ -40,12 +40,15 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str
 
     Bitmap textures are loaded in floating point, or 8-bit files could not be differentiated.
     Nothing is merged: two materials that start equal stay two unknowns. ``max_depth`` overrides
-    the file's path depth; a file without an integrator gets Mitsuba's default (no limit).
+    the file's path depth; a file without an integrator gets Mitsuba's default (no limit). Which
+    one it has the integrator says, as ``stands_for``: see ``stand_ins``.
     Raises InputError when the file is missing, cannot be loaded, or holds no scene.
     """
     with _said(path):
         settings, state = parse(path)
-        described = _integrator(state, path, max_depth)
+        own = _unwrapped(state, path)
+        kind = own[0].props.plugin_name() if own else None
+        described = _integrator(own, state, path, max_depth)
         description = "".join(str(node.props) for node in state.nodes)
         for node in state.nodes:
             if node.type == mi.ObjectType.Integrator:
@@ -53,7 +56,9 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str
         loaded, _ = instances.instantiate(settings, state)
     if not isinstance(loaded, mi.Scene):
         raise InputError(f"scene.path={path}: holds no <scene>")
-    return loaded, loaded.integrator() or mi.load_dict(described), description
+    integrator = loaded.integrator() or mi.load_dict(described)
+    integrator.stands_for = kind
+    return loaded, integrator, description
 
 
 def parse(path: str) -> tuple[mi.parser.ParserConfig, mi.parser.ParserState]:
@@ -109,10 +114,10 @@ def _unwrapped(state, path: str) -> list:
     return inner
 
 
-def _integrator(state, path: str, max_depth: int | None) -> dict:
-    """Described as for ``mi.load_dict``."""
+def _integrator(own: list, state, path: str, max_depth: int | None) -> dict:
+    """What replays the file's ``own``, described as for ``mi.load_dict``."""
     described = {"type": "prb"}
-    for node in _unwrapped(state, path):
+    for node in own:
         kind = node.props.plugin_name()
         if kind not in _REPLAY:
             raise InputError(
@@ -120,7 +125,8 @@ def _integrator(state, path: str, max_depth: int | None) -> dict:
                 f"valid: {', '.join(_REPLAY)}"
             )
         described["type"], usual = _REPLAY[kind]
-        # Without a medium the radiance is the same, and paths between surfaces can be planned.
+        # Without a medium the radiance is the same, but for ``stand_ins``, and paths between
+        # surfaces can be planned.
         if not any(other.type == mi.ObjectType.Medium for other in state.nodes):
             described["type"] = "prb"
         for name in ("max_depth", "rr_depth", "hide_emitters"):

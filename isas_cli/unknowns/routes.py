@@ -10,7 +10,7 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
-from .parameters import owner
+from .parameters import held, owner
 from .ranges import fed
 
 # By the class of what takes the parameter and its name there: why a path's derivative is not all.
@@ -45,6 +45,11 @@ def refusal(params: mi.SceneParameters, key: str) -> str:
         )
     if owner(params, key).class_name() in _SPLATS and name == "data":
         return "it moves and turns ellipsoids, which path replay does not differentiate"
+    if "opacity" in key.split("."):
+        for holder, word, _ in fed(params, key):
+            inside = dict(held(holder)).get("nested_bsdf") if word == "opacity" else None
+            if inside is not None and inside.class_name() == "Null":
+                return "it changes nothing: what it masks lets all light through, as a gap does"
     turns = set(_TURNING) & set(key.split("."))  # of no other need one ask what takes it
     for holder, word, _ in fed(params, key) if turns else ():
         if word in _TURNING and discrete(holder):

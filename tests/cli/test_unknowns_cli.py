@@ -3,11 +3,14 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 
 from isas_cli.cli.app import main
+from isas_cli.runtime import images
 from isas_cli.unknowns import verdicts
 
 # A lit floor that the first view sees alone, a lamp that both see, a ball that none does.
@@ -93,6 +96,64 @@ def test_what_replayed_paths_do_not_carry_says_who_takes_it(scene, capsys):
     assert (found["turn"]["unit"], found["turn"]["shape"]) == ("degrees", [1])
     # A mesh of facets: why it cannot be is told, and the others are listed still.
     assert "face normals" in found["box.vertices"]["refused"]
+
+
+WAVES = '<texture type="bitmap"><string name="filename" value="waves.exr"/></texture>'
+MATERIALS = """<emitter type="constant" id="sky"/>
+  <shape type="rectangle" id="maps"><bsdf type="bumpmap">{waves}
+    <bsdf type="twosided"><bsdf type="plastic"/></bsdf></bsdf></shape>
+  <shape type="sphere" id="mirror"><bsdf type="conductor"/></shape>
+  <shape type="sphere" id="air"><point name="center" value="3,0,0"/>
+    <bsdf type="mask"><bsdf type="null"/></bsdf></shape>"""
+
+
+def of_materials(hidden: bool = False, waves: str = WAVES) -> None:
+    integrator = f"""<integrator type="path">
+      <boolean name="hide_emitters" value="{str(hidden).lower()}"/></integrator>"""
+    images.write_exr("waves.exr", np.eye(4, dtype=np.float32)[..., None], ["Y"], {})
+    things = MATERIALS.format(waves=waves) + SENSOR.format(z=3)
+    Path("my.xml").write_text(f'<scene version="3.0.0">{integrator}{things}</scene>')
+
+
+MIRROR = "mirror.bsdf.specular_reflectance.value"
+UNDER = "maps.bsdf.nested_bsdf.brdf_0.diffuse_reflectance.value"
+
+
+def test_one_material_that_is_refused_hides_no_other_key(scene, capsys):
+    of_materials()
+    found = listed(capsys, "my.xml")
+    assert "twosided is under a bump or normal map" in found[UNDER]["refused"]
+    assert not found[MIRROR]["refused"] and found[MIRROR]["views"] == [0]
+    assert not found["sky.radiance.value"]["refused"]
+    assert main(["unknowns", "my.xml"]) == 0
+    assert "none: of a material with mirrors" in " ".join(capsys.readouterr().out.split())
+
+
+def refused(capsys, key: str) -> str:
+    unknowns = json.dumps({key: {"start": 0.4}})
+    settings = "scene=file", "scene.path=my.xml", f"scene.unknowns={unknowns}"
+    assert main(["run", *settings, "budget.iterations=1", "report=false"]) == 2
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize("hidden, key", [(True, MIRROR), (False, UNDER)])
+def test_what_a_run_refuses_the_list_refuses_for_the_same_reason(scene, capsys, hidden, key):
+    of_materials(hidden)
+    told = listed(capsys, "my.xml")[key]["refused"]
+    assert told and f"'{key}': {told}" in refused(capsys, key)
+
+
+def test_the_opacity_of_what_lets_all_light_through_is_none(scene, capsys):
+    of_materials()
+    assert "air.bsdf.opacity.value" not in listed(capsys, "my.xml")
+    assert "it changes nothing" in refused(capsys, "air.bsdf.opacity.value")
+
+
+def test_what_mitsuba_cannot_trace_is_said_in_one_line(scene, capsys):
+    of_materials(waves='<texture type="checkerboard"/>')
+    assert main(["unknowns", "my.xml"]) == 2
+    told = capsys.readouterr().err
+    assert "scene.path=my.xml: Mitsuba cannot trace" in told and told.count("\n") == 1
 
 
 def test_scenes_of_isas_are_listed_too(capsys):

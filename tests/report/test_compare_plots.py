@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from isas_cli.report import inside, interactive, static
-from isas_cli.report.chart import Chart
+from isas_cli.report.chart import Axis, Chart, Panel, Points, Rule, Style, log_axis
 from isas_cli.report.compare import (
     Comparison,
     animation,
@@ -33,7 +33,7 @@ from isas_cli.report.compare import (
     typical,
 )
 from isas_cli.report.compare.gather import by_scene
-from isas_cli.report.figures import COLOURS
+from isas_cli.report.figures import COLOURS, save
 from isas_cli.runtime import images
 
 
@@ -91,6 +91,20 @@ def test_a_method_has_one_style_in_all_scenes_and_no_two_share_one(comparison):
     assert len({(style.colour, style.kind) for style in many}) == len(many)
     for drawer in (static._LINES, static._HATCHES, interactive._DASHES, interactive._PATTERNS):
         assert len(set(drawer)) == styles._KINDS
+
+
+@pytest.mark.filterwarnings("error")  # of a layout that cannot be
+def test_a_rule_without_a_place_on_a_logarithmic_axis_is_left_out(tmp_path):
+    """A start whose error is 0."""
+    values = np.array([0, 1.5e-9, 1.5e-9, 0])
+    marks = [Points("a", np.arange(4.0), values), Rule(0.0, "start"), Rule(1.5e-9, "here")]
+    panel = Panel(Axis("x"), log_axis("y", values), marks)
+    assert panel.placed == [marks[0], marks[2]]
+    linear = Panel(Axis("x"), Axis("y"), marks)
+    assert linear.placed == marks
+    chart = Chart("c", "", "", [[panel]], {"a": Style("#000000")})
+    save(static.draw(chart), tmp_path / "c.png")
+    assert len(interactive.draw(chart).layout.annotations) == 1
 
 
 @pytest.mark.parametrize("name", ["errors", "speedup", "price", "time", "training"])

@@ -1,0 +1,96 @@
+"""Pictures that a file's integrator shows otherwise than what replays it: measured, and said."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from isas_cli.config.schema import SceneConfig, UnknownConfig
+from isas_cli.engine import assemble
+from isas_cli.runtime import backend
+
+INTEGRATOR = """<integrator type="{kind}"><integer name="max_depth" value="{depth}"/>
+  <boolean name="hide_emitters" value="{hidden}"/></integrator>"""
+XML = """<scene version="3.0.0">{integrator}
+  <sensor type="perspective"><transform name="to_world">
+    <lookat origin="0,1,4" target="0,0,0" up="0,1,0"/></transform><film type="hdrfilm">
+    <integer name="width" value="12"/><integer name="height" value="10"/>
+    <string name="pixel_format" value="rgb"/></film></sensor>
+  <emitter type="constant"/>
+  <shape type="rectangle"><transform name="to_world"><scale value="2"/><rotate x="1" angle="-90"/>
+    <translate y="-1"/></transform><bsdf type="diffuse"/></shape>{more}</scene>"""
+GAP = """<shape type="rectangle"><transform name="to_world"><translate z="1"/></transform>
+  <bsdf type="mask"><float name="opacity" value="0.4"/><bsdf type="diffuse"/></bsdf></shape>"""
+FOG = """<shape type="sphere"><bsdf type="null"/><medium type="homogeneous" name="interior">
+  <float name="sigma_t" value="1"/></medium></shape>"""
+GLASS = FOG.replace('type="null"', 'type="roughdielectric"')
+
+
+def loaded(folder, more: str, kind: str, depth: int, hidden=False, **settings):
+    """The problem, and what the file's own integrator shows in the mean, and what replays it."""
+    integrator = INTEGRATOR.format(kind=kind, depth=depth, hidden=str(hidden).lower())
+    path = folder / "scene.xml"
+    path.write_text(XML.format(integrator=integrator, more=more))
+    unknowns = {"emitter_0.radiance.value": UnknownConfig(start=1.0)}
+    config = SceneConfig(name="file", path=str(path), unknowns=unknowns, **settings)
+    made = assemble.bare(config)[0]
+    given = {"type": kind, "hide_emitters": hidden}
+    if kind != "direct":
+        given["max_depth"] = settings.get("max_depth", depth)
+    means = []
+    with backend.loading():
+        own = mi.load_dict(given)
+    for each in (own, made.integrator.mitsuba):
+        seeds = [mi.render(made.scene, integrator=each, seed=s, spp=128) for s in range(4)]
+        means.append([float(np.mean(np.array(image))) for image in seeds])
+    return made.warnings, np.array(means)
+
+
+@pytest.mark.parametrize(
+    "kind, more", [("volpath", FOG), ("volpathmis", GLASS)], ids=["fog", "glass"]
+)
+@pytest.mark.parametrize("depth", [2, 3])
+def test_few_edges_beside_media(tmp_path, kind, more, depth):
+    (told,), (own, other) = loaded(tmp_path, more, kind, depth)
+    assert f"replayed by prbvolpath, which adds some light by paths of more than {depth}" in told
+    assert other.mean() - own.mean() > 4 * (own.std() + other.std()) / 2
+    # As the warning advises.
+    told, (own, other) = loaded(tmp_path, more, kind, depth, max_depth=-1)
+    assert told == [] and abs(other.mean() / own.mean() - 1) < 0.01
+
+
+def test_few_edges_and_gaps(tmp_path):
+    (told,), (own, other) = loaded(tmp_path, GAP, "volpath", 2)
+    assert "replayed by prb, which counts gaps among the 2 edges of a path" in told
+    assert own.mean() / other.mean() > 1.05
+    told, (own, other) = loaded(tmp_path, GAP, "volpath", 2, max_depth=-1)
+    assert told == [] and abs(other.mean() / own.mean() - 1) < 0.01
+
+
+def test_hidden_emitters_behind_gaps(tmp_path):
+    (told,), (own, other) = loaded(tmp_path, GAP, "path", 4, hidden=True)
+    assert "which shows hidden emitters behind gaps" in told and "without hide_emitters" in told
+    assert other.mean() / own.mean() > 1.05
+    told, (own, other) = loaded(tmp_path, GAP, "path", 4)
+    assert told == [] and abs(other.mean() / own.mean() - 1) < 0.01
+
+
+@pytest.mark.parametrize(
+    "more, kind, depth, hidden",
+    [
+        (FOG, "prbvolpath", 3, False),
+        (GAP, "prb", 3, True),
+        (GAP, "direct", 2, True),
+        ("", "volpath", 2, False),
+        ("", "path", 3, True),
+        (FOG, "volpath", 60, False),
+    ],
+)
+def test_nothing_is_said_where_pictures_are_alike(tmp_path, more, kind, depth, hidden):
+    told, (own, other) = loaded(tmp_path, more, kind, depth, hidden)
+    assert told == [] and abs(other.mean() / own.mean() - 1) < 0.02
+
+
+def test_prbvolpath_without_a_medium(tmp_path):
+    (told,), (own, other) = loaded(tmp_path, "", "prbvolpath", 2)
+    assert "replayed by prb, which adds no light by paths of more than 2 edges" in told
+    assert own.mean() > other.mean()
