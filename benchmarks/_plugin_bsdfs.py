@@ -145,11 +145,18 @@ BSDFS = {
         "blendbsdf",
         number("weight", 0.4),
         bsdf("mask", number("opacity", 0.7), _DARK),
-        bsdf("blendbsdf", number("weight", 0.3), _MIRROR, _ROUGH),
+        bsdf(
+            "blendbsdf",
+            number("weight", 0.3),
+            bsdf("conductor", METAL),
+            bsdf("roughconductor", METAL, number("alpha", 0.3)),
+        ),
     ),
     "twosided": of("twosided", MATTE),
     "twosided-plastic": of("twosided", _BESIDE["plastic"]),
-    "twosided-blend": of("twosided", bsdf("blendbsdf", number("weight", 0.4), _DARK, _MIRROR)),
+    "twosided-blend": of(
+        "twosided", bsdf("blendbsdf", number("weight", 0.4), _DARK, bsdf("conductor", METAL))
+    ),
     "twosided-both": room(ball(bsdf("twosided", MATTE, _BESIDE["plastic"]), "rectangle")),
     "bumpmap": of("bumpmap", bitmap("arbitrary", "b.exr"), number("scale", 0.3), _ROUGH),
     "bumpmap-mirror": of("bumpmap", bitmap("arbitrary", "b.exr"), number("scale", 0.3), _MIRROR),
