@@ -225,6 +225,8 @@ def _announce(recorder: "Recorder", status: str, page: Path) -> None:
         recorder.display.console.print(table(recorder.profile), highlight=False)
     for warning in recorder.warnings:
         say(f"warning: {warning}")
+    for note in recorder.notes:
+        say(note)
     if status == "interrupted":
         say("interrupted: the record is complete up to here; go on with")
         say(f"  isas run resume={recorder.folder}")

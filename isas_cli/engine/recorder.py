@@ -260,11 +260,6 @@ class Recorder:
                     kept = f"meshes/good_{safe_name(key)}.*"
                     doubt += f"; {kept} is as of iteration {self._good[key][0]['iteration']}"
                 warnings.append(doubt)
-        if self.loop.converged:
-            warnings.append(
-                "what is left is the targets' noise: a fit to them ends at an image_rmse of "
-                f"{self.loop.floor.image_rmse:.2g}; target.noise=… lowers it"
-            )
         if not self.loop.evaluator.loss.linear:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
         for entry in self._resumed:
@@ -276,6 +271,16 @@ class Recorder:
                     f"{entry['iteration']}: {what} followed another schedule"
                 )
         return warnings
+
+    @property
+    def notes(self) -> list[str]:
+        """What a reader may want to know, and need not worry about."""
+        if not self.loop.converged:
+            return []
+        return [
+            "what is left is the targets' noise: a fit to them ends at an image_rmse of "
+            f"{self.loop.floor.image_rmse:.2g}; target.noise=… lowers it"
+        ]
 
     def _doubts(self) -> dict[str, str]:
         """By unknown, why its result is not to be trusted."""
@@ -328,5 +333,6 @@ class Recorder:
                 **held_out.exposures(loop.whole, loop.stepper.values),
                 **({} if self.held_out is None else {"held_out": self.held_out}),
                 "warnings": self.warnings,
+                "notes": self.notes,
             }
         )

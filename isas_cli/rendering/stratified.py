@@ -218,8 +218,15 @@ class _Rendering:
         p = self.problem
         pixel = mi.UInt32(np.resize(chosen, self.width * self.parts).astype(np.uint32))
         drawn = dr.opaque(mi.UInt32, streams.seed(self.seed, number, "target"))
-        found = self._kernel(p.scene, p.sensors, p.views, p.unknowns.leaves, pixel, drawn)
-        sums = [np.array(each, np.float64)[: chosen.size] for each in found]
+        radiance, finite = self._kernel(
+            p.scene, p.sensors, p.views, p.unknowns.leaves, pixel, drawn
+        )
+        # Outside of what is recorded: with some sensors Dr.Jit cannot record another kernel there.
+        parts = [*map(mi.Float64, radiance), *(dr.square(mi.Float64(c)) for c in radiance)]
+        parts.append(dr.select(finite, mi.Float64(1), 0))
+        sums = [dr.block_sum(each, self.length // self.parts) for each in parts]
+        dr.eval(sums)
+        sums = [np.array(each)[: chosen.size] for each in sums]
         return np.stack(sums[:3]), np.stack(sums[3:6]), sums[6]
 
 
@@ -237,9 +244,7 @@ def _kernel(integrator, length: int, parts: int, width: int):
             finite = dr.all(dr.isfinite(radiance))
             radiance = dr.select(finite, radiance, 0)
             dr.eval(radiance, finite)
-        sums = [*map(mi.Float64, radiance), *(dr.square(mi.Float64(c)) for c in radiance)]
-        sums.append(dr.select(finite, mi.Float64(1), 0))
-        return [dr.block_sum(each, length // parts) for each in sums]
+            return radiance, finite
 
     return kernel
 
