@@ -20,6 +20,7 @@ import numpy as np
 
 from ..runtime import streams
 from ..scene.problem import Problem
+from ..unknowns.parameters import own
 from . import rays
 from .kernels import recorded
 
@@ -124,8 +125,8 @@ class _Rendering:
         # Of which a pilot has the paths of one, so that one kernel does for both.
         self.parts = _PARTS if self.length >= 4 * _PARTS else 1
         self.width = max(1, min(self.pixels, _LANES // self.length))
-        own = self.length, self.parts, self.width
-        self._kernel = recorded(_kernel(problem.integrator, *own), problem)
+        sizes = self.length, self.parts, self.width
+        self._kernel = recorded(_kernel(problem.integrator, *sizes), problem)
 
     def sums(self, kept: Sums | None) -> Sums:
         found = Sums.none(self._shared_out()) if kept is None else kept
@@ -204,11 +205,11 @@ class _Rendering:
         )
         means = sums / np.maximum(finite, 1)
         first, last = chosen[0], chosen[-1] + 1  # in order
-        own = chosen - first
+        place = chosen - first
         for channel in range(3):
-            found.first[first:last, channel] += np.bincount(own, means[channel])
-            found.second[first:last, channel] += np.bincount(own, means[channel] ** 2)
-        found.sequences[first:last] += np.bincount(own, finite > 0).astype(np.int64)
+            found.first[first:last, channel] += np.bincount(place, means[channel])
+            found.second[first:last, channel] += np.bincount(place, means[channel] ** 2)
+        found.sequences[first:last] += np.bincount(place, finite > 0).astype(np.int64)
         found.paths += chosen.size * self.length
         found.lost += chosen.size * self.length - int(finite.sum())
 
@@ -216,12 +217,11 @@ class _Rendering:
         """Of a part of a sequence through each pixel ``chosen``: sums of radiance and of its square
         ``(3, n)``, and how many paths were finite ``(n,)``, all ``float64``."""
         p = self.problem
-        pixel = mi.UInt32(np.resize(chosen, self.width * self.parts).astype(np.uint32))
+        pixel = own(mi.UInt32, np.resize(chosen, self.width * self.parts).astype(np.uint32))
         drawn = dr.opaque(mi.UInt32, streams.seed(self.seed, number, "target"))
         radiance, finite = self._kernel(
             p.scene, p.sensors, p.views, p.unknowns.leaves, pixel, drawn
         )
-        # Outside of what is recorded: with some sensors Dr.Jit cannot record another kernel there.
         parts = [*map(mi.Float64, radiance), *(dr.square(mi.Float64(c)) for c in radiance)]
         parts.append(dr.select(finite, mi.Float64(1), 0))
         sums = [dr.block_sum(each, self.length // self.parts) for each in parts]

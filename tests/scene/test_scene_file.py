@@ -404,4 +404,4 @@ def test_bad_targets_are_refused_in_one_line(folder, capfd, targets, masks, part
         images.write_png(name, np.full(shape, value, np.uint8))
     given = ["scene.path=own/scene.xml", unknowns(), f"scene.targets=[{targets}]"]
     given += [f"scene.masks=[{masks}]"] if masks else []
-    refused(capfd, *given, parts=parts)
+    refused(capfd, *given, "target.spp=null", parts=parts)
