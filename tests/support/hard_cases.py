@@ -278,7 +278,8 @@ CASES = [
         "</emitter></shape>",
         shapes=BALL + '<shape type="sphere" id="shell"><bsdf type="dielectric"/></shape>',
         depth=8,
-        settings=("loss=relative_l2", "estimator.batch=4096"),
+        # Of the truth itself: of fewer paths the targets' own fireflies decide.
+        settings=("loss=relative_l2", "estimator.batch=4096", "target.spp=4096"),
     ),
     Case(
         "rate 100",
@@ -297,7 +298,7 @@ CASES = [
     Case(
         *("one pixel", "a view of 1 × 1", GREY_FROM, 0.02),
         side=1,
-        settings=("evaluation.spp=1024",),
+        settings=("evaluation.spp=1024", "target.spp=4096"),
     ),
     Case(
         *("solved", "residuals that are noise alone, to a sampler that looks at them"),
