@@ -269,13 +269,13 @@ class SceneConfig:
 
 
 # Of targets, where nothing is said: benchmarks/targets.py.
-_NOISE = 0.02
+_NOISE = 0.03
 
 
 @dataclass
 class TargetConfig:
     """Rendered targets. ``noise``: the standard deviation of their pixels as a share of their mean
-    brightness (``rendering.stratified.noise``; None: 0.02), or instead ``spp``: paths per pixel,
+    brightness (``rendering.stratified.noise``; None: 0.03), or instead ``spp``: paths per pixel,
     in the mean. ``seed``: of a stream of their own."""
 
     noise: Optional[float] = None

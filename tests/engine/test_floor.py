@@ -107,7 +107,7 @@ def test_a_run_with_clean_targets_does_not(tmp_path):
 
 
 def test_one_setting_says_how_clean_targets_are():
-    assert TargetConfig().wanted == TargetConfig(noise=0.02).wanted == 0.02
+    assert TargetConfig().wanted == TargetConfig(noise=0.03).wanted == 0.03
     assert TargetConfig(spp=4).wanted is None
     for wrong in ({"noise": 0.1, "spp": 4}, {"noise": 0.0}, {"noise": 2.0}, {"spp": 0}):
         with pytest.raises(InputError, match="target"):
