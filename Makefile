@@ -18,7 +18,7 @@ help: ## list the targets
 
 setup: $(STAMP) ## make .venv with pinned packages and .venv/bin/isas
 
-demo: setup ## recover a pottery texture in about two minutes and write a report
+demo: setup ## recover a pottery texture in about three minutes and write a report
 	@$(VENV)/bin/isas run scene=pottery sampler=ours size=default budget.seconds=60
 
 test: setup ## run the tests, a worker a core: about twenty minutes on two
