@@ -268,7 +268,7 @@ class SceneConfig:
         _at_least(-1, scene__max_depth=self.max_depth)
 
 
-# Of targets, where nothing is said: benchmarks/targets.py.
+# Of targets, where nothing is said: their first rendering stays a minute or two.
 _NOISE = 0.03
 
 

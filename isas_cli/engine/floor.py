@@ -44,10 +44,12 @@ class Floor:
 
 def measure(evaluator: "Evaluator", seed: int) -> Floor | None:
     """Of the evaluator's problem; None where the targets' noise or the truth is not known, where
-    something moves, or where no image shows the unknowns. Renders."""
+    something moves, where pixels have weights, or where no image shows the unknowns. Renders."""
     problem = evaluator.problem
     variance, unknowns = problem.variance, problem.unknowns
     if variance is None or not np.all(np.isfinite(variance)) or not problem.truth_known:
+        return None
+    if problem.mask is not None:
         return None
     if any(u.kind.moves_geometry for u in unknowns):
         return None
@@ -55,7 +57,7 @@ def measure(evaluator: "Evaluator", seed: int) -> Floor | None:
     here, squares, errors = variance[np.array(evaluator.pixels)], {}, {}
     channels = 3 * problem.views.total
     for number, u in enumerate(unknowns):
-        rng = np.random.default_rng(streams.seed(seed, number, "evaluation_place"))
+        rng = np.random.default_rng(streams.seed(seed, 1 + number, "evaluation_place"))
         moved = _moved(u, rng)
         shown = evaluator.products(unknowns.values_of(truths | {u.key: moved}))
         image, error = float(shown.mean()), u.error(moved)
@@ -64,7 +66,7 @@ def measure(evaluator: "Evaluator", seed: int) -> Floor | None:
         # The part of the variance where the unknown shows; single products are noisy.
         weights = np.maximum(shown, 0)
         local = float((weights * here).sum() / weights.sum())
-        squares[u.key] = min(local * int(np.sum(u.seen)) / channels, local)
+        squares[u.key] = local * min(int(np.sum(u.seen)) / channels, 1.0)
         errors[u.key] = error * math.sqrt(squares[u.key] / image)
     if not squares:
         return None

@@ -59,6 +59,7 @@ class Recorder:
         """Begin the record: configuration, manifest, a checkpoint of the start, and the pictures
         that are known by now. Raises InputError when the folder holds a run already."""
         loop, typed = self.loop, self.typed
+        floor = loop.floor
         with loop.clock.unbilled("writing"):
             self._take(RunWriter(self.folder, overwrite=typed.overwrite))
             self._config(self.cfg)
@@ -70,7 +71,7 @@ class Recorder:
                     typed.target.seed,
                     loop.plan.statements,
                     loop.plan.record(),
-                    None if loop.floor is None else loop.floor.record,
+                    None if floor is None else floor.record,
                 )
             )
         self._checkpoint()

@@ -50,23 +50,26 @@ _GAIN = 4.0
 
 @dataclass
 class Sums:
-    """What has been found of ``n`` pixels. Of the means of sequences ``(n, 3) float64``: ``first``,
-    their sum, and ``second``, of their squares. ``sequences``: how many ``(n,)``; ``counts``: how
-    many in a round ``(n,)``. ``rounds`` that are whole, the next pass ``at`` in the one that runs;
+    """What has been found of ``n`` pixels. Of the means of sequences, ``float64``: ``first``, their
+    sum ``(n, 3)``, and ``second``, of their squares and all channels ``(n,)``. ``sequences``: how
+    many ``(n,)``; ``counts``: how many in a round ``(n,)``. ``foretold``: rounds that the pilot
+    thinks there will be; ``rounds`` that are whole, the next pass ``at`` in the one that runs;
     ``paths``, and those ``lost``, which were not finite."""
 
     first: np.ndarray
     second: np.ndarray
     sequences: np.ndarray
     counts: np.ndarray
+    foretold: int = 0
     rounds: int = 0
     at: int = 0
     paths: int = 0
     lost: int = 0
 
     @classmethod
-    def none(cls, counts: np.ndarray) -> "Sums":
-        return cls(*np.zeros((2, counts.size, 3)), np.zeros(counts.size, np.int64), counts)
+    def none(cls, counts: np.ndarray, foretold: int) -> "Sums":
+        n = counts.size
+        return cls(np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.int64), counts, foretold)
 
     def arrays(self) -> dict[str, np.ndarray]:
         return {name: np.asarray(value) for name, value in vars(self).items()}
@@ -82,17 +85,20 @@ class Sums:
 
     @property
     def variance(self) -> np.ndarray:
-        """Of a mean, its channels' mean, ``(n,) float32``; NaN of one sequence."""
+        """Of a mean, its channels' mean, ``(n,) float32``; NaN of less than two sequences."""
         n = self.sequences
-        spread = np.maximum(self.second - self.first**2 / np.maximum(n, 1)[:, None], 0).mean(1)
-        found = spread / np.maximum(n * (n - 1), 1)
+        spread = np.maximum(self.second - (self.first**2).sum(1) / np.maximum(n, 1), 0)
+        found = spread / (3 * np.maximum(n * (n - 1), 1))
         return np.where(n > 1, found, np.nan).astype(np.float32)
 
 
 def noise(images: np.ndarray, variance: np.ndarray) -> float:
     """The standard deviation of pixels, as a share of the images' mean, root mean square over the
-    99 in 100 with the least of it; 0 of black images."""
-    kept = np.sort(variance)[: math.ceil(_SHARE * len(variance))]
+    99 in 100 with the least of it; 0 of black images, NaN where no pixel's is known."""
+    known = variance[np.isfinite(variance)]
+    if not known.size:
+        return math.nan
+    kept = np.sort(known)[: math.ceil(_SHARE * known.size)]
     brightness = float(np.mean(images, dtype=np.float64))
     return math.sqrt(float(np.mean(kept, dtype=np.float64))) / brightness if brightness else 0.0
 
@@ -129,9 +135,10 @@ class _Rendering:
         self._kernel = recorded(_kernel(problem.integrator, *sizes), problem)
 
     def sums(self, kept: Sums | None) -> Sums:
-        found = Sums.none(self._shared_out()) if kept is None else kept
+        found = Sums.none(*self._shared_out()) if kept is None else kept
         while found.rounds < (aim := self._rounds(found)):
-            self._round(found, aim)
+            self._round(found, max(aim, found.foretold))
+        self.told(found.paths, found.paths)
         return found
 
     def _rounds(self, found: Sums) -> int:
@@ -141,15 +148,16 @@ class _Rendering:
         if found.rounds < _FEWEST:
             return _FEWEST
         has = noise(found.images, found.variance)
-        if has <= self.wanted:
+        if not has > self.wanted:
             return found.rounds
         most = max(_FEWEST, _DEAREST * self.pixels // int(found.counts.sum() * self.length))
         return min(most, math.ceil(found.rounds * (has / self.wanted) ** 2))
 
-    def _shared_out(self) -> np.ndarray:
-        """Sequences of each pixel in a round, ``(n,) int64``, at least one."""
+    def _shared_out(self) -> tuple[np.ndarray, int]:
+        """Sequences of each pixel in a round, ``(n,) int64``, at least one; how many rounds that
+        will take, as far as pilots tell."""
         if self.length == 1:
-            return np.full(self.pixels, -(-self.spp // _FEWEST))
+            return np.full(self.pixels, -(-self.spp // _FEWEST)), _FEWEST
         blocks, pilots = _blocks(self.problem.film_sizes, streams.seed(self.seed, 0, "target"))
         sums, squares = np.zeros((2, 3, pilots.size))
         finite = np.zeros(pilots.size)
@@ -164,32 +172,36 @@ class _Rendering:
         deviation = np.sqrt(np.bincount(blocks[pilots], spread, counted.size) / counted)[blocks]
         whole = float(deviation.mean())
         weight = np.clip(deviation / whole, _LEAST, _MOST) if whole > 0 else np.ones(self.pixels)
-        each = self._of_a_round(whole, float(means.mean()))
+        needed = self._needed(whole, float(means.mean())) / self.length
+        # Of a given noise no more than blocks need to share them out: there can be more rounds.
+        most = 1 / _LEAST if self.spp is None else math.inf
+        each = min(max(needed / _FEWEST, 1.0), most)
         low, high = 0.0, 2 * each / weight.min() + 1
         for _ in range(40):  # so that the mean is what is wanted, where none has less than one
             middle = (low + high) / 2
             few = np.maximum(np.rint(weight * middle), 1).mean() < each
             low, high = (middle, high) if few else (low, middle)
-        return np.maximum(np.rint(weight * high), 1).astype(np.int64)
+        counts = np.maximum(np.rint(weight * high), 1).astype(np.int64)
+        return counts, math.ceil(needed / counts.mean())
 
-    def _of_a_round(self, deviation: float, brightness: float) -> float:
-        """Sequences a pixel in the mean: of given paths their part; of a given noise what would
-        reach it in the fewest rounds, but no more than blocks need to share them out."""
+    def _needed(self, deviation: float, brightness: float) -> float:
+        """Paths a pixel in the mean, whose mean standard deviation is ``deviation``."""
         if self.wanted is None:
-            return self.spp / (_FEWEST * self.length)
-        most = 1 / _LEAST
+            return self.spp
         if not brightness > 0:
-            return 1.0
-        paths = (deviation / (self.wanted * brightness)) ** 2 / _GAIN
-        return float(np.clip(paths / (_FEWEST * self.length), 1, most))
+            return 0.0
+        return min((deviation / (self.wanted * brightness)) ** 2 / _GAIN, _DEAREST)
 
     def _round(self, found: Sums, aim: int) -> None:
-        """What is left of the round that runs. ``aim``: of how many there are to be."""
-        which = np.repeat(np.arange(self.pixels), found.counts)
-        passes = -(-which.size // self.width)
-        total = aim * which.size * self.length
+        """What is left of the round that runs. ``aim``: of how many there will be."""
+        ends = np.cumsum(found.counts)
+        sequences = int(ends[-1])
+        passes = -(-sequences // self.width)
+        total = aim * sequences * self.length
         while found.at < passes:
-            chosen = which[found.at * self.width : (found.at + 1) * self.width]
+            begin = found.at * self.width
+            part = np.arange(begin, min(begin + self.width, sequences))
+            chosen = np.searchsorted(ends, part, side="right")  # the pixels whose these are
             number = 1 + found.rounds * passes + found.at
             self._add(found, chosen, number)
             found.at += 1
@@ -208,7 +220,7 @@ class _Rendering:
         place = chosen - first
         for channel in range(3):
             found.first[first:last, channel] += np.bincount(place, means[channel])
-            found.second[first:last, channel] += np.bincount(place, means[channel] ** 2)
+        found.second[first:last] += np.bincount(place, (means**2).sum(0))
         found.sequences[first:last] += np.bincount(place, finite > 0).astype(np.int64)
         found.paths += chosen.size * self.length
         found.lost += chosen.size * self.length - int(finite.sum())

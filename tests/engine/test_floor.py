@@ -70,6 +70,7 @@ def test_what_is_not_known_has_none():
     assert measured("target.spp=1")[1] is None
     p = problem({TEXTURE: 0.5})
     assert Evaluator(p, L2(), 64, 4, 0).floor is None
+    assert measured("target.spp=2", "scene.weights=equal")[1] is None
 
 
 def record(folder):

@@ -100,6 +100,23 @@ def test_few_paths_are_as_many_as_asked_for(pottery, spp):
     assert np.all(np.isfinite(found.variance)) == (spp > 1)
 
 
+def test_progress_goes_on_to_the_end(truth):
+    told = []
+    found = rendered(truth, noise=0.06, told=lambda *each: told.append(each))
+    done, total = np.array(told).T
+    assert np.all(np.diff(done) >= 0) and np.all(done <= total)
+    assert done[-1] == total[-1] == found.paths
+
+
+def test_pixels_without_a_finite_path_are_left_out_of_the_noise():
+    images, variance = np.ones((8, 3), np.float32), np.full(8, 0.04, np.float32)
+    assert stratified.noise(images, variance) == pytest.approx(0.2)
+    variance[2] = np.nan
+    assert stratified.noise(images, variance) == pytest.approx(0.2)
+    assert np.isnan(stratified.noise(images, variance * np.nan))
+    assert stratified.noise(0 * images, variance) == 0
+
+
 class _Stopped(Exception):
     pass
 
