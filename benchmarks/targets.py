@@ -7,7 +7,7 @@ they tell it themselves (tests/rendering/test_stratified.py compares that with m
 Over the 99 in 100 pixels with the least noise, and over all, whose noise rare bright paths rule.
 Writes results/targets.csv, a row a scene and `target.noise`: the goal is an `of_time` of 1 / 6.
 
-    .venv/bin/python benchmarks/targets.py [SCENE …] [--noise 0.05 0.02] [--turns 2]
+    .venv/bin/python benchmarks/targets.py [SCENE …] [--noise 0.03 0.01] [--turns 2]
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def measure(scene: str, wanted: list[float], turns: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenes", nargs="*", metavar="SCENE")
-    parser.add_argument("--noise", nargs="+", type=float, default=[0.05, 0.02])
+    parser.add_argument("--noise", nargs="+", type=float, default=[0.03])
     parser.add_argument("--turns", type=int, default=2)
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     chosen = parser.parse_args()
