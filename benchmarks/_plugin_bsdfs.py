@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from _plugin_room import MATTE, ball, bitmap, bsdf, colour, number, of, room
+from _plugin_room import MATTE, POINTS, ball, bitmap, bsdf, colour, number, of, room
 
 # Beside gaps and other lobes: darker than what is seen through and in them.
 _DARK = bsdf("diffuse", colour("reflectance", "0.1,0.15,0.2"))
@@ -45,6 +45,13 @@ def _principled(kind: str = "principled", **changed) -> str:
 _OPAQUE = {"clearcoat": 0.5, "clearcoat_gloss": 0.4, "specular": 0.6}
 _THIN = {"metallic": None, "spec_trans": 0.4, "diff_trans": 0.8, "eta": 1.4}
 
+
+def _under_points(inside: str, *more: str) -> str:
+    return room(ball(inside, *more), lights=POINTS)
+
+
+_CURVE = "bsplinecurve", '<string name="filename" value="curve.txt"/>'
+
 BSDFS = {
     "diffuse": of("diffuse", colour("reflectance", "0.6,0.4,0.3")),
     "conductor": of("conductor", METAL, colour("specular_reflectance", "0.9,0.7,0.5")),
@@ -60,6 +67,9 @@ BSDFS = {
     ),
     "roughconductor-anisotropic": of(
         "roughconductor", METAL, number("alpha_u", 0.4), number("alpha_v", 0.15)
+    ),
+    "roughconductor-points": _under_points(
+        bsdf("roughconductor", METAL, number("alpha_u", 0.4), number("alpha_v", 0.15))
     ),
     "roughconductor-textured": of("roughconductor", METAL, bitmap("alpha", "g.exr")),
     "roughconductor-ggx": of(
@@ -123,6 +133,8 @@ BSDFS = {
     ),
     "principled-eta": room(ball(_principled(eta=1.4, metallic=0.1, spec_trans=0.6))),
     "principled-bare": room(ball(bsdf("principled", colour("base_color", "0.6,0.4,0.3")))),
+    "principled-points": _under_points(_principled(**_OPAQUE, anisotropic=0.7)),
+    "principledthin-points": _under_points(_principled("principledthin", **_THIN, anisotropic=0.7)),
     "principledthin": room(ball(_principled("principledthin", **_THIN))),
     "mask": of("mask", number("opacity", 0.6), _DARK),
     **{
@@ -159,23 +171,28 @@ BSDFS = {
     ),
     "twosided-both": room(ball(bsdf("twosided", MATTE, _BESIDE["plastic"]), "rectangle")),
     "bumpmap": of("bumpmap", bitmap("arbitrary", "b.exr"), number("scale", 0.3), _ROUGH),
+    "bumpmap-points": _under_points(
+        bsdf("bumpmap", bitmap("arbitrary", "b.exr"), number("scale", 0.3), MATTE)
+    ),
     "bumpmap-mirror": of("bumpmap", bitmap("arbitrary", "b.exr"), number("scale", 0.3), _MIRROR),
     "normalmap": of("normalmap", bitmap("normalmap", "n.exr"), _ROUGH),
+    "normalmap-points": _under_points(bsdf("normalmap", bitmap("normalmap", "n.exr"), MATTE)),
     "normalmap-mirror": of("normalmap", bitmap("normalmap", "n.exr"), _MIRROR),
     "null": of("null"),
     "hair": room(
         ball(
             bsdf("hair", number("eumelanin", 0.3), number("pheomelanin", 0.2)),
-            "bsplinecurve",
-            '<string name="filename" value="curve.txt"/>',
+            *_CURVE,
         )
     ),
     "hair-sigma": room(
         ball(
             bsdf("hair", colour("sigma_a", "0.3,0.5,0.9")),
-            "bsplinecurve",
-            '<string name="filename" value="curve.txt"/>',
+            *_CURVE,
         )
+    ),
+    "hair-points": _under_points(
+        bsdf("hair", number("eumelanin", 0.3), number("pheomelanin", 0.2)), *_CURVE
     ),
     "measured": of("measured", '<string name="filename" value="lobe.bsdf"/>'),
     "circular": of("circular", colour("transmittance", "0.7,0.8,0.9")),

@@ -25,6 +25,18 @@ LAMP = (
     '<emitter type="area"><rgb name="radiance" value="9,7,5"/></emitter></shape>'
 )
 SKY = '<emitter type="constant" id="sky"><rgb name="radiance" value="0.3,0.4,0.5"/></emitter>'
+# Lights without extent: no direction that a BSDF draws meets them, which is where the noise of a
+# derivative by a lobe's shape comes from.
+POINTS = "".join(
+    f'<emitter type="point"><point name="position" value="{place}"/>'
+    f'<rgb name="intensity" value="{power}"/></emitter>'
+    for place, power in (
+        ("2,2.5,3", "30,25,20"),
+        ("-2.5,0.5,2.5", "15,20,25"),
+        ("0.5,-2.5,2", "20,15,15"),
+        ("0.5,1.5,-1.5", "4,5,6"),
+    )
+)
 _WALL = (
     '<shape type="rectangle" id="wall"><transform name="to_world"><scale value="3"/>'
     '<translate z="-2"/></transform>'

@@ -9,6 +9,7 @@ import mitsuba as mi
 
 from .light import by_chance, density_toward, gathered, mis_weight, sky_for
 from .lobes import Lobes, scattered
+from .roulette import chance, scaled
 
 # Paths up to this many edges are unrolled. Longer ones would cost compile time.
 LONGEST = 8
@@ -48,7 +49,7 @@ def radiance(
     β: throughput so far, with the derivatives of all earlier BSDF values; L: radiance so far;
     used: β as far as where paths go on is concerned, above 0 where only a derivative is left.
     """
-    L, β, η = mi.Spectrum(0), mi.Spectrum(1), mi.Float(1)
+    L, β, scale = mi.Spectrum(0), mi.Spectrum(1), mi.Float(1)
     sky = sky_for(scene, math.prod(draws))
     active, delta = mi.Bool(True), mi.Bool(True)
     spread, used = mi.Bool(False), mi.Spectrum(1)
@@ -89,16 +90,15 @@ def radiance(
         with dr.suspend_grad():
             drawn = scattered(lobes if differentiated else None, bsdf, si, sampler, active, attach)
             next_ray = si.spawn_ray(si.to_world(drawn.wo))
-            η *= drawn.eta
+            scale = scaled(scale, drawn.used, drawn.eta)
             used *= drawn.used
-            most = dr.max(used)
-            active &= most != 0
+            active &= dr.max(used) != 0
             # Used or not: the stream stays in step with prb's.
             number, survival = sampler.next_1d(), mi.Float(1)
             if depth >= rr_depth:
-                chance = dr.minimum(most * dr.square(η), 0.95)
-                active &= number < chance
-                survival = dr.select(active, dr.rcp(chance), 0)
+                lives = chance(used, scale)
+                active &= number < lives
+                survival = dr.select(active, dr.rcp(lives), 0)
                 used *= survival
         β *= drawn.weight * survival + drawn.used * survival * (drawn.factor - 1)
 

@@ -49,6 +49,7 @@ from ..runtime.errors import InputError
 from ..unknowns.unknowns import Unknowns
 from .integrators import InOneGo, Integrator
 from .light import by_chance, mis_weight
+from .roulette import chance, scaled
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
@@ -175,7 +176,7 @@ class DerivativeSampling(InOneGo):
         up to it over the probability of having been drawn, and whether there is one.
         """
         context = mi.BSDFContext()
-        β, η = mi.Spectrum(1), mi.Float(1)
+        β, scale = mi.Spectrum(1), mi.Float(1)
         depth = mi.UInt32(0)
         total = mi.Float(0)
         chosen_hit = dr.zeros(mi.PreliminaryIntersection3f)
@@ -201,9 +202,9 @@ class DerivativeSampling(InOneGo):
 
             sample, passed = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), active)
             β *= passed
-            η *= sample.eta
+            scale = scaled(scale, passed, sample.eta)
             ray = si.spawn_ray(si.to_world(sample.wo))
-            β, alive = self._roulette(sampler, β, η, depth)
+            β, alive = self._roulette(sampler, β, scale, depth)
             # The vertices after the last one would be of no use.
             active &= alive & (depth + 2 < self.paths.derivative)
             depth += 1
@@ -211,13 +212,12 @@ class DerivativeSampling(InOneGo):
 
         return chosen_hit, chosen_ray, chosen_depth, chosen_β * total, total > 0
 
-    def _roulette(self, sampler, β, η, depth) -> tuple[mi.Spectrum, mi.Bool]:
+    def _roulette(self, sampler, β, scale, depth) -> tuple[mi.Spectrum, mi.Bool]:
         """Throughput after Russian roulette as path replay plays it, and who survives."""
-        most = dr.max(β)
-        chance = dr.minimum(most * dr.square(η), 0.95)
+        lives = chance(β, scale)
         late = depth >= self.rr_depth
-        alive = (most != 0) & (~late | (sampler.next_1d() < chance))
-        return dr.select(late, β * dr.rcp(chance), β), alive
+        alive = (dr.max(β) != 0) & (~late | (sampler.next_1d() < lives))
+        return dr.select(late, β * dr.rcp(lives), β), alive
 
     @dr.syntax
     def _incident(self, scene, sampler, origin, ray, number, active):
@@ -229,7 +229,7 @@ class DerivativeSampling(InOneGo):
         """
         context = mi.BSDFContext()
         at_once, pdf_light = mi.Spectrum(0), mi.Float(0)
-        L, β, η = mi.Spectrum(0), mi.Spectrum(1), mi.Float(1)
+        L, β, scale = mi.Spectrum(0), mi.Spectrum(1), mi.Float(1)
         depth = mi.UInt32(number)
         ray = mi.Ray3f(ray)
         active = mi.Bool(active)
@@ -261,13 +261,13 @@ class DerivativeSampling(InOneGo):
 
             sample, passed = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), active)
             β *= passed
-            η *= sample.eta
+            scale = scaled(scale, passed, sample.eta)
             ray = si.spawn_ray(si.to_world(sample.wo))
             previous = dr.detach(si, True)
             pdf = sample.pdf
             delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
             first = mi.Bool(False)
-            β, alive = self._roulette(sampler, β, η, depth)
+            β, alive = self._roulette(sampler, β, scale, depth)
             active &= alive
             depth += 1
             hit = scene.ray_intersect_preliminary(ray, coherent=False, reorder=False, active=active)

@@ -9,6 +9,7 @@ import mitsuba as mi
 
 from .light import by_chance, density_toward, gathered, mis_weight, sky_for
 from .lobes import Lobes, scattered
+from .roulette import chance, scaled
 
 _ONCE = dr.ADFlag.ClearEdges | dr.ADFlag.ClearInterior
 
@@ -56,7 +57,7 @@ def trace(
     spread = (mi.Bool(False),) if caustics is not True else ()
 
     def vertex(
-        L, found, β, η, depth, active, hit, ray, previous, pdf, delta, spread, sampler, count, here
+        L, found, β, scale, depth, active, hit, ray, previous, pdf, delta, spread, sampler, count, here
     ):
         """One vertex: what it emits and reflects. ``count``: directions drawn to lights at the
         one before; ``here``: ``draws`` of this one."""
@@ -88,19 +89,18 @@ def trace(
                     found = found + dr.forward_to(total, flags=_ONCE)
 
         β = β * drawn.used
-        η = η * drawn.eta
-        most = dr.max(β)
-        chance = dr.minimum(most * dr.square(η), 0.95)
+        scale = scaled(scale, drawn.used, drawn.eta)
+        lives = chance(β, scale)
         late = depth >= rr_depth
-        β = dr.select(late, β * dr.rcp(chance), β)
-        on &= (most != 0) & (~late | (sampler.next_1d() < chance))
+        on &= (dr.max(β) != 0) & (~late | (sampler.next_1d() < lives))
+        β = dr.select(late, β * dr.rcp(lives), β)
         next_ray = si.spawn_ray(si.to_world(drawn.wo))
         hit = scene.ray_intersect_preliminary(next_ray, coherent=False, reorder=False, active=on)
         delta = drawn.delta
         previous = dr.detach(si, True)
         spread = tuple(each | ~delta for each in spread)
         after = on, hit, next_ray, previous, drawn.pdf, delta, spread, sampler
-        return L, found, β, η, depth + 1, *after
+        return L, found, β, scale, depth + 1, *after
 
     state = (
         mi.Spectrum(0 if primal else radiance),

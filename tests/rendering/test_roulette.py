@@ -1,0 +1,65 @@
+"""Russian roulette and the derivatives of what is nearly black."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from scenes_for_tests import dictionary, without_targets
+
+from isas_cli.rendering import rays, roulette
+
+BLACK, SEEDS, COPIES = 1e-6, 16, 192
+MATTE = {"type": "diffuse", "reflectance": 0.7}
+PANE = {"type": "thindielectric", "specular_transmittance": BLACK}
+
+
+def black(key: str, bsdf: dict, depth: int, rr_depth: int):
+    """A floor of next to black before a bright wall, and a pane of it before both."""
+    scene = dictionary(depth=depth)
+    scene["integrator"]["rr_depth"] = rr_depth
+    scene["wall"]["bsdf"] = MATTE
+    scene["floor"]["bsdf"] = {"type": "diffuse", "reflectance": BLACK}
+    scene["ceiling"] = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().translate([0, 3.5, 0]).rotate([1, 0, 0], 90).scale(3),
+        "bsdf": MATTE,
+    }
+    scene["pane"] = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().translate([0, 0.5, 1.2]),
+        "bsdf": bsdf,
+    }
+    return without_targets(scene, {key: BLACK})
+
+
+def derivatives(p) -> np.ndarray:
+    """Of the mean picture by the one unknown, ``(SEEDS,)``."""
+    (key,) = p.unknowns.keys
+    like, found = p.unknowns[key].start, []
+    values = p.unknowns.values_of({key: np.full_like(like, BLACK)})
+    for seed in range(SEEDS):
+        p.unknowns.push_tangent(values, p.unknowns.values_of({key: np.ones_like(like)}))
+        with dr.suspend_grad():
+            pixel = dr.tile(dr.arange(mi.UInt32, p.views.total), COPIES)
+            stream = rays.stream(mi.UInt32(seed), dr.width(pixel))
+            ray, _ = rays.spawn(p.sensors, p.views, *p.views.locate(pixel), stream)
+            found.append(np.array(p.integrator.forward(p.scene, stream, ray)).mean())
+    return np.array(found, np.float64)
+
+
+@pytest.mark.parametrize("depth", [8, 10], ids=["unrolled", "replayed"])
+@pytest.mark.parametrize(
+    "key, pane",
+    [("floor.bsdf.reflectance.value", MATTE), ("pane.bsdf.specular_transmittance.value", PANE)],
+    ids=["reflectance", "transmittance"],
+)
+def test_derivatives_of_what_is_black_are_those_without_roulette(depth, key, pane, monkeypatch):
+    without = derivatives(black(key, pane, depth, 1000))
+    with_it = derivatives(black(key, pane, depth, 1))
+    error = np.hypot(*(each.std(ddof=1) / np.sqrt(SEEDS) for each in (without, with_it)))
+    assert 4 * error < 0.1 * without.mean()
+    assert abs(with_it.mean() - without.mean()) < 4 * error
+    # By the throughput alone all that goes on from there is lost.
+    monkeypatch.setattr(roulette, "_DARK", 0.0)
+    lost = derivatives(black(key, pane, depth, 1))
+    assert lost.mean() < 0.9 * without.mean()
