@@ -20,6 +20,7 @@ from ..scene import built, flat, lenses, mesh_checks, scene_file, stand_ins
 from ..scene.photos import building, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
+from ..unknowns import verdicts
 from ..unknowns.parameters import owner, read
 from ..unknowns.specs import narrow_blurs, parse
 from ..unknowns.unknowns import Unknown, Unknowns
@@ -81,6 +82,7 @@ def bare(
             *narrow_blurs(found),
             *(warning for each in found for warning in each.kind.warnings()),
             *_doubtful_starts(found),
+            *_wrong(params, found),
             *_flat_densities(found, adapted),
             *_traded(unknowns, truth_known),
         ],
@@ -202,6 +204,17 @@ def _doubtful_starts(found: list[Unknown]) -> list[str]:
     is for ends."""
     doubts = ((each.key, each.kind.doubt(each.start)) for each in found)
     return [f"start of '{key}': {doubt.partition('; ')[0]}" for key, doubt in doubts if doubt]
+
+
+def _wrong(params: mi.SceneParameters, found: list[Unknown]) -> list[str]:
+    """Of unknowns by which the census of derivatives found wrong ones."""
+    said = []
+    for key in (each.key for each in found if each.kind.carried and each.key in params):
+        what = verdicts.place(params, key)
+        if verdicts.verdict(*what) in verdicts.WRONG:
+            told = verdicts.note(*what)
+            said.append(f"derivatives by '{key}' are not right everywhere: {told}")
+    return said
 
 
 def where_of(scene: SceneConfig) -> str:
