@@ -17,7 +17,7 @@ from ..rendering import coverage, integrators, light, targets, trial
 from ..runtime import backend
 from ..runtime.errors import InputError
 from ..scene import built, flat, lenses, mesh_checks, scene_file, stand_ins
-from ..scene.photos import building, photographs
+from ..scene.photos import building, noise, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
 from ..unknowns import verdicts
@@ -136,6 +136,7 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
     problem.names = tuple(each.camera.name for each in taken.shown)
     pictures, masks = ([getattr(p, n) for p in taken.shown] for n in ("image", "mask"))
     targets.given(problem, pictures, masks, filled)
+    problem.photographed = noise.of_all(taken.shown)
     if filled and problem.unknowns.moving:
         problem.warnings.append(
             "photos.background=false: pixels that the start does not fill do not count, so nothing "

@@ -14,6 +14,7 @@ from ..records import KEY_PREFIX, VALUE_PREFIX, RunWriter, manifest, safe_name, 
 from ..rendering.renderer import Renderer
 from ..runtime.errors import InputError
 from . import ends, held_out
+from .floor import photographs
 from .loop import Hooks, Loop
 from .pictures import Pictures
 from .resumption import Continuation
@@ -71,7 +72,7 @@ class Recorder:
                     typed.target.seed,
                     loop.plan.statements,
                     loop.plan.record(),
-                    None if floor is None else floor.record,
+                    photographs(loop.whole) if floor is None else floor.record,
                 )
             )
         self._checkpoint()
