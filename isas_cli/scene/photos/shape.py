@@ -102,6 +102,10 @@ def _rectangle(x0: float, y0: float, x1: float, y1: float) -> Surface:
 
 
 def _sphere(x: float, y: float, z: float, radius: float) -> Surface:
+    """Closed: each pole, as the seam, is one place."""
     angle = np.linspace(0, np.pi, 65)
-    ball = lathe.turn(np.column_stack([np.sin(angle), -np.cos(angle)]) * radius, 128)
-    return replace(ball, vertices=ball.vertices + np.float32([x, y, z]))
+    profile = np.column_stack([np.sin(angle), -np.cos(angle)])
+    profile[[0, -1], 0] = 0  # sin π is not
+    # Of radius 1 until it is whole: how finely its places are told apart does not scale.
+    ball = lathe.turn(profile, 128)
+    return replace(ball, vertices=ball.vertices * np.float32(radius) + np.float32([x, y, z]))
