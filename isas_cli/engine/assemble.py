@@ -20,6 +20,7 @@ from ..scene import built, flat, lenses, mesh_checks, scene_file, stand_ins
 from ..scene.photos import building, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
+from ..unknowns.exposure import Exposure
 from ..unknowns.parameters import owner, read
 from ..unknowns.specs import narrow_blurs, parse
 from ..unknowns.unknowns import Unknown, Unknowns
@@ -134,6 +135,8 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
     problem.names = tuple(each.camera.name for each in taken.shown)
     pictures, masks = ([getattr(p, n) for p in taken.shown] for n in ("image", "mask"))
     targets.given(problem, pictures, masks, filled)
+    if (exposure := problem.unknowns.of(Exposure)) is not None:
+        exposure.kind.compare(_energies(problem))
     if filled and problem.unknowns.moving:
         problem.warnings.append(
             "photos.background=false: pixels that the start does not fill do not count, so nothing "
@@ -157,6 +160,14 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
         return
     problem.warnings += held.warnings
     problem.held_out = held
+
+
+def _energies(problem: Problem) -> np.ndarray:
+    """Of the targets, Σ I² over the pixels that count, by view and channel, ``(V, 3)``."""
+    squares = np.square(np.array(problem.targets, np.float64)).reshape(-1, 3)
+    squares *= np.array(problem.mask)[:, None]
+    starts = np.cumsum([0, *(width * height for width, height in problem.film_sizes)])[:-1]
+    return np.add.reduceat(squares, starts)
 
 
 def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:

@@ -100,7 +100,7 @@ def unknowns(settings: PhotosConfig, surface: meshes.Surface, own: dict) -> dict
         if settings.environment is None:
             found[f"{SKY}.data"] = UnknownConfig(start=_LIGHT)
     if settings.exposure != "fixed":
-        found.setdefault(EXPOSURE, UnknownConfig(start=1.0))
+        found.setdefault(EXPOSURE, UnknownConfig(start=1.0, lr=0.05))
     if settings.refine:
         found.setdefault(CAMERAS, UnknownConfig(start=0.0))
     return found
