@@ -77,6 +77,7 @@ def bare(
         unknowns,
         content,
         warnings=[
+            *(taken.warnings if taken is not None else ()),
             *mesh_checks.check_scene(loaded, unknowns.textures),
             *_other_pictures(loaded, adapted),
             *narrow_blurs(found),

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from ...runtime.errors import InputError
-from .base import Capture, number, picture, read_text, whole
+from .base import Capture, number, read_text, whole
 from .camera import Camera
+from .finding import picture, present
 
 # Model → what its parameters are; f is both fx and fy.
 _MODELS = {
@@ -71,7 +72,9 @@ def _read(file: Path, root: Path, called: str = "") -> Capture:
     order = {name: index for index, name in enumerate(places)}
     cameras, observed = [], {}
     for where, words, found in _images(file):
-        camera = _camera(where, words, lenses, root, called)
+        camera = present(_camera, where, words, lenses, root, called)
+        if camera is None:
+            continue
         cameras.append(camera)
         known = [(order[p], x, y) for x, y, p in found if p in order]
         if known:
