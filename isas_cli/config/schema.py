@@ -202,7 +202,9 @@ class PhotosConfig:
     say; ``masks=none``: there are none); ``missing``: ``refuse`` a picture that does not exist, or
     ``skip`` its view; ``scale``: of pictures that were resized after calibration, how large they
     are of the cameras' size, or ``auto``; ``orientation``: whether cameras are of pictures as
-    ``stored`` or as ``turned`` by their Orientation tag (``auto``: as is usual of their file).
+    ``stored`` or as ``turned`` by their Orientation tag (``auto``: as is usual of their file);
+    ``materials``: of a mesh that has several, ``each`` a shape and a colour of its own, or ``one``
+    for all.
     """
 
     path: Optional[str] = None
@@ -226,6 +228,7 @@ class PhotosConfig:
     missing: str = "refuse"
     scale: Any = None
     orientation: str = "auto"
+    materials: str = "each"
 
     def __post_init__(self) -> None:
         _at_least(1, photos__width=self.width, photos__texture=self.texture)
@@ -236,6 +239,7 @@ class PhotosConfig:
             ("up", _UPS),
             ("missing", ("refuse", "skip")),
             ("orientation", ("auto", "stored", "turned")),
+            ("materials", ("each", "one")),
         ):
             if getattr(self, name) not in valid:
                 raise InputError(f"photos.{name}={getattr(self, name)}: valid: {', '.join(valid)}")

@@ -8,6 +8,7 @@ y down, z forward, and pixels count from the picture's corner. Binary models are
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from pathlib import Path
 
@@ -55,7 +56,11 @@ def read(file: Path, root: Path) -> Capture:
         except (RuntimeError, ValueError, OSError) as error:
             told = " ".join(str(error).split())
             raise InputError(f"{file}: pycolmap cannot read the model: {told}") from error
-        return _read(Path(folder) / "cameras.txt", root, str(file))
+        try:
+            return _read(Path(folder) / "cameras.txt", root, str(file))
+        except InputError as error:  # names the user's files, not those that they were turned into
+            told = str(error).replace(folder, str(file.parent))
+            raise InputError(re.sub(r"\.txt(:\d+)?\b", ".bin", told)) from error
 
 
 def _read(file: Path, root: Path, called: str = "") -> Capture:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from ...config.schema import PhotosConfig
@@ -18,15 +19,20 @@ _NAMED = 5  # of pictures that are missing
 @dataclass
 class Photographs:
     """``shown``: views to learn from, at least one; ``held``: views held out; ``capture``: all that
-    their file says; ``surface``: of the object; ``settings``: what was asked for; ``warnings``:
-    what should be said of the files."""
+    their file says; ``parts``: of the object, by shape (``shape.parts``), or None; ``settings``:
+    what was asked for; ``warnings``: what should be said of the files."""
 
     shown: list[Photograph]
     held: list[Photograph]
     capture: Capture
-    surface: Surface | None
+    parts: dict[str, Surface] | None
     settings: PhotosConfig
     warnings: list[str] = field(default_factory=list)
+
+    @cached_property
+    def surface(self) -> Surface | None:
+        """The whole object's."""
+        return None if self.parts is None else shape.joined(list(self.parts.values()))
 
     @property
     def all(self) -> list[Photograph]:
@@ -43,15 +49,15 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     capture.cameras, told = finding.masked(capture.cameras, root, sources)
     over, more = turns.turned(capture.cameras, capture, settings.orientation)
     shown, held = reading.split(capture, settings.test)
-    surface = None
+    parts = None
     if not shapeless or shape.described(settings, capture):
-        surface = shape.surface(settings, capture)
+        parts = shape.parts(settings, capture)
     made = [
         [importing.load(camera, settings, camera.name in over) for camera in part]
         for part in (shown, held)
     ]
     told += [*_left_out(sources), *more, *_doubts([*made[0], *made[1]])]
-    return Photographs(*made, capture, surface, settings, told)
+    return Photographs(*made, capture, parts, settings, told)
 
 
 def _check(capture: Capture, sources: finding.Sources) -> None:
