@@ -28,7 +28,7 @@ _SAME = 0.004
 _CLOSE = 0.002  # x and y of primaries
 # x and y of sRGB's red, green, blue and white.
 _PRIMARIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
-_ADOBE = "Gamma 2.2 Encoded AdobeRGB"
+_ADOBE = "g22_adobergb_scene"
 
 
 @dataclass(frozen=True)
