@@ -8,20 +8,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from ...runtime import raw
 from ...runtime.errors import InputError
 from .camera import Camera
-
-_PICTURES = (
-    *(".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".tiff", ".webp", ".bmp"),
-    *raw.ENDINGS,
-)
 
 
 @dataclass
@@ -30,7 +23,8 @@ class Capture:
     that are known, or None; ``observed``: by view, the numbers of those points that were found in
     it and where, ``(K,)`` and ``(K, 2)`` pixels as ``Camera`` counts them; ``plane``: a known
     rectangle of the plane z = 0, [x0, y0, x1, y1], or None; ``kind``: the format, in words;
-    ``held``: names of the views that the files hold out."""
+    ``held``: names of the views that the files hold out; ``turned``: whether their cameras are
+    usually of pictures turned as their Orientation tags ask, not of the pixels as stored."""
 
     cameras: list[Camera]
     kind: str
@@ -38,6 +32,7 @@ class Capture:
     observed: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     plane: tuple[float, ...] | None = None
     held: list[str] = field(default_factory=list)
+    turned: bool = False
 
 
 def read_text(file: Path) -> str:
@@ -110,17 +105,3 @@ def matrix(value, where: str) -> np.ndarray:
     if not np.isfinite(found).all():
         raise InputError(f"{where}: holds NaN or infinite numbers: mend or remove this view")
     return found
-
-
-def picture(folder: Path, name: str, where: str) -> Path:
-    """The file ``name`` below ``folder``, where a known ending may be left out. Raises
-    InputError."""
-    if not isinstance(name, str):
-        raise InputError(f"{where}: {name!r} is no name of a picture")
-    path = folder / name
-    endings = [*_PICTURES, *(ending.upper() for ending in _PICTURES)]
-    candidates = [path, *(Path(f"{path}{ending}") for ending in endings)]
-    for each in candidates:
-        if os.path.isfile(each):  # which also says no to a name that no file can have
-            return each
-    raise InputError(f"{where}: its picture {path} does not exist: mend the path or remove it")

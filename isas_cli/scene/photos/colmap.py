@@ -8,14 +8,16 @@ y down, z forward, and pixels count from the picture's corner. Binary models are
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from ...runtime.errors import InputError
-from .base import Capture, number, picture, read_text, whole
+from .base import Capture, number, read_text, whole
 from .camera import Camera
+from .finding import picture, present
 
 # Model → what its parameters are; f is both fx and fy.
 _MODELS = {
@@ -54,7 +56,11 @@ def read(file: Path, root: Path) -> Capture:
         except (RuntimeError, ValueError, OSError) as error:
             told = " ".join(str(error).split())
             raise InputError(f"{file}: pycolmap cannot read the model: {told}") from error
-        return _read(Path(folder) / "cameras.txt", root, str(file))
+        try:
+            return _read(Path(folder) / "cameras.txt", root, str(file))
+        except InputError as error:  # names the user's files, not those that they were turned into
+            told = str(error).replace(folder, str(file.parent))
+            raise InputError(re.sub(r"\.txt(:\d+)?\b", ".bin", told)) from error
 
 
 def _read(file: Path, root: Path, called: str = "") -> Capture:
@@ -71,7 +77,9 @@ def _read(file: Path, root: Path, called: str = "") -> Capture:
     order = {name: index for index, name in enumerate(places)}
     cameras, observed = [], {}
     for where, words, found in _images(file):
-        camera = _camera(where, words, lenses, root, called)
+        camera = present(_camera, where, words, lenses, root, called)
+        if camera is None:
+            continue
         cameras.append(camera)
         known = [(order[p], x, y) for x, y, p in found if p in order]
         if known:

@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from ...runtime.errors import InputError
-from .base import Capture, exposure, load_json, matrix, number, numbers, picture, whole
+from .base import Capture, exposure, load_json, matrix, number, numbers, whole
 from .camera import Camera
+from .finding import listed_mask, picture, present
 
 NAME = "cameras.json"
 _MOST_CORNERS = 100_000
@@ -32,11 +33,12 @@ def read(file: Path) -> Capture:
     views = top.get("views")
     if not isinstance(views, list) or not views:
         raise InputError(f"{file}: has no list of views")
-    cameras = [_camera(file, n, top, view) for n, view in enumerate(views)]
+    found = [present(_camera, file, n, top, view) for n, view in enumerate(views)]
+    cameras = [camera for camera in found if camera is not None]
     plane = top.get("printed_board_rect_m")
     if plane is not None:
         plane = numbers(plane, 4, f"{file}: printed_board_rect_m")
-    return Capture(cameras, file.name, _corners(file, top), plane=plane)
+    return Capture(cameras, file.name, _corners(file, top), plane=plane, turned=True)
 
 
 def _camera(file: Path, index: int, top: dict, view) -> Camera:
@@ -64,11 +66,10 @@ def _camera(file: Path, index: int, top: dict, view) -> Camera:
         if len(lens) not in (4, 5):
             raise InputError(f"{where}: distortion: give [k1, k2, p1, p2] or [k1, k2, p1, p2, k3]")
         k1, k2, p1, p2, k3 = numbers([*lens, 0.0][:5], 5, f"{where}: distortion")
-    mask = view.get("mask")
     return Camera(
         name=view["image"],
         image=picture(file.parent, view["image"], where),
-        mask=picture(file.parent, mask, f"{where}: mask") if mask else None,
+        mask=listed_mask(file.parent, view.get("mask"), f"{where}: mask"),
         width=whole(both["width"], f"{where}: width"),
         height=whole(both["height"], f"{where}: height"),
         fx=float(inner[0, 0]),

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ...runtime import images
 from ...runtime.errors import InputError
-from .base import Capture, exposure, load_json, matrix, number, picture, whole
+from .base import Capture, exposure, load_json, matrix, number, whole
 from .camera import Camera
+from .finding import listed_mask, missed, picture, present, size
 
 NAMES = ("transforms.json", "transforms_train.json")
 TEST = "transforms_test.json"
@@ -54,7 +54,8 @@ def _cameras(file: Path) -> tuple[dict, list[Camera]]:
     frames = top.get("frames")
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{file}: has no list of frames")
-    return top, [_camera(file, n, top, frame) for n, frame in enumerate(frames)]
+    found = [present(_camera, file, n, top, frame) for n, frame in enumerate(frames)]
+    return top, [camera for camera in found if camera is not None]
 
 
 def _listed(file: Path, top: dict, cameras: list[Camera], *keys: str) -> list[str]:
@@ -66,6 +67,8 @@ def _listed(file: Path, top: dict, cameras: list[Camera], *keys: str) -> list[st
             raise InputError(f"{file}: {key} is no list of pictures")
         for name in listed:
             found = str(name).removeprefix("./")
+            if missed(found):
+                continue
             if found not in names:
                 raise InputError(f"{file}: {key}: {name} is the file_path of no frame")
             held.append(found)
@@ -84,8 +87,7 @@ def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
         told = "fisheye" if both.get("is_fisheye") else model
         raise InputError(f"{where}: camera_model {told}; valid: {', '.join(_MODELS)}")
     image = picture(file.parent, frame["file_path"], where)
-    mask = frame.get("mask_path")
-    width, height = images.size(image)
+    width, height = size(image)
     width = whole(both["w"], f"{where}: w") if "w" in both else width
     height = whole(both["h"], f"{where}: h") if "h" in both else height
 
@@ -99,7 +101,7 @@ def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
     return Camera(
         name=frame["file_path"].removeprefix("./"),
         image=image,
-        mask=picture(file.parent, mask, f"{where}: mask_path") if mask else None,
+        mask=listed_mask(file.parent, frame.get("mask_path"), f"{where}: mask_path"),
         width=width,
         height=height,
         fx=fx if fx is not None else fy,

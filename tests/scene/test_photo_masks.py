@@ -1,0 +1,150 @@
+"""Masks under the names that people give them."""
+
+import numpy as np
+import photo_sets
+import pytest
+from photo_sets import POSES, SIZE, Files
+
+from isas_cli.config.schema import PhotosConfig
+from isas_cli.runtime import images
+from isas_cli.runtime.errors import InputError
+from isas_cli.scene.photos import photographs
+
+
+@pytest.fixture
+def taken(tmp_path):
+    """A set with images/000.png …, and what is loaded of it."""
+    content = photo_sets.transforms(Files(tmp_path, POSES))
+    (tmp_path / "images").mkdir()
+    for number, frame in enumerate(content["frames"]):
+        (tmp_path / f"view_{number}.exr").rename(tmp_path / f"images/{number:03d}.exr")
+        frame["file_path"] = f"images/{number:03d}.exr"
+    photo_sets.write(tmp_path / "transforms.json", content)
+
+    def load(**settings) -> photographs.Photographs:
+        asked = PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.5], **settings)
+        return photographs.load(asked)
+
+    return load
+
+
+def mask(path) -> None:
+    """Black above; told by its first rows."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pixels = np.full((SIZE[1], SIZE[0], 1), 255, np.uint8)
+    pixels[:8] = 0
+    made = path.with_name("made.png")
+    images.write_png(made, pixels)
+    if path.suffix in (".jpg", ".jpeg"):
+        from PIL import Image
+
+        Image.open(made).save(path, quality=100)
+        made.unlink()
+    else:
+        made.rename(path)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "masks/{0}.png",
+        "masks/{0}.jpg",
+        "masks/{0}.PNG",
+        "masks/{0}.exr.png",
+        "masks/{0}_mask.png",
+        "masks/images/{0}.png",
+        "mask/{0}.png",
+        "images_masks/{0}.png",
+        "images_mask/{0}.png",
+        "images/masks/{0}.png",
+        "images/{0}_mask.png",
+        "images/{0}.mask.png",
+        "images/{0}-mask.jpg",
+        "images/mask_{0}.png",
+        "images/{0}.exr.mask",
+        "images/{0}.exr.mask.png",
+    ],
+)
+def test_usual_names(tmp_path, taken, name):
+    for number in range(3):
+        mask(tmp_path / name.format(f"{number:03d}"))
+    found = taken()
+    assert found.warnings == []
+    for each in found.shown:
+        assert each.lost["masked by its file"] == 8 * SIZE[0], name
+        assert not each.mask[:8].any() and each.mask[8:].all()
+    assert taken(masks="none").shown[0].mask.all()
+
+
+def test_of_colmap(tmp_path):
+    photo_sets.colmap(Files(tmp_path, POSES))
+    for number in range(3):
+        mask(tmp_path / f"masks/view_{number}.jpg")
+    found = photographs.load(PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.5]))
+    assert all(not each.mask[:8].any() for each in found.shown)
+
+
+def test_a_folder_that_fits_nothing_is_told(tmp_path, taken):
+    for name in ("a.png", "b.png", "c.png"):
+        mask(tmp_path / "object_masks" / name)
+    found = taken()
+    assert all(each.mask.all() for each in found.shown)
+    (told,) = found.warnings
+    assert "object_masks looks like masks" in told and "000.png" in told and "\n" not in told
+    assert taken(masks="none").warnings == []
+    with pytest.raises(InputError, match="photos.masks=.*object_masks: no file there is named"):
+        taken(masks="object_masks")
+
+
+def test_some_without(tmp_path, taken):
+    for number in range(2):
+        mask(tmp_path / f"masks/{number:03d}.png")
+    found = taken()
+    (told,) = found.warnings
+    assert "1 of 3 views have no mask, first images/002.exr" in told
+
+
+def test_a_folder_that_is_given(tmp_path, taken):
+    for number in range(3):
+        mask(tmp_path / f"cut/out/{number:03d}.png")
+    assert taken().shown[0].mask.all()
+    found = taken(masks="cut/out")
+    assert found.warnings == [] and not found.shown[2].mask[:8].any()
+    with pytest.raises(InputError, match="photos.masks=gone: no such folder.*photos.masks=none"):
+        taken(masks="gone")
+
+
+def test_one_that_would_be_of_two_pictures_is_of_none(tmp_path):
+    content = photo_sets.transforms(Files(tmp_path, POSES))
+    for number, (frame, folder) in enumerate(zip(content["frames"], ("a", "b", "c"))):
+        (tmp_path / "images" / folder).mkdir(parents=True)
+        name = f"images/{folder}/0.exr"
+        (tmp_path / f"view_{number}.exr").rename(tmp_path / name)
+        frame["file_path"] = name
+    photo_sets.write(tmp_path / "transforms.json", content)
+    asked = PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.5])
+    mask(tmp_path / "masks/0.png")
+    found = photographs.load(asked)
+    assert all(each.mask.all() for each in found.shown)
+    assert "masks/0.png would be that of 3 pictures" in found.warnings[0]
+    for folder in "abc":
+        mask(tmp_path / f"masks/{folder}/0.png")
+    (tmp_path / "masks/0.png").unlink()
+    assert not photographs.load(asked).shown[1].mask[:8].any()
+
+
+def test_what_the_file_names_stands_first(tmp_path, taken):
+    mask(tmp_path / "masks/000.png")
+    images.write_png(tmp_path / "own.png", np.full((SIZE[1], SIZE[0], 1), 255, np.uint8))
+    import json
+
+    content = json.loads((tmp_path / "transforms.json").read_text())
+    for frame in content["frames"]:
+        frame["mask_path"] = "own.png"
+    photo_sets.write(tmp_path / "transforms.json", content)
+    assert all(each.mask.all() for each in taken().shown)
+    content["frames"][1]["mask_path"] = "gone.png"
+    photo_sets.write(tmp_path / "transforms.json", content)
+    with pytest.raises(InputError, match="gone.png does not exist.*photos.masks="):
+        taken()
+    assert taken(masks="none").shown[0].mask.all()
