@@ -197,8 +197,8 @@ class PhotosConfig:
     the cameras' poses are unknown as well; ``saturated``: from which value of an 8- or 16-bit or
     camera raw file on, of its largest, a pixel does not count (None: all count); ``encoding``: of
     the files, ``auto``: as images are read everywhere, ``srgb`` (no camera raw file is) or
-    ``linear``; ``background``: whether pixels count that the object does not fill; ``images``,
-    ``masks``: folders where the pictures and masks lie (None: where the cameras' file and custom
+    ``linear``; ``background``: whether pixels count that the object does not fill, or ``black``: they
+    do, and show nothing, where alpha or masks end the object; ``images``, ``masks``: folders where the pictures and masks lie (None: where the cameras' file and custom
     say; ``masks=none``: there are none); ``missing``: ``refuse`` a picture that does not exist, or
     ``skip`` its view; ``scale``: of pictures that were resized after calibration, how large they
     are of the cameras' size, or ``auto``; ``orientation``: whether cameras are of pictures as
@@ -222,7 +222,7 @@ class PhotosConfig:
     refine: bool = False
     saturated: Optional[float] = 0.995
     encoding: str = "auto"
-    background: bool = False
+    background: Any = False  # a bool, or "black"
     images: Optional[str] = None
     masks: Optional[str] = None
     missing: str = "refuse"
@@ -243,6 +243,8 @@ class PhotosConfig:
         ):
             if getattr(self, name) not in valid:
                 raise InputError(f"photos.{name}={getattr(self, name)}: valid: {', '.join(valid)}")
+        if self.background not in (False, True, "black") or isinstance(self.background, float):
+            raise InputError(f"photos.background={self.background}: valid: true, false, black")
         shapes = [n for n in ("mesh", "plane", "sphere") if getattr(self, n) is not None]
         if len(shapes) > 1:
             raise InputError(f"photos.{shapes[0]} and photos.{shapes[1]}: one shape alone")

@@ -17,7 +17,7 @@ from ..rendering import coverage, integrators, light, targets, trial
 from ..runtime import backend
 from ..runtime.errors import InputError
 from ..scene import built, flat, lenses, mesh_checks, scene_file, stand_ins
-from ..scene.photos import building, noise, photographs
+from ..scene.photos import building, importing, noise, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
 from ..unknowns import verdicts
@@ -167,7 +167,7 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
 def _untold(taken: photographs.Photographs, unknowns: Unknowns) -> list[str]:
     """Of shapes and poses that are unknown, what of the photographs does not tell them."""
     moving = [unknown for unknown in unknowns if unknown.kind.moves_geometry]
-    if not moving:
+    if not moving or taken.settings.background == importing.BLACK:
         return []
     shapes = [unknown.key for unknown in moving if isinstance(unknown.kind, Vertices)]
     filled, found = not taken.settings.background, []
@@ -176,8 +176,8 @@ def _untold(taken: photographs.Photographs, unknowns: Unknowns) -> list[str]:
     if shapes and masked:
         found.append(
             f"'{shapes[0]}': pixels that masks hide or that are transparent do not count, so "
-            "nothing tells its outline there: take pictures over a background that the scene shows "
-            "as well (photos.environment), and photos.background=true"
+            "nothing tells its outline there: take photos.background=black, by which alpha or masks "
+            "say where the object ends"
         )
     elif shapes and filled:
         found.append(

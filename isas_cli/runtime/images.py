@@ -150,6 +150,15 @@ def read_alpha(path: str | Path, turned: bool = True) -> np.ndarray | None:
     return upright(alpha, spec.get_int_attribute("Orientation", 1)) if turned else alpha
 
 
+def multiplied(path: str | Path) -> bool:
+    """Whether the colours of a picture with alpha are those over black already: an EXR's are, and
+    a TIFF's that says so. Raises InputError."""
+    if raw.names(path) or heif.names(path):
+        return False
+    spec = _header(path)
+    return spec.alpha_channel >= 0 and not spec.get_int_attribute("oiio:UnassociatedAlpha", 0)
+
+
 def write_exr(
     path: str | Path,
     image: np.ndarray,

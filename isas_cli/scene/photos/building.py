@@ -15,7 +15,7 @@ from ...scenes import library, meshes
 from ...unknowns.parameters import own
 from ..views import Views
 from .camera import Camera
-from .importing import Photograph
+from .importing import BLACK, Photograph
 from .photographs import Photographs
 from .shape import OBJECT
 
@@ -47,7 +47,11 @@ def description(photographs: Photographs, max_depth: int | None) -> dict[str, An
     }
     return {
         "type": "scene",
-        "integrator": {"type": "prb", "max_depth": _DEPTH if max_depth is None else max_depth},
+        "integrator": {
+            "type": "prb",
+            "max_depth": _DEPTH if max_depth is None else max_depth,
+            "hide_emitters": settings.background == BLACK,
+        },
         SKY: _light(settings),
         **{
             name: meshes.shape(name, part, _material(settings, part))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from ...config.schema import PhotosConfig
 from ...runtime import images, raw
 from ...runtime.cache import cached, digest
 from ...runtime.errors import InputError
-from . import turns
+from . import noise, turns
 from .camera import Camera
 
 # Raised when what is kept means something else.
@@ -25,6 +25,10 @@ _FORMAT = 1
 _MOST = 16
 # Files that hold any brightness, and are never full.
 _FLOATS = (".exr", ".hdr", ".pfm")
+# Pixels, to which a camera is made small where it is only asked what resampling does to noise.
+_SMALL = 256
+# In place of whether the background counts: it does, and is black in photographs and renderings.
+BLACK = "black"
 # A weight of at least this much is whole: interpolation rounds.
 _WHOLE = 0.999
 
@@ -34,13 +38,15 @@ class Photograph:
     """``camera``: the pinhole camera that it is resampled to; ``image (H, W, 3) float32``: linear;
     ``mask (H, W) float32``: weights of the pixels, 0 where it shows nothing that counts;
     ``lost``: why pixels do not count → how many of the photograph's own; ``doubt``: what its file
-    says of its colours that could not be heeded, or None."""
+    says of its colours that could not be heeded, or None; ``variance``: of a pixel's noise, or None
+    where the photograph does not tell (``noise.of_one``)."""
 
     camera: Camera
     image: np.ndarray
     mask: np.ndarray
     lost: dict[str, int]
     doubt: str | None = None
+    variance: float | None = None
 
 
 def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photograph:
@@ -54,7 +60,14 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
     picture = images.load(camera.image, linear=linear, turned=turned)
     image = picture.image
     camera = turns.resized(camera, image.shape[1::-1], settings)
-    mask, lost = _mask(camera, picture, settings, turned)
+    part = None
+    if settings.background == BLACK:
+        part, associated = _part(camera, settings, turned)
+        image = image if associated else image * part[..., None]
+    mask, lost = _mask(camera, picture, settings, turned, part)
+    variance = None
+    if camera.image.suffix.lower() not in noise.LOSSY:
+        variance = noise.of_one(image, mask if part is None else mask * (part >= _WHOLE))
     target = camera.pinhole(settings.width)
     same = camera.ideal and (target.width, target.height) == (camera.width, camera.height)
     if not same:
@@ -63,13 +76,14 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
             lambda: dict(zip(("image", "mask"), resample(camera, target, image, mask))),
         )
         image, mask = made["image"], made["mask"]
+        variance = None if variance is None else variance * _noise_kept(camera, target)
     if not mask.any():
         told = ", ".join(f"{number} {why}" for why, number in lost.items() if number)
         raise InputError(
             f"{camera.image}: no pixel counts ({told or 'all outside after undistortion'}): "
             "leave this view out, or mend its mask"
         )
-    return Photograph(target, image, mask, lost, picture.doubt)
+    return Photograph(target, image, mask, lost, picture.doubt, variance)
 
 
 def _linear(file: Path, encoding: str) -> bool | None:
@@ -84,26 +98,48 @@ def _linear(file: Path, encoding: str) -> bool | None:
 
 
 def _mask(
-    camera: Camera, picture: images.Picture, settings: PhotosConfig, turned: bool = False
+    camera: Camera,
+    picture: images.Picture,
+    settings: PhotosConfig,
+    turned: bool = False,
+    part: np.ndarray | None = None,
 ) -> tuple[np.ndarray, dict[str, int]]:
-    """Weights of the photograph's own pixels, and how many lack one for each reason."""
+    """Weights of the photograph's own pixels, and how many lack one for each reason. ``part``: how
+    much of each the object fills, where what it does not fill counts as black."""
     mask = np.ones(picture.image.shape[:2], np.float32)
     lost = {}
-    if camera.mask is not None:
+    alpha = images.read_alpha(camera.image, turned)
+    # The only thing that says where the object ends may not also say what counts.
+    if camera.mask is not None and (part is None or alpha is not None):
         given = _given_mask(camera, settings, turned)
         mask *= given
         lost["masked by its file"] = int(np.count_nonzero(given == 0))
-    alpha = images.read_alpha(camera.image, turned)
-    if alpha is not None:
+    if alpha is not None and part is None:
         # A pixel that is partly transparent shows what is behind as well.
         mask *= alpha >= _WHOLE
         lost["transparent"] = int(np.count_nonzero(alpha < _WHOLE))
     if settings.saturated is not None and camera.image.suffix.lower() not in _FLOATS:
         # Said of the file's numbers, not of light.
         full = picture.brightest >= np.float32(settings.saturated)
+        if part is not None:
+            full &= part > 0
         mask *= ~full
         lost["saturated"] = int(np.count_nonzero(full))
     return mask, lost
+
+
+def _part(camera: Camera, settings: PhotosConfig, turned: bool) -> tuple[np.ndarray, bool]:
+    """How much of each pixel the object fills ``(H, W) float32``, by the picture's alpha or else its
+    mask, and whether the picture is multiplied by it already. Raises InputError for one without."""
+    alpha = images.read_alpha(camera.image, turned)
+    if alpha is not None:
+        return np.clip(alpha, 0, 1), images.multiplied(camera.image)
+    if camera.mask is not None:
+        return _given_mask(camera, settings, turned), False
+    raise InputError(
+        f"photos.background=black: {camera.image} has neither alpha nor a mask, which would say "
+        "where the object ends: photos.masks=FOLDER names masks"
+    )
 
 
 def _given_mask(camera: Camera, settings: PhotosConfig, turned: bool) -> np.ndarray:
@@ -169,6 +205,22 @@ def resample(
         least = np.where(least >= _WHOLE, 1, 0)
     found = total / finer**2
     return found.astype(np.float32), least.astype(np.float32)
+
+
+def _noise_kept(camera: Camera, target: Camera) -> float:
+    """What resampling leaves of the variance of white noise: of both cameras made so small that it
+    costs little."""
+    by = max(1.0, max(camera.width, camera.height) / _SMALL)
+
+    def small(one: Camera) -> Camera:
+        sizes = {n: max(1, round(getattr(one, n) / by)) for n in ("width", "height")}
+        return replace(one, **sizes, **{n: getattr(one, n) / by for n in ("fx", "fy", "cx", "cy")})
+
+    seen = small(camera)
+    shape = seen.height, seen.width
+    white = np.random.default_rng(0).normal(size=(*shape, 3)).astype(np.float32)
+    found, counts = resample(seen, small(target), white, np.ones(shape, np.float32))
+    return float(np.mean(np.square(found[counts > 0]))) if counts.any() else 1.0
 
 
 def _key(camera: Camera, image: np.ndarray, mask: np.ndarray, settings: PhotosConfig) -> str:
