@@ -197,14 +197,15 @@ class PhotosConfig:
     the cameras' poses are unknown as well; ``saturated``: from which value of an 8- or 16-bit or
     camera raw file on, of its largest, a pixel does not count (None: all count); ``encoding``: of
     the files, ``auto``: as images are read everywhere, ``srgb`` (no camera raw file is) or
-    ``linear``; ``background``: whether pixels count that the object does not fill, or ``black``: they
-    do, and show nothing, where alpha or masks end the object; ``images``, ``masks``: folders where the pictures and masks lie (None: where the cameras' file and custom
-    say; ``masks=none``: there are none); ``missing``: ``refuse`` a picture that does not exist, or
-    ``skip`` its view; ``scale``: of pictures that were resized after calibration, how large they
-    are of the cameras' size, or ``auto``; ``orientation``: whether cameras are of pictures as
-    ``stored`` or as ``turned`` by their Orientation tag (``auto``: as is usual of their file);
-    ``materials``: of a mesh that has several, ``each`` a shape and a colour of its own, or ``one``
-    for all.
+    ``linear``; ``background``: whether pixels count that the object does not fill, or ``black``:
+    they do, and are black in photographs and renderings, where alpha or masks end the object;
+    ``images``, ``masks``: folders where the pictures and masks lie (None: where the cameras' file
+    and custom say; ``masks=none``: there are none); ``missing``: ``refuse`` a picture that does not
+    exist, or ``skip`` its view; ``scale``: of pictures that were resized after calibration, how
+    large they are of the cameras' size, or ``auto``; ``orientation``: whether cameras are of
+    pictures as ``stored`` or as ``turned`` by their Orientation tag (``auto``: as is usual of their
+    file); ``materials``: of a mesh that has several, ``each`` a shape and a colour of its own, or
+    ``one`` for all.
     """
 
     path: Optional[str] = None

@@ -176,8 +176,8 @@ def _untold(taken: photographs.Photographs, unknowns: Unknowns) -> list[str]:
     if shapes and masked:
         found.append(
             f"'{shapes[0]}': pixels that masks hide or that are transparent do not count, so "
-            "nothing tells its outline there: take photos.background=black, by which alpha or masks "
-            "say where the object ends"
+            "nothing tells its outline there: take photos.background=black, by which alpha or "
+            "masks say where the object ends"
         )
     elif shapes and filled:
         found.append(

@@ -195,10 +195,18 @@ class Vertices(Kind):
         except Exception as error:  # whatever its readers meet
             raise InputError(f"{where}={path}: {' '.join(str(error).split())}") from error
         read = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))))
-        if len(read) == len(self.topology.place):
-            return read[self.topology.first].astype(np.float32)
-        if len(read) == self.topology.count:
-            return read.astype(np.float32)
+        faces, whole = getattr(mesh, "faces", np.zeros((0, 3), int)), len(self.topology.place)
+        for count, place in ((whole, self.topology.place), (self.topology.count, None)):
+            if len(read) != count:
+                continue
+            welded = faces if place is None else place[faces]
+            if not np.array_equal(np.sort(welded), np.sort(self.topology.faces)):
+                raise InputError(
+                    f"{where}={path} has as many vertices as the mesh '{self.id}', but other "
+                    "faces, or the same in another order: the same are needed (of photographs, "
+                    "leave start out to begin at photos.mesh)"
+                )
+            return (read if place is None else read[self.topology.first]).astype(np.float32)
         raise InputError(
             f"{where}={path} has {len(read)} vertices, the mesh '{self.id}' "
             f"{len(self.topology.place)} ({self.topology.count} places): the same faces are needed"

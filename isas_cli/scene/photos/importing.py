@@ -129,8 +129,8 @@ def _mask(
 
 
 def _part(camera: Camera, settings: PhotosConfig, turned: bool) -> tuple[np.ndarray, bool]:
-    """How much of each pixel the object fills ``(H, W) float32``, by the picture's alpha or else its
-    mask, and whether the picture is multiplied by it already. Raises InputError for one without."""
+    """How much of each pixel the object fills ``(H, W) float32``, by the picture's alpha or else
+    its mask, and whether the picture is multiplied by it already. Raises InputError."""
     alpha = images.read_alpha(camera.image, turned)
     if alpha is not None:
         return np.clip(alpha, 0, 1), images.multiplied(camera.image)

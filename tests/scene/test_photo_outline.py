@@ -1,0 +1,147 @@
+"""photos.background=black: alpha or masks say where the object ends, and shapes follow."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from isas_cli.cli.app import main
+from isas_cli.config.schema import PhotosConfig
+from isas_cli.runtime import images
+from isas_cli.runtime.errors import InputError
+from isas_cli.scene.photos import photographs
+
+WIDTH, HEIGHT, FOCAL, RADIUS = 40, 32, 45.0, 0.6
+GREY = 128
+
+
+def pose(angle: float) -> np.ndarray:
+    """From a camera two and a half away, at the height of the middle, to the world; nerfstudio's
+    axes: x right, y up, z back."""
+    back = np.array([np.sin(angle), 0.0, np.cos(angle)])
+    right = np.array([np.cos(angle), 0.0, -np.sin(angle)])
+    place = np.eye(4)
+    place[:3, :3] = np.column_stack([right, [0, 1, 0], back])
+    place[:3, 3] = 2.5 * back
+    return place
+
+
+def covered() -> np.ndarray:
+    """How much of each pixel a ball in the middle fills, by 8 × 8 points each."""
+    fine = 8
+    x = (np.arange(WIDTH * fine) + 0.5) / fine - WIDTH / 2
+    y = (np.arange(HEIGHT * fine) + 0.5) / fine - HEIGHT / 2
+    ray = np.stack(
+        [
+            *np.broadcast_arrays(x[None] / FOCAL, y[:, None] / FOCAL),
+        ],
+        -1,
+    )
+    tangent = RADIUS / np.sqrt(2.5**2 - RADIUS**2)
+    inside = np.hypot(*np.moveaxis(ray, -1, 0)) < tangent
+    return inside.reshape(HEIGHT, fine, WIDTH, fine).mean(axis=(1, 3)).astype(np.float32)
+
+
+@pytest.fixture
+def ball(tmp_path):
+    """Four views of a grey ball, with alpha over white, as Blender writes them."""
+    frames = []
+    pixels = np.full((HEIGHT, WIDTH, 4), 255, np.uint8)
+    pixels[covered() > 0, :3] = GREY
+    pixels[..., 3] = np.rint(255 * covered())
+    for number in range(4):
+        Image.fromarray(pixels).save(tmp_path / f"{number}.png")
+        place = pose(number * np.pi / 2).tolist()
+        frames.append({"file_path": f"{number}.png", "transform_matrix": place})
+    size = {"w": WIDTH, "h": HEIGHT, "fl_x": FOCAL, "cx": WIDTH / 2, "cy": HEIGHT / 2}
+    (tmp_path / "transforms.json").write_text(json.dumps(size | {"frames": frames}))
+    return tmp_path
+
+
+def load(folder, **settings):
+    own = {"path": str(folder), "sphere": [0.0, 0.0, 0.0, 0.5]}
+    return photographs.load(PhotosConfig(**own | settings)).shown
+
+
+def test_alpha_ends_the_object(ball):
+    grey = images.srgb_decode(np.float32(GREY / 255))
+    for each in load(ball, background="black"):
+        assert np.allclose(each.image, (grey * covered())[..., None], atol=3e-3)
+        assert each.mask.all()  # nor is white that is transparent saturated
+    for each in load(ball):
+        assert np.array_equal(each.mask > 0, covered() > 0.999)
+
+
+def test_masks_end_it_where_there_is_no_alpha(ball):
+    with pytest.raises(InputError, match="neither alpha nor a mask"):
+        for number in range(4):
+            Image.open(ball / f"{number}.png").convert("RGB").save(ball / f"{number}.png")
+        load(ball, background="black", saturated=None)
+    (ball / "masks").mkdir()
+    for number in range(4):
+        Image.fromarray(np.uint8(255 * (covered() > 0.5))).save(ball / f"masks/{number}.png")
+    for each in load(ball, background="black", saturated=None):
+        assert each.mask.all() and not each.image[covered() <= 0.5].any()
+        assert (each.image[covered() == 1] > 0.2).all()
+
+
+def test_colours_that_are_multiplied_already_stay(ball):
+    content = json.loads((ball / "transforms.json").read_text())
+    for number, frame in enumerate(content["frames"]):
+        frame["file_path"] = f"{number}.exr"
+        layers = np.dstack([covered() * 0.3] * 3 + [covered()]).astype(np.float32)
+        images.write_exr(ball / frame["file_path"], layers, ["R", "G", "B", "A"], {})
+    (ball / "transforms.json").write_text(json.dumps(content))
+    for each in load(ball, background="black"):
+        assert np.allclose(each.image, 0.3 * covered()[..., None], atol=1e-5)
+
+
+def test_what_it_may_be_is_said():
+    with pytest.raises(InputError, match="valid: true, false, black"):
+        PhotosConfig(background="white")
+
+
+def run(ball, *settings: str) -> dict:
+    mesh, out = ball / "small.obj", ball / "run"
+    trimesh.creation.icosphere(subdivisions=3, radius=0.8 * RADIUS).export(mesh)
+    Image.new("RGB", (16, 8), (255, 255, 255)).save(ball / "white.png")
+    words = ["run", "scene=photos", f"photos.path={ball}", f"photos.mesh={mesh}"]
+    words += [f"photos.environment={ball / 'white.png'}", "estimator=silhouettes", "sampler=ours"]
+    words += ["scene.unknowns={object.vertices: {}, object.bsdf.brdf_0.base_color.value: {}}"]
+    words += ["frames.views=0", "frames.snapshots=0", "report=false", "evaluation.count=1"]
+    words += ["estimator.batch=4096", f"hydra.run.dir={out}", "overwrite=true"]
+    assert main([*words, *settings]) == 0
+    return json.loads((out / "summary.json").read_text())
+
+
+def test_a_shape_grows_into_its_outline(ball):
+    """With its colour unknown, from four fifths of its size."""
+    summary = run(ball, "photos.background=black", "budget.iterations=300")
+    found = trimesh.load(ball / "run/meshes/result_object.vertices.ply", process=False)
+    radius = np.linalg.norm(found.vertices, axis=1)
+    poles = np.abs(found.vertices[:, 1]) > 0.5 * RADIUS  # near the outline in all four views
+    print("radius over the truth", radius[poles].mean() / RADIUS)
+    assert radius[poles].mean() == pytest.approx(RADIUS, rel=0.06)
+    assert summary["final"]["image_rmse"] < 0.25 * summary["start"]["image_rmse"]
+
+
+def test_what_transparent_pixels_do_not_tell_is_said(ball):
+    for background, told in (("false", True), ("black", False)):
+        summary = run(ball, f"photos.background={background}", "budget.iterations=1")
+        said = [each for each in summary["warnings"] if "photos.background=black" in each]
+        assert bool(said) == told
+
+
+def test_a_start_in_another_order_is_refused(ball, capsys):
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=0.8 * RADIUS)
+    rng = np.random.default_rng(0)
+    order = rng.permutation(len(mesh.vertices))
+    trimesh.Trimesh(mesh.vertices[order], np.argsort(order)[mesh.faces], process=False).export(
+        ball / "other.ply"
+    )
+    words = f"scene.unknowns={{object.vertices: {{start: {ball / 'other.ply'}}}}}"
+    with pytest.raises(AssertionError):
+        run(ball, "photos.background=black", "budget.iterations=1", words)
+    assert "in another order" in capsys.readouterr().err.replace("\n", " ")
