@@ -186,21 +186,26 @@ _UPS = ("x", "y", "z", "-x", "-y", "-z")
 class PhotosConfig:
     """Photographs with known cameras (scene=photos; ``photos.path`` is ``scene.photos.path``).
 
-    ``path``: the folder that holds them; ``mesh``: a file (OBJ, PLY, STL, glTF) in the cameras'
-    world, or instead ``plane``: [x0, y0, x1, y1] of z = 0, or ``sphere``: [x, y, z, radius];
-    ``environment``: a picture of the light from all sides (None: unknown), whose up is the world's
-    axis ``up``; ``width``: pixels, to which views are shrunk (None: as they are); ``texture``:
-    texels a side of the base colour; ``roughness``: whether that is unknown, too; ``sky``: rows of
-    an unknown environment; ``test``: views held out, [names], n for every n-th, or ``given``: those
-    that the files hold out; ``exposure``: of the views, besides what their file says, ``fixed``:
-    all alike, or unknown, ``scale``: a factor each, ``channels``: three each; ``refine``: whether
-    the cameras' poses are unknown as well; ``saturated``: from which value of an 8- or 16-bit or
-    camera raw file on, of its largest, a pixel does not count (None: all count); ``encoding``: of
-    the files, ``auto``: as images are read everywhere, ``srgb`` (no camera raw file is) or
-    ``linear``; ``background``: whether pixels count that the object does not fill.
+    ``path``: the folder that holds them; ``cameras``: the file or folder in it that says where the
+    cameras are (None: it is looked for); ``world``: of files whose poses are not in the world of
+    the mesh and that say how these differ (``applied_transform``, Polycam's alignment), ``mesh``:
+    that of the mesh, or ``file``: as they stand there; ``mesh``: a file (OBJ, PLY, STL, glTF) in
+    the cameras' world, or instead ``plane``: [x0, y0, x1, y1] of z = 0, or ``sphere``: [x, y, z,
+    radius]; ``environment``: a picture of the light from all sides (None: unknown), whose up is the
+    world's axis ``up``; ``width``: pixels, to which views are shrunk (None: as they are);
+    ``texture``: texels a side of the base colour; ``roughness``: whether that is unknown, too;
+    ``sky``: rows of an unknown environment; ``test``: views held out, [names], n for every n-th, or
+    ``given``: those that the files hold out; ``exposure``: of the views, besides what their file
+    says, ``fixed``: all alike, or unknown, ``scale``: a factor each, ``channels``: three each;
+    ``refine``: whether the cameras' poses are unknown as well; ``saturated``: from which value of
+    an 8- or 16-bit or camera raw file on, of its largest, a pixel does not count (None: all count);
+    ``encoding``: of the files, ``auto``: as images are read everywhere, ``srgb`` (no camera raw
+    file is) or ``linear``; ``background``: whether pixels count that the object does not fill.
     """
 
     path: Optional[str] = None
+    cameras: Optional[str] = None
+    world: str = "mesh"
     mesh: Optional[str] = None
     plane: Optional[List[float]] = None
     sphere: Optional[List[float]] = None
@@ -223,6 +228,7 @@ class PhotosConfig:
         for name, valid in (
             ("exposure", ("fixed", "scale", "channels")),
             ("encoding", ("auto", "srgb", "linear")),
+            ("world", ("mesh", "file")),
             ("up", _UPS),
         ):
             if getattr(self, name) not in valid:

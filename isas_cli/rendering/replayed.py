@@ -57,7 +57,21 @@ def trace(
     spread = (mi.Bool(False),) if caustics is not True else ()
 
     def vertex(
-        L, found, β, scale, depth, active, hit, ray, previous, pdf, delta, spread, sampler, count, here
+        L,
+        found,
+        β,
+        scale,
+        depth,
+        active,
+        hit,
+        ray,
+        previous,
+        pdf,
+        delta,
+        spread,
+        sampler,
+        count,
+        here,
     ):
         """One vertex: what it emits and reflects. ``count``: directions drawn to lights at the
         one before; ``here``: ``draws`` of this one."""

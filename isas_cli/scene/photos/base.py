@@ -1,7 +1,8 @@
 """What every format of cameras is turned into, and what their readers share.
 
-A format is a module with ``find(folder)``, the file that says that a folder is of it, or None, and
-``read(file)``, the ``Capture`` that it describes.
+A format is a module with ``find(folder)``, the file that says that a folder is of it, or None,
+``claims(file)``, whether a file is of it, and ``read(file, asked)``, the ``Capture`` that it
+describes. Both ``read`` and, where it has to look into files, ``find`` raise InputError.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,7 +32,8 @@ class Capture:
     that are known, or None; ``observed``: by view, the numbers of those points that were found in
     it and where, ``(K,)`` and ``(K, 2)`` pixels as ``Camera`` counts them; ``plane``: a known
     rectangle of the plane z = 0, [x0, y0, x1, y1], or None; ``kind``: the format, in words;
-    ``held``: names of the views that the files hold out."""
+    ``held``: names of the views that the files hold out; ``notes``: what was chosen or changed on
+    the way, a sentence each."""
 
     cameras: list[Camera]
     kind: str
@@ -38,6 +41,18 @@ class Capture:
     observed: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     plane: tuple[float, ...] | None = None
     held: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """``root``: the folder given, in which pictures are looked for; ``given``: whether views that
+    the files hold out are looked for; ``world``: ``mesh`` or ``file``, as
+    ``photos.world``."""
+
+    root: Path
+    given: bool = False
+    world: str = "mesh"
 
 
 def read_text(file: Path) -> str:
@@ -117,10 +132,28 @@ def picture(folder: Path, name: str, where: str) -> Path:
     InputError."""
     if not isinstance(name, str):
         raise InputError(f"{where}: {name!r} is no name of a picture")
-    path = folder / name
-    endings = [*_PICTURES, *(ending.upper() for ending in _PICTURES)]
-    candidates = [path, *(Path(f"{path}{ending}") for ending in endings)]
-    for each in candidates:
-        if os.path.isfile(each):  # which also says no to a name that no file can have
-            return each
-    raise InputError(f"{where}: its picture {path} does not exist: mend the path or remove it")
+    found = existing(folder, name)
+    if found is None:
+        path = folder / name
+        raise InputError(f"{where}: its picture {path} does not exist: mend the path or remove it")
+    return found
+
+
+def existing(folder: Path, name: str) -> Path | None:
+    """The file ``name`` below ``folder``, where a known ending may be left out and folders may be
+    parted by backslashes; or None."""
+    endings = ["", *_PICTURES, *(ending.upper() for ending in _PICTURES)]
+    for spelt in dict.fromkeys((name, name.replace("\\", "/"))):
+        for ending in endings:
+            path = Path(f"{folder / spelt}{ending}")
+            if os.path.isfile(path):  # which also says no to a name that no file can have
+                return path
+    return None
+
+
+def below(folders: Iterable[Path], name: str, where: str) -> Path:
+    """The picture ``name`` in the first of ``folders`` that has it. Raises InputError, naming the
+    first, where none has."""
+    folders = list(folders)
+    found = next((f for folder in folders if (f := existing(folder, name)) is not None), None)
+    return picture(folders[0], name, where) if found is None else found

@@ -30,7 +30,7 @@ class Photographs:
 def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     """Read and resample. ``shapeless``: whether there may be no object. Raises InputError for all
     that is wrong with cameras, pictures, object."""
-    capture = reading.read(settings.path, settings.test)
+    capture = reading.read(settings.path, settings.test, settings.cameras, settings.world)
     shown, held = reading.split(capture, settings.test)
     surface = None
     if not shapeless or shape.described(settings, capture):
