@@ -134,6 +134,7 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
     problem.names = tuple(each.camera.name for each in taken.shown)
     pictures, masks = ([getattr(p, n) for p in taken.shown] for n in ("image", "mask"))
     targets.given(problem, pictures, masks, filled)
+    problem.warnings += taken.capture.notes
     if filled and problem.unknowns.moving:
         problem.warnings.append(
             "photos.background=false: pixels that the start does not fill do not count, so nothing "

@@ -147,7 +147,7 @@ def test_import_takes_every_kind_out(found):
 
 
 def test_pictures_are_as_colmap_undistorts_them():
-    """Pixel for pixel: a fisheye's picture, looked up where pycolmap projects our pinhole's rays."""
+    """Pixel for pixel: a fisheye's picture, looked up where pycolmap says."""
     pycolmap = pytest.importorskip("pycolmap")
     size, numbers = (160, 120), (90.0, 90.0, 82.0, 57.0, 0.04, -0.02, 0.01, -0.003)
     lensed = pycolmap.Camera(

@@ -48,11 +48,12 @@ class Capture:
 class Asked:
     """``root``: the folder given, in which pictures are looked for; ``given``: whether views that
     the files hold out are looked for; ``world``: ``mesh`` or ``file``, as
-    ``photos.world``."""
+    ``photos.world``; ``named``: whether ``photos.cameras`` says which file."""
 
     root: Path
     given: bool = False
     world: str = "mesh"
+    named: bool = False
 
 
 def read_text(file: Path) -> str:

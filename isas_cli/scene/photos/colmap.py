@@ -71,7 +71,7 @@ def find(folder: Path) -> Path | None:
 def read(file: Path, asked: Asked) -> Capture:
     """Raises InputError, naming the file and the line, for what is missing or wrong."""
     if file.suffix == ".txt":
-        return _read(_Model(file.parent, file.parent), asked.root)
+        return _read(_Model(file.parent, file.parent), asked)
     try:
         import pycolmap
     except ImportError:
@@ -85,11 +85,11 @@ def read(file: Path, asked: Asked) -> Capture:
         except (RuntimeError, ValueError, IndexError, OSError) as error:
             told = " ".join(str(error).split())
             raise InputError(f"{file}: pycolmap cannot read the model: {told}") from error
-        return _read(_Model(Path(folder), file.parent, binary=True), asked.root)
+        return _read(_Model(Path(folder), file.parent, binary=True), asked)
 
 
-def _read(model: _Model, root: Path) -> Capture:
-    lenses = {}
+def _read(model: _Model, asked: Asked) -> Capture:
+    root, lenses = asked.root, {}
     for where, words in model.lines("cameras"):
         if len(words) < 4:
             raise InputError(f"{where}: a camera is ID, MODEL, WIDTH, HEIGHT and its parameters")
@@ -115,7 +115,7 @@ def _read(model: _Model, root: Path) -> Capture:
     if not cameras:
         raise InputError(f"{model.name('cameras')}: images.txt lists no image")
     points = np.array(list(places.values())) if places else None
-    notes = layouts.notes(model.called, root)
+    notes = [] if asked.named else layouts.notes(model.called, root)
     if moved:
         notes.append(
             f"{model.name('images')}: poses of {moved} images differ from those of rigs.txt and "

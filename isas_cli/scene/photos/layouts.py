@@ -8,7 +8,7 @@ from pathlib import Path
 # In this order; at a star are the numbers of several models.
 _PLACES = (
     *("", "sparse/*", "sparse", "colmap/sparse/*", "colmap/sparse", "colmap"),
-    *("dense/sparse", "dense/*/sparse", "dense", "*/sparse"),
+    *("dense/sparse", "dense/*/sparse", "dense", "*/sparse", "*"),
 )
 
 

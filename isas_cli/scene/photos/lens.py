@@ -60,17 +60,22 @@ class Lens:
             return f"alpha {self.own[0]:g}, beta {self.own[1]:g} of its lens: in [0, 1], above 0"
         return None
 
-    def __str__(self) -> str:
-        """For a table: what is not 0."""
-        if self.straight:
-            return "none"
+    @property
+    def terms(self) -> dict[str, float]:
+        """What is not 0 of its numbers, by OpenCV's names."""
         count = len(self.radial)
         names = [f"k{n + 1}" for n in range(count)] + ["p1", "p2"]
         # OpenCV counts the lower ones on from its three upper ones.
         names += [f"k{n + 4}" for n in range(len(self.below))]
         names += ["s1", "s2", "s3", "s4", "τx", "τy", "skew"]
         names += {"fov": ["ω"], "division": ["k"], "unified": ["α", "β"]}.get(self.kind, [])
-        told = [f"{name} {x:.3g}" for name, x in zip(names, self.numbers) if x]
+        return {name: x for name, x in zip(names, self.numbers) if x}
+
+    def __str__(self) -> str:
+        """For a table."""
+        if self.straight:
+            return "none"
+        told = [f"{name} {x:.3g}" for name, x in self.terms.items()]
         return ", ".join(([] if self.kind == "flat" else [self.kind]) + told)
 
     def distort(self, plane: np.ndarray) -> np.ndarray:

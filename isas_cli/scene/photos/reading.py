@@ -40,8 +40,11 @@ def read(path: str, test=None, cameras: str | None = None, world: str = "mesh") 
     where ``test`` is ``given``; ``world``: as ``photos.world``. Raises InputError where there are
     none that can be read, for a camera that is none, and for two of one picture."""
     folder = folder_of(path)
-    module, file = _found(folder, path) if cameras is None else _named_file(folder, cameras)
-    capture = module.read(file, Asked(folder, test == GIVEN, world))
+    if cameras is None:
+        module, file = _found(folder, f"photos.path={path}")
+    else:
+        module, file = _named_file(folder, cameras)
+    capture = module.read(file, Asked(folder, test == GIVEN, world, cameras is not None))
     if test == GIVEN and not capture.held:
         one, train = transforms.NAMES
         raise InputError(
@@ -54,12 +57,12 @@ def read(path: str, test=None, cameras: str | None = None, world: str = "mesh") 
     return capture
 
 
-def _found(folder: Path, path: str):
-    """The format of a folder, and the file that says so."""
+def _found(folder: Path, where: str):
+    """The format of a folder, and the file that says so. ``where``: for messages."""
     found = [(module, file) for module in _FORMATS if (file := module.find(folder)) is not None]
     if not found:
         raise InputError(
-            f"photos.path={path}: no cameras there: looked for {ours.NAME}, "
+            f"{where}: no cameras there: looked for {ours.NAME}, "
             f"{', '.join(transforms.NAMES)}, COLMAP's cameras.txt and cameras.bin (also below "
             "sparse and dense), OpenCV's YAML or XML, Metashape's XML, Polycam's keyframes and "
             "RealityCapture's XMP"
@@ -71,7 +74,7 @@ def _named_file(folder: Path, cameras: str):
     """As ``_found``, of ``photos.cameras``: a file, or a folder that is asked as any other."""
     place = folder / cameras
     if place.is_dir():
-        return _found(place, str(place))
+        return _found(place, f"photos.cameras={cameras}")
     if not place.is_file():
         raise InputError(f"photos.cameras={cameras}: no such file or folder in {folder}")
     module = next((module for module in _FORMATS if module.claims(place)), None)

@@ -175,7 +175,7 @@ def _lens(both: dict, where: str) -> Lens:
     if model == _PERSPECTIVE:
         model = "OPENCV"
     other = next((name for name in _OTHERS if both.get(name)), None)
-    if other is not None or model not in models.PARAMETERS:
+    if other is not None or not isinstance(model, str) or model not in models.PARAMETERS:
         told = f"camera_model {model}" if other is None else other
         valid = ", ".join(models.PARAMETERS)
         raise InputError(f"{where}: {told}; valid: {valid}; {models.WAY_OUT}")
