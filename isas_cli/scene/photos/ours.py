@@ -165,7 +165,9 @@ def _lens(both: dict, where: str) -> lens.Lens:
         return lens.Lens()
     if ros is not None and ros not in _ROS:
         raise InputError(f"{where}: distortion_model {ros}; valid: {', '.join(_ROS)}")
-    fisheye = number(int(both.get("fisheye") or 0), f"{where}: fisheye") != 0
+    fisheye = both.get("fisheye") or 0
+    if not isinstance(fisheye, bool):
+        fisheye = number(fisheye, f"{where}: fisheye") != 0
     fisheye = fisheye or _ROS.get(ros, False)
     found = _array(told, f"{where}: distortion").ravel()
     valid = (4,) if fisheye else _LENGTHS
