@@ -143,6 +143,8 @@ def test_what_was_applied_is_undone(tmp_path, turn, scale):
 def test_nothing_is_said_where_nothing_was_applied(tmp_path):
     photo_sets.transforms(Files(tmp_path, POSES), applied_transform=np.eye(4)[:3].tolist())
     assert not reading.read(str(tmp_path)).notes
+    with pytest.raises(InputError, match="photos.world=file: .*transforms.json tells of no other"):
+        reading.read(str(tmp_path), world="file")
     # Where instant-ngp puts the scene in its own cube changes no pose.
     ngp = {"aabb_scale": 16, "scale": 0.33, "offset": [0.5, 0.5, 0.5]}
     change(tmp_path, lambda c: c.update(ngp))

@@ -33,7 +33,8 @@ class Capture:
     it and where, ``(K,)`` and ``(K, 2)`` pixels as ``Camera`` counts them; ``plane``: a known
     rectangle of the plane z = 0, [x0, y0, x1, y1], or None; ``kind``: the format, in words;
     ``held``: names of the views that the files hold out; ``notes``: what was chosen or changed on
-    the way, a sentence each."""
+    the way, a sentence each; ``worlds``: whether the file tells of another world than that of its
+    poses, so that ``photos.world`` means something."""
 
     cameras: list[Camera]
     kind: str
@@ -42,6 +43,7 @@ class Capture:
     plane: tuple[float, ...] | None = None
     held: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    worlds: bool = False
 
 
 @dataclass(frozen=True)

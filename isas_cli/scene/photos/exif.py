@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,8 +33,11 @@ class Taken:
 def read(file: Path) -> Taken | None:
     """None where the file says nothing of it, or not all three. Reads its header alone."""
     try:
-        with Image.open(file) as opened:
-            tags = opened.getexif().get_ifd(_EXIF)
+        with warnings.catch_warnings():
+            # Of a large picture, which Pillow is wary of, only the header is read.
+            warnings.simplefilter("ignore")
+            with Image.open(file) as opened:
+                tags = opened.getexif().get_ifd(_EXIF)
         speed = tags.get(_SPEED, 0)
         found = [tags.get(_TIME, 0), tags.get(_APERTURE, 0)]
         found.append(speed[0] if isinstance(speed, tuple) else speed)

@@ -163,12 +163,12 @@ def _lens(both: dict, where: str) -> lens.Lens:
     told, ros = both.get("distortion"), both.get("distortion_model")
     if told is None or isinstance(told, str):
         return lens.Lens()
-    if ros is not None and ros not in _ROS:
+    if ros is not None and str(ros) not in _ROS:
         raise InputError(f"{where}: distortion_model {ros}; valid: {', '.join(_ROS)}")
     fisheye = both.get("fisheye") or 0
     if not isinstance(fisheye, bool):
         fisheye = number(fisheye, f"{where}: fisheye") != 0
-    fisheye = fisheye or _ROS.get(ros, False)
+    fisheye = fisheye or _ROS.get(str(ros), False)
     found = _array(told, f"{where}: distortion").ravel()
     valid = (4,) if fisheye else _LENGTHS
     if found.size not in valid:

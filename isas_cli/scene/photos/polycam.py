@@ -59,7 +59,7 @@ def read(file: Path, asked: Asked) -> Capture:
             f"{info}: {_ALIGNMENT} applied: the mesh is taken to be raw.glb or in its world; "
             "photos.world=file takes poses as they stand"
         )
-    return Capture(cameras, "Polycam", notes=notes)
+    return Capture(cameras, "Polycam", notes=notes, worlds=alignment is not None)
 
 
 def _beside(folder: Path, root: Path) -> bool:

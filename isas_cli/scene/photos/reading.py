@@ -45,6 +45,10 @@ def read(path: str, test=None, cameras: str | None = None, world: str = "mesh") 
     else:
         module, file = _named_file(folder, cameras)
     capture = module.read(file, Asked(folder, test == GIVEN, world, cameras is not None))
+    if world != "mesh" and not capture.worlds:
+        raise InputError(
+            f"photos.world={world}: {file} tells of no other world: leave photos.world out"
+        )
     if test == GIVEN and not capture.held:
         one, train = transforms.NAMES
         raise InputError(

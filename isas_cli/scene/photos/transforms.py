@@ -62,7 +62,7 @@ def read(file: Path, asked: Asked) -> Capture:
         _, more = _cameras(file.with_name(TEST))
         cameras, held = cameras + more, [camera.name for camera in more]
     cameras, notes = _undone(file, top, cameras, asked.world)
-    return Capture(cameras, file.name, held=held, notes=notes)
+    return Capture(cameras, file.name, held=held, notes=notes, worlds=bool(notes))
 
 
 def _cameras(file: Path) -> tuple[dict, list[Camera]]:
