@@ -243,6 +243,13 @@ def test_of_several_models_the_largest_is_taken(tmp_path, binary, capfd, monkeyp
     assert told in " ".join(capfd.readouterr().out.split())
 
 
+def test_of_models_alike_the_first_by_number_is_taken(tmp_path):
+    model(tmp_path, "sparse/10")
+    shutil.copytree(tmp_path / "sparse" / "10", tmp_path / "sparse" / "9")
+    (note,) = reading.read(str(tmp_path)).notes
+    assert note.startswith("sparse/9 is taken of sparse/9 (3 images), sparse/10 (3 images)")
+
+
 def test_messages_name_the_users_files(tmp_path):
     pycolmap = pytest.importorskip("pycolmap")
     model(tmp_path)

@@ -115,6 +115,8 @@ def test_up_to_its_reach_a_lens_keeps_the_order_of_points(model):
 def test_a_pole_ends_the_reach():
     """1 / (1 - r²) is endless at r = 1, and negative beyond."""
     assert Lens(below=(-1.0, 0.0, 0.0)).reach == pytest.approx(1)
+    # r / (1 + r² / 2) is greatest at √2.
+    assert Lens(below=(0.5, 0.0, 0.0)).reach == pytest.approx(np.sqrt(2))
     assert Lens(radial=(-0.3, 0, 0, 0), kind="fisheye").reach == pytest.approx(np.tan(0.9**-0.5))
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import photo_sets
 import pytest
 from photo_sets import CENTRE, FOCAL, POSES, SIZE, Files
+from PIL import Image
 from scipy.spatial.transform import Rotation
 from test_photo_cameras import POINTS, expected
 
@@ -221,6 +222,15 @@ def test_realitycaptures_lens(tmp_path):
     xmp(tmp_path, DistortionModel="brown4", DistortionCoeficients="0.1 -0.05 0.02 0.01 0 0")
     (camera, *_) = reading.read(str(tmp_path)).cameras
     assert camera.lens.radial == (0.1, -0.05, 0.02, 0.01)
+
+
+def test_realitycapture_counts_in_the_longer_side(tmp_path):
+    """Of a picture on edge, its height."""
+    xmp(tmp_path)
+    Image.new("RGB", SIZE[::-1]).save(tmp_path / "view_0.png")
+    camera = reading.read(str(tmp_path)).cameras[0]
+    np.testing.assert_allclose((camera.fx, camera.fy), FOCAL)
+    np.testing.assert_allclose((camera.cx, camera.cy), np.array(CENTRE) - (5, -5))
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,9 @@ def test_instant_ngps_fisheye(tmp_path):
     photo_sets.transforms(Files(tmp_path, POSES), is_fisheye=True, k1=0.05, k2=0.01)
     assert first(tmp_path).lens.kind == "fisheye"
     assert first(tmp_path).lens.radial == (0.05, 0.01, 0, 0)
+    change(tmp_path, lambda c: c.update(fisheye_crop_radius=12.0))
+    (note,) = reading.read(str(tmp_path)).notes
+    assert "fisheye_crop_radius is not heeded" in note
 
 
 def angle(axis: int) -> float:

@@ -20,7 +20,7 @@ def chosen(folder: Path) -> tuple[Path | None, list[tuple[Path, int]]]:
         if len(found) > 1:
             found = [(file, images(file)) for file, _ in found]
         if found:
-            return max(found, key=lambda each: each[1])[0], found
+            return max(found, key=lambda each: each[1])[0], found  # of those alike, the first
     return None, []
 
 

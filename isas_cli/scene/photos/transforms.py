@@ -62,7 +62,13 @@ def read(file: Path, asked: Asked) -> Capture:
         _, more = _cameras(file.with_name(TEST))
         cameras, held = cameras + more, [camera.name for camera in more]
     cameras, notes = _undone(file, top, cameras, asked.world)
-    return Capture(cameras, file.name, held=held, notes=notes, worlds=bool(notes))
+    worlds = bool(notes)
+    if any("fisheye_crop_radius" in each for each in (top, *top["frames"])):
+        notes.append(
+            f"{file}: fisheye_crop_radius is not heeded: what lies beyond it counts, unless a mask "
+            "says that it does not"
+        )
+    return Capture(cameras, file.name, held=held, notes=notes, worlds=worlds)
 
 
 def _cameras(file: Path) -> tuple[dict, list[Camera]]:
