@@ -17,7 +17,8 @@ def turn(profile: np.ndarray, segments: int = 128) -> Surface:
     lengths = np.linalg.norm(np.diff(profile, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(lengths)]) / lengths.sum()
     around = np.linspace(0.0, 1.0, segments + 1)
-    angle = 2 * np.pi * around
+    # The last column is the first, to the last bit: sin 2π is not 0, and would tear the surface.
+    angle = 2 * np.pi * np.where(around < 1, around, 0)
     height = np.broadcast_to(profile[:, None, 1], (len(profile), segments + 1))
     radius = profile[:, None, 0]
     points = np.stack([radius * np.sin(angle), height, radius * np.cos(angle)], axis=-1)

@@ -28,7 +28,7 @@ _GROUPS = ("scene", "sampler", "estimator", "loss", "prior", "effects")
 # Taken as they stand, whatever letters a path has.
 _PATHS = (
     *("scene.path", "hydra.run.dir", "hydra.sweep.dir"),
-    *(f"scene.photos.{name}" for name in ("path", "mesh", "environment")),
+    *(f"scene.photos.{name}" for name in ("path", "mesh", "environment", "images", "masks")),
 )
 # Of scene=photos: photos.path is short for scene.photos.path.
 _PHOTOS = "photos."

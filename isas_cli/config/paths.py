@@ -10,7 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 # Where a configuration names files, singly or in lists.
 _FILES = (
     *("scene.path", "scene.targets", "scene.masks"),
-    *(f"scene.photos.{name}" for name in ("path", "mesh", "environment")),
+    *(f"scene.photos.{name}" for name in ("path", "mesh", "environment", "images", "masks")),
 )
 
 

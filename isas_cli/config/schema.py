@@ -200,7 +200,14 @@ class PhotosConfig:
     ``refine``: whether the cameras' poses are unknown as well; ``saturated``: from which value of
     an 8- or 16-bit or camera raw file on, of its largest, a pixel does not count (None: all count);
     ``encoding``: of the files, ``auto``: as images are read everywhere, ``srgb`` (no camera raw
-    file is) or ``linear``; ``background``: whether pixels count that the object does not fill.
+    file is) or ``linear``; ``background``: whether pixels count that the object does not fill;
+    ``images``, ``masks``: folders where the pictures and masks lie (None: where the cameras' file
+    and custom say; ``masks=none``: there are none); ``missing``: ``refuse`` a picture that does not
+    exist, or ``skip`` its view; ``scale``: of pictures that were resized after calibration, how
+    large they are of the cameras' size, or ``auto``; ``orientation``: whether cameras are of
+    pictures as ``stored`` or as ``turned`` by their Orientation tag (``auto``: as is usual of their
+    file); ``materials``: of a mesh that has several, ``each`` a shape and a colour of its own, or
+    ``one`` for all.
     """
 
     path: Optional[str] = None
@@ -221,6 +228,12 @@ class PhotosConfig:
     saturated: Optional[float] = 0.995
     encoding: str = "auto"
     background: bool = False
+    images: Optional[str] = None
+    masks: Optional[str] = None
+    missing: str = "refuse"
+    scale: Any = None
+    orientation: str = "auto"
+    materials: str = "each"
 
     def __post_init__(self) -> None:
         _at_least(1, photos__width=self.width, photos__texture=self.texture)
@@ -230,6 +243,9 @@ class PhotosConfig:
             ("encoding", ("auto", "srgb", "linear")),
             ("world", ("mesh", "file")),
             ("up", _UPS),
+            ("missing", ("refuse", "skip")),
+            ("orientation", ("auto", "stored", "turned")),
+            ("materials", ("each", "one")),
         ):
             if getattr(self, name) not in valid:
                 raise InputError(f"photos.{name}={getattr(self, name)}: valid: {', '.join(valid)}")
@@ -244,6 +260,12 @@ class PhotosConfig:
             raise InputError(f"photos.plane={list(self.plane)}: [x0, y0, x1, y1], x0 < x1, y0 < y1")
         if self.sphere and not self.sphere[3] > 0:
             raise InputError(f"photos.sphere={list(self.sphere)}: its radius must be above 0")
+        scaled = isinstance(self.scale, (int, float)) and not isinstance(self.scale, bool)
+        if self.scale not in (None, "auto") and not (scaled and 0 < self.scale < math.inf):
+            raise InputError(
+                f"photos.scale={self.scale}: how large pictures are of the cameras' size, such as "
+                "0.5, or auto"
+            )
         if self.saturated is not None and not 0 < self.saturated <= 1:
             raise InputError(f"photos.saturated={self.saturated}: in (0, 1], or null")
 

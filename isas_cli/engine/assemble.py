@@ -20,9 +20,12 @@ from ..scene import built, flat, lenses, mesh_checks, scene_file, stand_ins
 from ..scene.photos import building, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
+from ..unknowns.exposure import Exposure
 from ..unknowns.parameters import owner, read
+from ..unknowns.poses import Pose
 from ..unknowns.specs import narrow_blurs, parse
 from ..unknowns.unknowns import Unknown, Unknowns
+from ..unknowns.vertices import Vertices
 
 
 def bare(
@@ -55,7 +58,7 @@ def bare(
     content = _content_hash(loaded, integrator, params, description)
     views, of_views, wanted = Views.of(sizes), None, scene.unknowns
     if taken is not None:
-        wanted = building.unknowns(scene.photos, taken.surface, scene.unknowns)
+        wanted = building.unknowns(scene.photos, taken.parts, scene.unknowns)
         of_views = building.of_views(taken, views)
     truth_known = taken is None and scene.targets is None
     found = parsed(params, wanted, truth_known, scene.poses, of_views)
@@ -76,6 +79,7 @@ def bare(
         unknowns,
         content,
         warnings=[
+            *(taken.warnings if taken is not None else ()),
             *mesh_checks.check_scene(loaded, unknowns.textures),
             *_other_pictures(loaded, adapted),
             *narrow_blurs(found),
@@ -135,11 +139,9 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
     pictures, masks = ([getattr(p, n) for p in taken.shown] for n in ("image", "mask"))
     targets.given(problem, pictures, masks, filled)
     problem.warnings += taken.capture.notes
-    if filled and problem.unknowns.moving:
-        problem.warnings.append(
-            "photos.background=false: pixels that the start does not fill do not count, so nothing "
-            "lets a shape grow: take photos.background=true"
-        )
+    if (exposure := problem.unknowns.of(Exposure)) is not None:
+        exposure.kind.compare(_energies(problem))
+    problem.warnings += _untold(taken, problem.unknowns)
     if not taken.held:
         return
     held = replace(
@@ -158,6 +160,52 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
         return
     problem.warnings += held.warnings
     problem.held_out = held
+
+
+def _untold(taken: photographs.Photographs, unknowns: Unknowns) -> list[str]:
+    """Of shapes and poses that are unknown, what of the photographs does not tell them."""
+    moving = [unknown for unknown in unknowns if unknown.kind.moves_geometry]
+    if not moving:
+        return []
+    shapes = [unknown.key for unknown in moving if isinstance(unknown.kind, Vertices)]
+    filled, found = not taken.settings.background, []
+    hidden = {"masked by its file", "transparent"}
+    masked = any(each.lost.get(why) for each in taken.shown for why in hidden)
+    if shapes and masked:
+        found.append(
+            f"'{shapes[0]}': pixels that masks hide or that are transparent do not count, so "
+            "nothing tells its outline there: take pictures over a background that the scene shows "
+            "as well (photos.environment), and photos.background=true"
+        )
+    elif shapes and filled:
+        found.append(
+            f"'{shapes[0]}': with photos.background=false pixels that the start does not fill do "
+            "not count, so nothing lets the shape grow: photos.background=true, but only where the "
+            "scene shows what stands behind the object (photos.environment), else the shape "
+            "follows that"
+        )
+    painted = [u.key for u in unknowns if u.kind.role == "colour" and u.start.ndim == 3]
+    posed = [unknown.key for unknown in moving if isinstance(unknown.kind, Pose)]
+    if posed and painted and len(taken.shown) == 1:
+        found.append(
+            f"'{posed[0]}' and '{painted[0]}' are unknown together, and from any pose some texture "
+            "shows a single view: take a texture that is known, or more views"
+        )
+    elif posed and not filled:
+        found.append(
+            f"'{posed[0]}': with photos.background=true what stands behind the object counts, and "
+            "where the scene does not show it the object runs away to hide it: take "
+            "photos.background=false, unless photos.environment shows it"
+        )
+    return found
+
+
+def _energies(problem: Problem) -> np.ndarray:
+    """Of the targets, Σ I² over the pixels that count, by view and channel, ``(V, 3)``."""
+    squares = np.square(np.array(problem.targets, np.float64)).reshape(-1, 3)
+    squares *= np.array(problem.mask)[:, None]
+    starts = np.cumsum([0, *(width * height for width, height in problem.film_sizes)])[:-1]
+    return np.add.reduceat(squares, starts)
 
 
 def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:

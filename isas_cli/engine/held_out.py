@@ -57,9 +57,7 @@ def exposures(problem: Problem, values: dict) -> dict:
     exposure = problem.unknowns.of(Exposure)
     if exposure is None or not problem.names:
         return {}
-    found = as_numpy(values[exposure.key])
-    table = np.concatenate([np.ones((1, found.shape[1])), found]).tolist()
-    return {"exposure": dict(zip(problem.names, table))}
+    return {"exposure": dict(zip(problem.names, as_numpy(values[exposure.key]).tolist()))}
 
 
 def _per_view(problem: Problem) -> list[np.ndarray]:

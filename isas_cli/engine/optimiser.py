@@ -182,6 +182,7 @@ class Stepper:
 
     def step(self, gradients: dict, spent: float) -> None:
         """One Adam step along ``gradients`` (by key, any scale). Evaluates the new values."""
+        gradients = self._directed(gradients)
         rates, gradient, bad, touched = {}, {}, mi.UInt64(0), mi.UInt64(0)
         for unknown in self.unknowns:
             key = unknown.key
@@ -219,6 +220,10 @@ class Stepper:
         memory = [each.memory for each in self.filtered.values()]
         dr.eval(self.adam.state, self.nonfinite, self.touched, self.visits, memory)
 
+    def _directed(self, gradients: dict) -> dict:
+        """Where steps go for these. Traced."""
+        return {k: self.unknowns[k].kind.directed(g, self.adam[k]) for k, g in gradients.items()}
+
     def _move(self, key: str, before, gradient: mi.Float, rate: float, share: float) -> None:
         """Put what the filter makes of Adam's step in its place. Traced."""
         after, (count, first, second, _) = self.adam[key], self.adam.state[key][3]
@@ -252,7 +257,7 @@ class Stepper:
     def calibrate(self, gradients: list[dict]) -> None:
         """Fix ``scale`` as 1 / (root mean square of the non-zero finite entries), per unknown; of
         one that is no finer than at the level before, whose moments go on, as it was there."""
-        shapes = self.unknowns.shapes
+        shapes, gradients = self.unknowns.shapes, [self._directed(g) for g in gradients]
         for key in self.unknowns.keys:
             if self.level and shapes(self.level)[key] == shapes(self.level - 1)[key]:
                 self.scale[key] = self.scales[self.level - 1][key]
@@ -277,7 +282,7 @@ class Stepper:
         second time, as the first time the mean is the gradient itself. In the gradient's own
         unit, squared; NaN without such an entry. On the host.
         """
-        total, count = 0.0, 0
+        total, count, gradients = 0.0, 0, self._directed(gradients)
         for key in self.unknowns.keys:
             first = flat(self.adam.state[key][3][1])
             entries = self._along(key, gradients[key])

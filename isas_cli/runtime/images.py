@@ -1,4 +1,5 @@
-"""Pictures in and out, through OpenImageIO; camera raw files through LibRaw (`rawpy`).
+"""Pictures in and out, through OpenImageIO; camera raw files through LibRaw (`rawpy`),
+HEIC through libheif (`pillow-heif`).
 
 Everything inside `isas` is linear RGB radiance (or a linear texture) in float32; this module is the
 border at which files are decoded to that and encoded from it. It knows nothing of rendering.
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +17,10 @@ import OpenImageIO as oiio
 from PIL import PngImagePlugin
 
 from .. import __version__
-from . import memory, raw
+from . import heif, memory, profiles, raw
 from .errors import InputError
 from .files import write_atomically
+from .profiles import Said
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _INT32 = range(-(2**31), 2**31)
@@ -37,35 +40,59 @@ def srgb_encode(linear: np.ndarray) -> np.ndarray:
     return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
-def read(path: str | Path, finite: bool = True, linear: bool | None = None) -> np.ndarray:
-    """Reads a picture as linear RGB: (H, W, 3) float32.
+@dataclass
+class Picture:
+    """``image (H, W, 3) float32``: linear; ``brightest (H, W) float32``: of each pixel the largest
+    number that the file has, integers scaled to [0, 1]; ``doubt``: what the file says of its
+    colours that could not be heeded, in words, or None."""
+
+    image: np.ndarray
+    brightest: np.ndarray
+    doubt: str | None
+
+
+def load(
+    path: str | Path, finite: bool = True, linear: bool | None = None, turned: bool = True
+) -> Picture:
+    """Reads a picture.
 
     Floating-point files (EXR, HDR, PFM, float TIFF) are linear as they are; 8- and 16-bit integer
-    ones are decoded from sRGB, unless `linear` says what the file's numbers are. Camera raw files
-    are linear, in sRGB's colours, with the camera's own white balance. A grey picture fills three
-    channels, alpha is dropped, and a photograph is turned the way its Orientation tag asks.
+    ones are decoded by their colour profile, or what else of the kind they have, else from sRGB;
+    `linear` says what the file's numbers are in place of all that. Camera raw files are linear, in
+    sRGB's colours, with the camera's own white balance. A grey picture fills three channels, alpha
+    is dropped, and a photograph is turned the way its Orientation tag asks, unless not `turned`.
 
     Raises InputError (one line) for a file that is missing, is not a picture, has no colours, or
     (with `finite`) holds NaN or infinite pixels.
     """
-    pixels, usually = _read_colours(Path(path))
-    if not (usually if linear is None else linear):
-        pixels = srgb_decode(pixels)
+    stored, usually, said = _read_colours(Path(path), turned)
+    decode, doubt = srgb_decode, None
+    if usually if linear is None else linear:
+        decode = None
+    if linear is None:
+        decode, doubt = profiles.to_linear(said, decode)
+    pixels = stored if decode is None else decode(stored)
     bad = int(np.count_nonzero(~np.isfinite(pixels).all(axis=2)))
     if finite and bad:
         raise InputError(f"{path}: {bad} pixels are NaN or infinite; mend or mask them first")
     if pixels.shape[2] == 1:
         pixels = np.repeat(pixels, 3, axis=2)
-    return np.ascontiguousarray(pixels, dtype=np.float32)
+    image = np.ascontiguousarray(pixels, dtype=np.float32)
+    return Picture(image, stored.max(axis=2), doubt)
 
 
-def read_mask(path: str | Path) -> np.ndarray:
+def read(path: str | Path, finite: bool = True, linear: bool | None = None) -> np.ndarray:
+    """The image of `load`, turned."""
+    return load(path, finite, linear).image
+
+
+def read_mask(path: str | Path, turned: bool = True) -> np.ndarray:
     """Reads a mask: (H, W) float32 in [0, 1], the stored values, never decoded from sRGB.
 
-    Raises InputError for what `read` refuses, for values outside [0, 1] and for a picture whose
+    Raises InputError for what `load` refuses, for values outside [0, 1] and for a picture whose
     channels differ (a photograph given as a mask, most likely). Alpha is dropped.
     """
-    pixels, _ = _read_colours(Path(path))
+    pixels, *_ = _read_colours(Path(path), turned)
     if not (pixels == pixels[..., :1]).all():
         raise InputError(f"{path}: a mask has to be grey, but this picture's channels differ")
     mask = np.ascontiguousarray(pixels[..., 0], dtype=np.float32)
@@ -74,24 +101,41 @@ def read_mask(path: str | Path) -> np.ndarray:
     return mask
 
 
-def size(path: str | Path) -> tuple[int, int]:
-    """Width and height of a picture, pixels, as `read` turns it. Reads its header alone. Raises
+def size(path: str | Path, turned: bool = True) -> tuple[int, int]:
+    """Width and height of a picture, pixels, as `load` turns it. Reads its header alone. Raises
     InputError for a file that is none."""
     if raw.names(path):
-        return raw.size(Path(path))
+        return raw.size(Path(path), turned)
+    if heif.names(path):
+        return heif.size(Path(path))
+    spec = _header(path)
+    over = turned and spec.get_int_attribute("Orientation", 1) >= 5
+    return (spec.height, spec.width) if over else (spec.width, spec.height)
+
+
+def orientation(path: str | Path) -> int:
+    """Exif's Orientation of a picture, 1 to 8; 1, upright, where it has none. Raises InputError."""
+    if raw.names(path):
+        return raw.orientation(Path(path))
+    return 1 if heif.names(path) else _header(path).get_int_attribute("Orientation", 1)
+
+
+def _header(path: str | Path) -> oiio.ImageSpec:
     source = _opened(Path(path))
     spec = source.spec()
     source.close()
-    turned = spec.get_int_attribute("Orientation", 1) >= 5
-    return (spec.height, spec.width) if turned else (spec.width, spec.height)
+    return spec
 
 
-def read_alpha(path: str | Path) -> np.ndarray | None:
+def read_alpha(path: str | Path, turned: bool = True) -> np.ndarray | None:
     """The alpha channel of a picture, (H, W) float32, integers scaled to [0, 1]; None where it has
-    none. Raises InputError for what `read` refuses."""
+    none. Raises InputError for what `load` refuses."""
     if raw.names(path):
         return None
     path = Path(path)
+    if heif.names(path):
+        pixels, _ = heif.read(path)
+        return pixels[..., 3] if pixels.shape[2] == 4 else None
     source = _opened(path)
     try:
         spec = source.spec()
@@ -102,8 +146,8 @@ def read_alpha(path: str | Path) -> np.ndarray | None:
             raise InputError(f"{path}: cannot be read: {_reason(source)}")
     finally:
         source.close()
-    alpha = np.ascontiguousarray(pixels[..., spec.alpha_channel, None], np.float32)
-    return _upright(alpha, spec.get_int_attribute("Orientation", 1))[..., 0]
+    alpha = np.ascontiguousarray(pixels[..., spec.alpha_channel], np.float32)
+    return upright(alpha, spec.get_int_attribute("Orientation", 1)) if turned else alpha
 
 
 def write_exr(
@@ -223,12 +267,16 @@ def _attribute(value: str | float | int) -> str | float | int:
     return str(value)
 
 
-def _read_colours(path: Path) -> tuple[np.ndarray, bool]:
-    """The colour channels as stored, (H, W, 1 or 3) float32 with integers scaled to [0, 1], and
-    whether they are linear. Raises InputError for a file that holds no such picture.
+def _read_colours(path: Path, turned: bool) -> tuple[np.ndarray, bool, Said]:
+    """The colour channels as stored, (H, W, 1 or 3) float32 with integers scaled to [0, 1], whether
+    they are linear as is usual of such files, and what the file says of them. Raises InputError for
+    a file that holds no such picture.
     """
     if raw.names(path):
-        return raw.read(path), True
+        return raw.read(path, turned), True, Said()
+    if heif.names(path):
+        pixels, said = heif.read(path)
+        return pixels[..., :3], False, said
     source = _opened(path)
     try:
         spec = source.spec()
@@ -251,7 +299,9 @@ def _read_colours(path: Path) -> tuple[np.ndarray, bool]:
     finally:
         source.close()
     colours = pixels[..., _colour_channels(path, spec)].astype(np.float32) / np.float32(scale)
-    return _upright(colours, spec.get_int_attribute("Orientation", 1)), linear
+    if turned:
+        colours = upright(colours, spec.get_int_attribute("Orientation", 1))
+    return colours, linear, profiles.said(path, spec)
 
 
 def _check_png(path: Path) -> None:
@@ -292,13 +342,14 @@ def _colour_channels(path: Path, spec: oiio.ImageSpec) -> list[int]:
     return others
 
 
-def _upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
-    """Turns (H, W, C) float32 pixels as the Exif orientation (1 to 8) says."""
+def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
+    """Turns (H, W) or (H, W, C) float32 pixels as the Exif orientation (1 to 8) says."""
     if orientation == 1:
         return pixels
     stored = oiio.ImageBuf(np.ascontiguousarray(pixels))
     stored.specmod().attribute("Orientation", orientation)
-    return oiio.ImageBufAlgo.reorient(stored).get_pixels(oiio.FLOAT)
+    turned = oiio.ImageBufAlgo.reorient(stored).get_pixels(oiio.FLOAT)
+    return turned if pixels.ndim == 3 else turned.reshape(turned.shape[:2])
 
 
 def _write(path: Path, format_name: str, spec: oiio.ImageSpec, pixels: np.ndarray) -> None:

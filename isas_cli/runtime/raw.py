@@ -11,6 +11,8 @@ import numpy as np
 from .errors import InputError
 
 ENDINGS = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef")
+# LibRaw's number of a turn → Exif's.
+_FLIPS = {3: 3, 5: 8, 6: 6}
 
 
 def names(path: str | Path) -> bool:
@@ -18,16 +20,23 @@ def names(path: str | Path) -> bool:
     return Path(path).suffix.lower() in ENDINGS
 
 
-def size(path: Path) -> tuple[int, int]:
+def size(path: Path, turned: bool = True) -> tuple[int, int]:
     """Width and height of the picture as `read` turns it, pixels. Raises InputError."""
     with _opened(path) as raw:
         sizes = raw.sizes
-    return (sizes.height, sizes.width) if sizes.flip & 4 else (sizes.width, sizes.height)
+    over = turned and sizes.flip & 4
+    return (sizes.height, sizes.width) if over else (sizes.width, sizes.height)
 
 
-def read(path: Path) -> np.ndarray:
+def orientation(path: Path) -> int:
+    """As Exif counts it. Raises InputError."""
+    with _opened(path) as raw:
+        return _FLIPS.get(raw.sizes.flip, 1)
+
+
+def read(path: Path, turned: bool = True) -> np.ndarray:
     """(H, W, 3) float32: linear, in sRGB's colours, with the camera's own white balance, turned the
-    way the file asks; 1 is the white level. Raises InputError."""
+    way the file asks, unless not ``turned``; 1 is the white level. Raises InputError."""
     with _opened(path) as raw:
         pixels = raw.postprocess(
             gamma=(1, 1),
@@ -35,6 +44,7 @@ def read(path: Path) -> np.ndarray:
             adjust_maximum_thr=0,  # else the brightest pixel may become the white level
             use_camera_wb=True,
             output_bps=16,
+            user_flip=None if turned else 0,
         )
     return pixels.astype(np.float32) / np.float32(65535)
 

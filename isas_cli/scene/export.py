@@ -166,7 +166,7 @@ def _unknowns(
     wanted = {key: replace(spec, **anything) for key, spec in scene.unknowns.items()}
     of_views = None
     if taken is not None:
-        wanted = building.unknowns(scene.photos, taken.surface, wanted)
+        wanted = building.unknowns(scene.photos, taken.parts, wanted)
         sizes = [(each.camera.width, each.camera.height) for each in taken.shown]
         of_views = building.of_views(taken, Views.of(sizes))
     found = parse(mi.traverse(loaded), wanted, False, scene.poses, of_views)

@@ -7,12 +7,24 @@ import mitsuba as mi
 import numpy as np
 
 from .kind import Kind, Loaded
+from .parameters import like
 
 
 class Exposure(Kind):
-    """A factor on the radiance of every view but the first, ``(V - 1, 1)``, or of each of its
-    channels, ``(V - 1, 3)``, beside what files say (``Views.given``). The first view's is 1: a
-    factor on all of them is one on the light.
+    """A factor on the radiance of every view, ``(V, 1)``, or on each of its channels, ``(V, 3)``,
+    beside what files say (``Views.given``). The first view's stays 1: a factor on all of them is
+    one on the light.
+
+    'All others brighter, colours darker' changes the first view's picture alone. Steps along
+    ∂ℒ/∂e_v would drift that way while colours are still wrong, and hardly come back. So estimators
+    tell the first view's derivative as well, as if it were free, and steps go along
+
+        h_v = ∂ℒ/∂e_v - (E_v / E_0) / e_v ∂ℒ/∂e_0,
+
+    E the energies of the views' pictures: that is as if the mean of all exposures were fixed, and
+    all were divided by the first after each step. With ∂ℒ/∂log e_v = 2 E_v (log e_v + log of what
+    colours are too bright by), as near the truth, the latter drops out of h: e_v goes to its value
+    whatever the colours are. Where colours or light fit, ∂ℒ/∂e_0 is 0, and h the derivative.
 
     No parameter of the scene: it lies with the views, and every ray's weight holds it
     (``rendering.rays``). Paths do not carry its derivative, so estimators add it (``add``).
@@ -27,21 +39,48 @@ class Exposure(Kind):
 
     def __init__(self, key: str, loaded: Loaded):
         self.key, self.writes = key, []
-        self._views, channels = loaded.views, loaded.channels
+        self._views, self._channels = loaded.views, loaded.channels
         self._type = mi.TensorXf
-        self.present = np.ones((self._views.count - 1, channels), np.float32)
+        self.present = np.ones((self._views.count, self._channels), np.float32)
         # Below, a view would tell nothing.
         self.range, self.unit = (0.01, 100.0), "exposure"
         entry = np.arange(self.present.size, dtype=np.uint32).reshape(self.present.shape)
-        first = np.zeros((1, channels), np.uint32)
-        table = np.broadcast_to(np.concatenate([first, entry]), (self._views.count, 3))
-        self._entry, self._free = mi.UInt32(table.ravel()), mi.Bool(np.arange(table.size) >= 3)
+        table = np.broadcast_to(entry, (self._views.count, 3))
+        self._entry = mi.UInt32(table.ravel())
         self._views.exposure = dr.opaque(mi.Float, 1, table.size)
+        self.compare(np.ones(self.present.shape))
+
+    def compare(self, energy: np.ndarray) -> None:
+        """``energy (V, 3)`` or ``(V, 1)``: of each view's picture, Σ I² over the pixels that count,
+        in any unit. Where the first view's is 0 it tells nothing, and all others are as they are
+        told."""
+        energy = np.asarray(energy, np.float64)
+        if energy.shape[1] != self._channels:
+            energy = np.repeat(energy.sum(axis=1, keepdims=True), self._channels, axis=1)
+        first = energy[:1]
+        share = np.divide(energy, first, where=first > 0, out=np.zeros_like(energy))
+        self._share = like(mi.Float, share.ravel().astype(np.float32))
+        dr.make_opaque(self._share)
+
+    def value(self, array: np.ndarray):
+        # Earlier versions kept no entry of the first view.
+        if len(array) == self._views.count - 1:
+            array = np.concatenate([np.ones_like(array[:1]), array])
+        return super().value(array)
+
+    def normal(self, array: np.ndarray) -> np.ndarray:
+        return array / array[:1]
 
     def write(self, leaf, written: dict) -> None:
-        found = dr.gather(mi.Float, dr.detach(leaf).array, self._entry, self._free)
-        self._views.exposure = dr.select(self._free, found, 1)
+        self._views.exposure = dr.gather(mi.Float, dr.detach(leaf).array, self._entry)
         dr.eval(self._views.exposure)
+
+    def directed(self, gradient, value):
+        g, channels = gradient.array, self._channels
+        entry = dr.arange(mi.UInt32, len(g))
+        first = dr.gather(mi.Float, g, entry % channels)
+        found = g - self._share * first / dr.detach(value).array
+        return mi.TensorXf(dr.select(entry < channels, 0, found), gradient.shape)
 
     def numbers(self, array: np.ndarray, truth: np.ndarray | None) -> dict[str, float]:
         return {"least": float(array.min()), "most": float(array.max())}
@@ -52,12 +91,11 @@ def add(leaf: mi.TensorXf, view: mi.UInt32, slope: mi.Color3f) -> None:
     ``leaf``, the exposures e. Traced; ``slope (3, N)``: ∂ℒ/∂I times the radiance before exposure.
     """
     channels = leaf.shape[1]
-    free = view > 0
-    first = (dr.maximum(view, 1) - 1) * channels
+    first = view * channels
     with dr.resume_grad():
         total = mi.Float(0)
         for channel in range(3):
             entry = first + (channel if channels == 3 else 0)
-            total += dr.gather(mi.Float, leaf.array, entry, free) * slope[channel]
+            total += dr.gather(mi.Float, leaf.array, entry) * slope[channel]
         if dr.grad_enabled(total):
             dr.backward(dr.sum(total))

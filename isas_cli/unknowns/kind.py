@@ -188,6 +188,11 @@ class Kind:
             )
         return picture.astype(np.float32)
 
+    def directed(self, gradient, value):
+        """The direction of steps for a ``gradient`` at ``value``, where that is another; both as
+        ``value`` makes them. Traced."""
+        return gradient
+
     def smoothed(self, gradient: np.ndarray) -> np.ndarray:
         """Where ``uniform``: the direction of steps for a ``gradient``, on the host."""
         return gradient

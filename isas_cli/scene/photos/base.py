@@ -9,21 +9,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from ...runtime import raw
 from ...runtime.errors import InputError
 from .camera import Camera
-
-_PICTURES = (
-    *(".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".tiff", ".webp", ".bmp"),
-    *raw.ENDINGS,
-)
 
 
 @dataclass
@@ -34,7 +26,8 @@ class Capture:
     rectangle of the plane z = 0, [x0, y0, x1, y1], or None; ``kind``: the format, in words;
     ``held``: names of the views that the files hold out; ``notes``: what was chosen or changed on
     the way, a sentence each; ``worlds``: whether the file tells of another world than that of its
-    poses, so that ``photos.world`` means something."""
+    poses, so that ``photos.world`` means something; ``turned``: whether their cameras are
+    usually of pictures turned as their Orientation tags ask, not of the pixels as stored."""
 
     cameras: list[Camera]
     kind: str
@@ -44,6 +37,7 @@ class Capture:
     held: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     worlds: bool = False
+    turned: bool = False
 
 
 @dataclass(frozen=True)
@@ -128,35 +122,3 @@ def matrix(value, where: str) -> np.ndarray:
     if not np.isfinite(found).all():
         raise InputError(f"{where}: holds NaN or infinite numbers: mend or remove this view")
     return found
-
-
-def picture(folder: Path, name: str, where: str) -> Path:
-    """The file ``name`` below ``folder``, where a known ending may be left out. Raises
-    InputError."""
-    if not isinstance(name, str):
-        raise InputError(f"{where}: {name!r} is no name of a picture")
-    found = existing(folder, name)
-    if found is None:
-        path = folder / name
-        raise InputError(f"{where}: its picture {path} does not exist: mend the path or remove it")
-    return found
-
-
-def existing(folder: Path, name: str) -> Path | None:
-    """The file ``name`` below ``folder``, where a known ending may be left out and folders may be
-    parted by backslashes; or None."""
-    endings = ["", *_PICTURES, *(ending.upper() for ending in _PICTURES)]
-    for spelt in dict.fromkeys((name, name.replace("\\", "/"))):
-        for ending in endings:
-            path = Path(f"{folder / spelt}{ending}")
-            if os.path.isfile(path):  # which also says no to a name that no file can have
-                return path
-    return None
-
-
-def below(folders: Iterable[Path], name: str, where: str) -> Path:
-    """The picture ``name`` in the first of ``folders`` that has it. Raises InputError, naming the
-    first, where none has."""
-    folders = list(folders)
-    found = next((f for folder in folders if (f := existing(folder, name)) is not None), None)
-    return picture(folders[0], name, where) if found is None else found

@@ -17,8 +17,9 @@ from ..views import Views
 from .camera import Camera
 from .importing import Photograph
 from .photographs import Photographs
+from .shape import OBJECT
 
-OBJECT, SKY = "object", "sky"
+SKY = "sky"
 EXPOSURE, CAMERAS = "exposure", "cameras"  # the keys of what is the views' own
 # What an unknown base colour and an unknown environment start at.
 _GREY, _LIGHT = 0.5, 1.0
@@ -48,7 +49,10 @@ def description(photographs: Photographs, max_depth: int | None) -> dict[str, An
         "type": "scene",
         "integrator": {"type": "prb", "max_depth": _DEPTH if max_depth is None else max_depth},
         SKY: _light(settings),
-        OBJECT: meshes.shape(OBJECT, surface, _material(settings, surface)),
+        **{
+            name: meshes.shape(name, part, _material(settings, part))
+            for name, part in photographs.parts.items()
+        },
         **sensors,
     }
 
@@ -87,23 +91,36 @@ def straightened(camera: Camera) -> np.ndarray:
     return found
 
 
-def unknowns(settings: PhotosConfig, surface: meshes.Surface, own: dict) -> dict[str, Any]:
-    """What is unknown: ``own``, or the base colour, the roughness where that is asked for, and the
-    light where none is given; always the exposures and poses, where they are not fixed."""
+def unknowns(settings: PhotosConfig, parts: dict[str, meshes.Surface], own: dict) -> dict[str, Any]:
+    """What is unknown: ``own``, or the base colour, the roughness where that is asked for, of each
+    part, and the light where none is given; always the exposures and poses, where they are not
+    fixed. Raises InputError for keys that tear an object of several parts, or speak of one."""
     found = dict(own)
+    if len(parts) > 1:
+        _check_parts(settings, list(parts), found)
     if not found:
-        colour = "data" if len(surface.texcoords) else "value"
-        key = f"{OBJECT}.bsdf.brdf_0.base_color.{colour}"
-        found[key] = UnknownConfig(start=_GREY, range=[0.0, 1.0])
-        if settings.roughness:
-            found[f"{OBJECT}.bsdf.brdf_0.roughness.value"] = UnknownConfig(start=_ROUGHNESS)
+        for name, part in parts.items():
+            colour = "data" if len(part.texcoords) else "value"
+            key = f"{name}.bsdf.brdf_0.base_color.{colour}"
+            found[key] = UnknownConfig(start=_GREY, range=[0.0, 1.0])
+            if settings.roughness:
+                found[f"{name}.bsdf.brdf_0.roughness.value"] = UnknownConfig(start=_ROUGHNESS)
         if settings.environment is None:
             found[f"{SKY}.data"] = UnknownConfig(start=_LIGHT)
     if settings.exposure != "fixed":
-        found.setdefault(EXPOSURE, UnknownConfig(start=1.0))
+        found.setdefault(EXPOSURE, UnknownConfig(start=1.0, lr=0.05))
     if settings.refine:
         found.setdefault(CAMERAS, UnknownConfig(start=0.0))
     return found
+
+
+def _check_parts(settings: PhotosConfig, names: list[str], own: dict) -> None:
+    for key in own:
+        if key.startswith(f"{OBJECT}.") or (key.endswith(".vertices") and key[:-9] in names):
+            raise InputError(
+                f"scene.unknowns: '{key}': {settings.mesh} has several materials, a shape each: "
+                f"{', '.join(names)}; photos.materials=one makes one shape '{OBJECT}' of them"
+            )
 
 
 def of_views(taken: Photographs, views: Views) -> dict:

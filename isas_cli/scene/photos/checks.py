@@ -99,7 +99,7 @@ def _reproject(view: View, described: Camera, photographs: Photographs) -> None:
 
 def warnings(checked: list[View], photographs: Photographs) -> list[str]:
     """What is probably wrong."""
-    found = []
+    found = list(photographs.warnings)
     if len(checked) == 1:
         found.append("one view only: what it does not see, and light against colour, stay open")
     worst = [v for v in checked if v.apart is not None and v.apart > _OFF]

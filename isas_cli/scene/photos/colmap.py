@@ -20,8 +20,9 @@ from scipy.spatial.transform import Rotation
 
 from ...runtime.errors import InputError
 from . import layouts, models
-from .base import Asked, Capture, below, number, read_text, whole
+from .base import Asked, Capture, number, read_text, whole
 from .camera import Camera
+from .finding import below, present
 
 # Of a quaternion and a translation: how far images.txt may differ from frames.txt in silence.
 _SAME = 1e-4
@@ -106,7 +107,9 @@ def _read(model: _Model, asked: Asked) -> Capture:
         if frames is not None:
             told, pose = pose, _of_frame(frames, words, where)
             moved += not np.allclose(told, pose, atol=_SAME * max(1, np.abs(pose).max()))
-        camera = _camera(where, words, pose, lenses, folders, root, model)
+        camera = present(_camera, where, words, pose, lenses, folders, root, model)
+        if camera is None:
+            continue
         cameras.append(camera)
         known = [(order[p], x, y) for x, y, p in found if p in order]
         if known:

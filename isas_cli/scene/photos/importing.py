@@ -8,12 +8,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 from scipy.ndimage import map_coordinates
 
 from ...config.schema import PhotosConfig
 from ...runtime import images, raw
 from ...runtime.cache import cached, digest
 from ...runtime.errors import InputError
+from . import turns
 from .camera import Camera
 
 # Raised when what is kept means something else.
@@ -31,23 +33,28 @@ _WHOLE = 0.999
 class Photograph:
     """``camera``: the pinhole camera that it is resampled to; ``image (H, W, 3) float32``: linear;
     ``mask (H, W) float32``: weights of the pixels, 0 where it shows nothing that counts;
-    ``lost``: why pixels do not count → how many of the photograph's own."""
+    ``lost``: why pixels do not count → how many of the photograph's own; ``doubt``: what its file
+    says of its colours that could not be heeded, or None."""
 
     camera: Camera
     image: np.ndarray
     mask: np.ndarray
     lost: dict[str, int]
+    doubt: str | None = None
 
 
-def load(camera: Camera, settings: PhotosConfig) -> Photograph:
-    """The photograph of a camera, from the cache where resampling it was dear.
+def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photograph:
+    """The photograph of a camera, from the cache where resampling it was dear. ``turned``: whether
+    it is turned as its file asks.
 
     Raises InputError, naming the file, for one that cannot be read, is of another size than its
     camera or its mask, or has no pixel that counts.
     """
-    image = images.read(camera.image, linear=_linear(camera.image, settings.encoding))
-    _check_size(camera.image, image, camera)
-    mask, lost = _mask(camera, image, settings)
+    linear = _linear(camera.image, settings.encoding)
+    picture = images.load(camera.image, linear=linear, turned=turned)
+    image = picture.image
+    camera = turns.resized(camera, image.shape[1::-1], settings)
+    mask, lost = _mask(camera, picture, settings, turned)
     target = camera.pinhole(settings.width)
     same = camera.ideal and (target.width, target.height) == (camera.width, camera.height)
     if not same:
@@ -62,7 +69,7 @@ def load(camera: Camera, settings: PhotosConfig) -> Photograph:
             f"{camera.image}: no pixel counts ({told or 'all outside after undistortion'}): "
             "leave this view out, or mend its mask"
         )
-    return Photograph(target, image, mask, lost)
+    return Photograph(target, image, mask, lost, picture.doubt)
 
 
 def _linear(file: Path, encoding: str) -> bool | None:
@@ -76,39 +83,51 @@ def _linear(file: Path, encoding: str) -> bool | None:
     return {"auto": None, "linear": True, "srgb": False}[encoding]
 
 
-def _check_size(file, array: np.ndarray, camera: Camera) -> None:
-    height, width = array.shape[:2]
-    if (width, height) != (camera.width, camera.height):
-        raise InputError(
-            f"{file} is {width}×{height} pixels, its camera {camera.width}×{camera.height}: "
-            "resize the picture, or scale the camera's numbers"
-        )
-
-
 def _mask(
-    camera: Camera, image: np.ndarray, settings: PhotosConfig
+    camera: Camera, picture: images.Picture, settings: PhotosConfig, turned: bool = False
 ) -> tuple[np.ndarray, dict[str, int]]:
     """Weights of the photograph's own pixels, and how many lack one for each reason."""
-    mask = np.ones(image.shape[:2], np.float32)
+    mask = np.ones(picture.image.shape[:2], np.float32)
     lost = {}
     if camera.mask is not None:
-        given = images.read_mask(camera.mask)
-        _check_size(f"mask {camera.mask}", given, camera)
+        given = _given_mask(camera, settings, turned)
         mask *= given
         lost["masked by its file"] = int(np.count_nonzero(given == 0))
-    alpha = images.read_alpha(camera.image)
+    alpha = images.read_alpha(camera.image, turned)
     if alpha is not None:
         # A pixel that is partly transparent shows what is behind as well.
         mask *= alpha >= _WHOLE
         lost["transparent"] = int(np.count_nonzero(alpha < _WHOLE))
     if settings.saturated is not None and camera.image.suffix.lower() not in _FLOATS:
-        level = np.float64(settings.saturated)
-        if _linear(camera.image, settings.encoding) is not True:
-            level = images.srgb_decode(level)  # said of the file's numbers, not of light
-        bright = (image >= level).any(axis=2)
-        mask *= ~bright
-        lost["saturated"] = int(np.count_nonzero(bright))
+        # Said of the file's numbers, not of light.
+        full = picture.brightest >= np.float32(settings.saturated)
+        mask *= ~full
+        lost["saturated"] = int(np.count_nonzero(full))
     return mask, lost
+
+
+def _given_mask(camera: Camera, settings: PhotosConfig, turned: bool) -> np.ndarray:
+    """Of the camera's size, ``(H, W) float32``. It is turned as its picture, by its own tag or, if
+    it has none and its size tells, by its picture's. Raises InputError."""
+    given, wanted = images.read_mask(camera.mask, turned), (camera.width, camera.height)
+    size = given.shape[1::-1]
+    tag = images.orientation(camera.image) if turned else 1
+    if tag >= 5 and turns.factor(size, wanted) is None:
+        over = images.upright(given, tag)
+        if turns.factor(over.shape[1::-1], wanted) is not None:
+            given, size = over, over.shape[1::-1]
+    if size == wanted:
+        return given
+    told = "resize it"
+    if turns.factor(size, wanted) is not None:
+        if settings.scale is not None:
+            shrunk = Image.fromarray(given).resize(wanted, Image.Resampling.BOX)
+            return np.asarray(shrunk, np.float32)
+        told = "resize it, or take photos.scale=auto"
+    raise InputError(
+        f"mask {camera.mask} is {size[0]}×{size[1]} pixels, its picture {wanted[0]}×{wanted[1]}: "
+        f"{told}"
+    )
 
 
 def resample(

@@ -16,8 +16,9 @@ import numpy as np
 
 from ...runtime.errors import InputError
 from . import layouts
-from .base import Asked, Capture, below, matrix, number, read_text, whole
+from .base import Asked, Capture, matrix, number, read_text, whole
 from .camera import Camera
+from .finding import below, present
 from .lens import Lens
 
 _TYPES = {"frame": "flat", "fisheye": "fisheye"}
@@ -64,7 +65,7 @@ def read(file: Path, asked: Asked) -> Capture:
     sensors = {each.get("id"): each for each in chunk.findall("sensors/sensor")}
     worlds = {each.get("id"): each.find("transform") for each in chunk.iter("component")}
     folders = layouts.pictures(file.parent, asked.root)
-    cameras, lost = [], []
+    cameras, lost, aligned = [], [], 0
     for each in chunk.iter("camera"):
         label = each.get("label", "")
         if each.find("transform") is None or each.get("enabled") in ("false", "0"):
@@ -80,21 +81,33 @@ def read(file: Path, asked: Asked) -> Capture:
                 f"{file}: its cameras lie on the Earth: in Metashape's Reference pane take Local "
                 f"Coordinates, export mesh and cameras anew, or {_WAY_OUT}"
             )
-        cameras.append(
-            Camera(
-                name=label,
-                image=below(folders, label, where),
-                to_world=_pose(each, world, where),
-                described=str(file),
-                **_inner(sensors[each.get("sensor_id")], where),
-            )
-        )
-    if not cameras:
+        aligned += 1
+        camera = present(_camera, each, world, sensors, folders, where)
+        if camera is not None:
+            cameras.append(camera)
+    if not aligned:
         raise InputError(f"{file}: no camera has a pose: align the photos in Metashape first")
     notes = []
     if lost:
         notes = [f"{file}: {len(lost)} cameras are not aligned or disabled, first {lost[0]}"]
     return Capture(cameras, "Metashape", notes=notes)
+
+
+def _camera(
+    each: ElementTree.Element,
+    world: ElementTree.Element | None,
+    sensors: dict[str, ElementTree.Element],
+    folders: list[Path],
+    where: str,
+) -> Camera:
+    label = each.get("label", "")
+    return Camera(
+        name=label,
+        image=below(folders, label, where),
+        to_world=_pose(each, world, where),
+        described=where.partition(": camera")[0],
+        **_inner(sensors[each.get("sensor_id")], where),
+    )
 
 
 def _numbers(element: ElementTree.Element, path: str, count: int, where: str) -> list[float]:

@@ -23,8 +23,9 @@ from scipy.spatial.transform import Rotation
 
 from ...runtime.errors import InputError
 from . import lens
-from .base import Asked, Capture, exposure, load_json, matrix, number, numbers, picture, whole
+from .base import Asked, Capture, exposure, load_json, matrix, number, numbers, whole
 from .camera import Camera
+from .finding import listed_mask, picture, present
 
 NAME = "cameras.json"
 _MOST_CORNERS = 100_000
@@ -62,11 +63,12 @@ def of(file: Path, top: dict) -> Capture:
         views = _paired(file, top)
     if not isinstance(views, list) or not views:
         raise InputError(f"{file}: has no list of views")
-    cameras = [_camera(file, n, top, view) for n, view in enumerate(views)]
+    found = [present(_camera, file, n, top, view) for n, view in enumerate(views)]
+    cameras = [camera for camera in found if camera is not None]
     plane = top.get("printed_board_rect_m")
     if plane is not None:
         plane = numbers(plane, 4, f"{file}: printed_board_rect_m")
-    return Capture(cameras, file.name, _corners(file, top), plane=plane)
+    return Capture(cameras, file.name, _corners(file, top), plane=plane, turned=True)
 
 
 def _plain(value):
@@ -118,11 +120,10 @@ def _camera(file: Path, index: int, top: dict, view) -> Camera:
         raise InputError(f"{where}: camera_matrix is no 3×3 matrix")
     if inner[0, 1] != 0:
         raise InputError(f"{where}: camera_matrix has skew, which OpenCV's cameras do not have")
-    mask = view.get("mask")
     return Camera(
         name=view["image"].replace("\\", "/"),
         image=picture(file.parent, view["image"], where),
-        mask=picture(file.parent, mask, f"{where}: mask") if mask else None,
+        mask=listed_mask(file.parent, view.get("mask"), f"{where}: mask"),
         width=whole(both["width"], f"{where}: width"),
         height=whole(both["height"], f"{where}: height"),
         fx=float(inner[0, 0]),

@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
 
 from ...config.schema import PhotosConfig
+from ...runtime.errors import InputError
 from ...scenes.meshes import Surface
-from . import importing, reading, shape
+from . import finding, importing, reading, shape, turns
 from .base import Capture
 from .importing import Photograph
+
+_NAMED = 5  # of pictures that are missing
 
 
 @dataclass
 class Photographs:
     """``shown``: views to learn from, at least one; ``held``: views held out; ``capture``: all that
-    their file says; ``surface``: of the object; ``settings``: what was asked for."""
+    their file says; ``parts``: of the object, by shape (``shape.parts``), or None; ``settings``:
+    what was asked for; ``warnings``: what should be said of the files."""
 
     shown: list[Photograph]
     held: list[Photograph]
     capture: Capture
-    surface: Surface | None
+    parts: dict[str, Surface] | None
     settings: PhotosConfig
+    warnings: list[str] = field(default_factory=list)
+
+    @cached_property
+    def surface(self) -> Surface | None:
+        """The whole object's."""
+        return None if self.parts is None else shape.joined(list(self.parts.values()))
 
     @property
     def all(self) -> list[Photograph]:
@@ -30,10 +42,60 @@ class Photographs:
 def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     """Read and resample. ``shapeless``: whether there may be no object. Raises InputError for all
     that is wrong with cameras, pictures, object."""
-    capture = reading.read(settings.path, settings.test, settings.cameras, settings.world)
+    root = reading.folder_of(settings.path)
+    with finding.looking(settings, root) as sources:
+        capture = reading.read(settings.path, settings.test, settings.cameras, settings.world)
+    _check(capture, sources)
+    capture.cameras, told = finding.masked(capture.cameras, root, sources)
+    over, more = turns.turned(capture.cameras, capture, settings.orientation)
     shown, held = reading.split(capture, settings.test)
-    surface = None
+    parts = None
     if not shapeless or shape.described(settings, capture):
-        surface = shape.surface(settings, capture)
-    made = [[importing.load(camera, settings) for camera in part] for part in (shown, held)]
-    return Photographs(*made, capture, surface, settings)
+        parts = shape.parts(settings, capture)
+    made = [
+        [importing.load(camera, settings, camera.name in over) for camera in part]
+        for part in (shown, held)
+    ]
+    told += [*_left_out(sources), *more, *_doubts([*made[0], *made[1]])]
+    return Photographs(*made, capture, parts, settings, told)
+
+
+def _check(capture: Capture, sources: finding.Sources) -> None:
+    """Raises InputError where no picture is left, or one is that of two views."""
+    if not capture.cameras:
+        raise InputError(
+            f"photos.missing=skip: none of {len(sources.missing)} pictures exists, first "
+            f"{sources.missing[0]}: say where they lie by photos.images=FOLDER"
+        )
+    first: dict[Path, str] = {}
+    for camera in capture.cameras:
+        other = first.setdefault(camera.image, camera.name)
+        if other != camera.name:
+            raise InputError(
+                f"{camera.image} is the picture of two views, {other} and {camera.name}: give a "
+                "photos.images in which each has its own"
+            )
+
+
+def _left_out(sources: finding.Sources) -> list[str]:
+    if not sources.missing:
+        return []
+    names = ", ".join(sources.missing[:_NAMED])
+    more = len(sources.missing) - _NAMED
+    return [
+        f"photos.missing=skip: {len(sources.missing)} views are left out, whose pictures do not "
+        f"exist: {names}{f' and {more} more' if more > 0 else ''}"
+    ]
+
+
+def _doubts(every: list[Photograph]) -> list[str]:
+    """Once for all pictures that say the same."""
+    found: dict[str, list[Path]] = {}
+    for each in every:
+        if each.doubt is not None:
+            found.setdefault(each.doubt, []).append(each.camera.image)
+    return [
+        f"{doubt} of {len(files)} pictures, first {files[0]}, cannot be heeded, and their numbers "
+        "are taken as sRGB's: convert them to sRGB, or say photos.encoding=srgb"
+        for doubt, files in found.items()
+    ]

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from ...runtime.errors import InputError
-from .base import Asked, Capture, load_json, number, picture, whole
+from .base import Asked, Capture, load_json, number, whole
 from .camera import Camera
+from .finding import picture, present
 from .transforms import TO_OPENCV
 
 # Cameras and their pictures, the better ones first.
@@ -43,7 +44,9 @@ def read(file: Path, asked: Asked) -> Capture:
     """Raises InputError, naming the file, for what is missing or wrong."""
     folder = file.parent
     pictures = folder.with_name(dict(_PAIRS)[folder.name])
-    cameras = [_camera(each, pictures, asked.root) for each in sorted(folder.glob("*.json"))]
+    files = sorted(folder.glob("*.json"))
+    found = [present(_camera, each, pictures, asked.root) for each in files]
+    cameras = [camera for camera in found if camera is not None]
     notes = []
     if folder.name == _PAIRS[-1][0]:
         notes.append(

@@ -14,10 +14,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from ...runtime import images
 from ...runtime.errors import InputError
-from .base import Asked, Capture, existing, number, read_text
+from .base import Asked, Capture, number, read_text
 from .camera import Camera
+from .finding import existing, size
 from .lens import Lens
 
 _SPACE = "{http://www.capturingreality.com/ns/xcr/1.1#}"
@@ -94,7 +94,7 @@ def _camera(file: Path, root: Path) -> Camera | None:
     image = existing(file.parent, file.stem)
     if image is None:
         raise InputError(f"{file}: no picture of that name lies beside it")
-    width, height = images.size(image)
+    width, height = size(image)
     side = max(width, height)
     if "FocalLength35mm" not in told:
         raise InputError(f"{file}: has no FocalLength35mm")

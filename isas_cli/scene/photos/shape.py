@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import io
+import re
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +13,12 @@ from ...config.schema import PhotosConfig
 from ...runtime.errors import InputError
 from ...scenes import lathe, meshes
 from ...scenes.meshes import Surface
-from ..mesh_checks import check_values, degenerate
+from ..mesh_checks import LARGEST_OVERLAP, check_values, degenerate, overlap
 from ..mesh_files import upwards
 from .base import Capture
 
+OBJECT = "object"
+_NONE = np.zeros((0, 2), np.float32)
 _KINDS = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 # Between the normals of two triangles that meet: beyond, there is an edge.
 _CREASE = 40.0  # degrees
@@ -27,46 +31,207 @@ def described(settings: PhotosConfig, capture: Capture) -> bool:
 
 
 def surface(settings: PhotosConfig, capture: Capture) -> Surface:
-    """In the cameras' world. Raises InputError where nothing says what it is, and for a mesh that
-    cannot be rendered."""
+    """``parts`` as one, without texture coordinates where a part has none."""
+    return joined(list(parts(settings, capture).values()))
+
+
+def parts(settings: PhotosConfig, capture: Capture) -> dict[str, Surface]:
+    """The object in the cameras' world, by the names of the shapes that it is: ``object``, or of a
+    mesh of several materials ``object_<material>`` each. Raises InputError where nothing says what
+    it is, and for a mesh that cannot be rendered."""
     if settings.mesh is not None:
-        return _read(settings.mesh)
+        return _read(settings.mesh, settings.materials == "one")
     if settings.sphere is not None:
-        return _sphere(*settings.sphere)
+        return {OBJECT: _sphere(*settings.sphere)}
     plane = settings.plane or capture.plane
     if plane is not None:
-        return _rectangle(*plane)
+        return {OBJECT: _rectangle(*plane)}
     raise InputError(
         "photos.mesh is not given: give a file (OBJ, PLY, STL, glTF), or "
         "photos.plane=[x0,y0,x1,y1] or photos.sphere=[x,y,z,radius]"
     )
 
 
-def _read(path: str) -> Surface:
-    """Raises InputError. Texture coordinates as the file has them, v upwards as other programs
-    count it: the first row of a texture is its highest."""
-    import trimesh
+def joined(surfaces: list[Surface]) -> Surface:
+    """One of all, of triangles that share no vertex."""
+    if len(surfaces) == 1:
+        return surfaces[0]
+    textured = all(len(each.texcoords) for each in surfaces)
+    vertices, normals = (
+        np.concatenate([getattr(each, name) for each in surfaces])
+        for name in ("vertices", "normals")
+    )
+    texcoords = np.concatenate([each.texcoords for each in surfaces if textured] or [_NONE])
+    return Surface(
+        vertices, np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3), texcoords, normals
+    )
 
+
+def _read(path: str, one: bool) -> dict[str, Surface]:
+    """By material, or ``one`` of all. Raises InputError. Texture coordinates as the file has them,
+    v upwards as other programs count it: the first row of a texture is its highest."""
     file = Path(path)
     if not file.is_file():
         raise InputError(f"photos.mesh={path}: no such file")
     if file.suffix.lower() not in _KINDS:
         raise InputError(f"photos.mesh={path}: a mesh is one of {', '.join(_KINDS)}")
     try:
-        mesh = trimesh.load(file, process=False, force="mesh")
-        vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces)
-        found = getattr(mesh.visual, "uv", None)
+        pieces = _pieces(file)
     except Exception as error:  # its readers raise whatever a broken file makes them raise
         told = (" ".join(str(error).split()) or type(error).__name__)[:300]
         raise InputError(f"photos.mesh={path}: cannot be read: {told}") from error
-    texcoords = np.zeros((0, 2), np.float32)
-    if found is not None and len(found) == len(vertices):
-        texcoords = upwards(np.asarray(found, np.float32))
-    if len(vertices) == 0 or len(faces) == 0:
+    if not any(len(piece.faces) for piece in pieces):
         raise InputError(f"photos.mesh={path}: has no triangles")
-    faces = np.delete(faces, degenerate(vertices, faces), axis=0).astype(np.uint32)
+    before = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
+    vertices = np.concatenate([piece.vertices for piece in pieces])
+    faces = np.concatenate([piece.faces + first for piece, first in zip(pieces, before)])
+    flat = degenerate(vertices, faces)
+    faces = np.delete(faces, flat, axis=0).astype(np.uint32)
+    names = np.repeat([piece.material for piece in pieces], [len(piece.faces) for piece in pieces])
+    names = np.delete(names, flat)
+    bare = {piece.material for piece in pieces if piece.texcoords is None}
+    texcoords = np.concatenate(
+        [np.zeros((len(p.vertices), 2)) if p.texcoords is None else p.texcoords for p in pieces]
+    ).astype(np.float32)
     check_values(vertices, texcoords, faces, file.name)
-    return _smoothed(vertices, faces, texcoords)
+    whole = _smoothed(vertices, faces, texcoords)
+    found = {name: _part(whole, names == name, name in bare) for name in dict.fromkeys(names)}
+    if len(found) == 1:
+        return {OBJECT: next(iter(found.values()))}
+    if one:
+        _check_shared(path, found)
+        return {OBJECT: joined(list(found.values()))}
+    return dict(zip(_called(list(found)), found.values()))
+
+
+@dataclass
+class _Piece:
+    """Triangles of one ``material``; ``texcoords (V, 2)`` as Mitsuba has them, or None."""
+
+    material: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    texcoords: np.ndarray | None
+
+
+def _pieces(file: Path) -> list[_Piece]:
+    """Of a mesh file, where its nodes stand. Raises whatever its reader raises, and ValueError for
+    texture coordinates that only some faces have, which its reader leaves away."""
+    import trimesh
+
+    if file.suffix.lower() == ".obj":
+        scene, order = _of_obj(file)
+    else:
+        scene = trimesh.load_scene(file, process=False)
+        order = list(scene.geometry)
+    found, materials = [], {}
+    # In the file's order, which its graph of nodes has not.
+    rank = {name: number for number, name in enumerate(order)}
+    nodes = scene.graph.nodes_geometry
+    nodes = sorted(nodes, key=lambda node: rank.get(scene.graph[node][1], len(rank)))
+    for node in nodes:
+        place, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        if not isinstance(mesh, trimesh.Trimesh):
+            continue  # points, or a line
+        mesh = mesh.copy()
+        mesh.apply_transform(place)  # which turns triangles of mirrored nodes round
+        vertices, uv = np.asarray(mesh.vertices, np.float32), getattr(mesh.visual, "uv", None)
+        material = getattr(mesh.visual, "material", None)
+        label = getattr(material, "name", None) or ""
+        # Files have several without a name, or of one.
+        key = label, None if material is None else hash(material)
+        same = [other for other in materials if other[0] == label]
+        called = materials.setdefault(key, f"{label}_{len(same)}" if same else label)
+        texcoords = None
+        if uv is not None and len(uv) == len(vertices):
+            texcoords = upwards(np.asarray(uv, np.float32))
+        found.append(_Piece(called, vertices, np.asarray(mesh.faces), texcoords))
+    return found
+
+
+class _Materials:
+    """In place of a file of materials, which may be missing and of which names alone are asked."""
+
+    def __init__(self, names: list[str]):
+        # One more that nothing uses: of a single one trimesh does not tell the rest apart.
+        self._text = "".join(f"newmtl {name}\nKd 1 1 1\n" for name in [*filter(None, names), "-"])
+
+    def __getitem__(self, name: str) -> bytes:
+        return self._text.encode()
+
+
+def _of_obj(file: Path):
+    """Its scene as trimesh has it, and the names of its materials in order. Raises what that
+    raises, and ValueError."""
+    import trimesh
+
+    text = file.read_text(encoding="utf-8", errors="replace")
+    names = _check_some(text)
+    if len(names) < 2:
+        return trimesh.load_scene(file, process=False), names
+    # Materials part a file only where it names a file of them.
+    stream = io.BytesIO(f"mtllib materials.mtl\n{text}".encode())
+    scene = trimesh.load_scene(stream, file_type="obj", process=False, resolver=_Materials(names))
+    return scene, names
+
+
+def _check_some(text: str) -> list[str]:
+    """The materials of an OBJ file's faces. Raises ValueError where of one some faces have texture
+    coordinates and others none: they would be left away."""
+    material, kinds = "", {}
+    for line in text.splitlines():
+        word, *rest = line.split() or [""]
+        if word == "usemtl":
+            material = line.split(maxsplit=1)[1].strip() if rest else ""
+        elif word == "f" and rest:
+            corner = rest[0].split("/")
+            kinds.setdefault(material, set()).add(len(corner) > 1 and corner[1] != "")
+    for name, found in kinds.items():
+        if len(found) > 1:
+            raise ValueError(
+                f"of {f'material {name}' if name else 'its faces'} only some have texture "
+                "coordinates: unwrap all of them, or none"
+            )
+    return list(kinds)
+
+
+def _part(whole: Surface, chosen: np.ndarray, bare: bool) -> Surface:
+    """Of a surface whose triangles share no vertex, those ``chosen (F,)``."""
+    corners = np.repeat(chosen, 3)
+    texcoords = whole.texcoords[corners] if len(whole.texcoords) and not bare else _NONE
+    count = int(chosen.sum())
+    faces = np.arange(3 * count, dtype=np.uint32).reshape(-1, 3)
+    return Surface(whole.vertices[corners], faces, texcoords, whole.normals[corners])
+
+
+def _called(materials: list[str]) -> list[str]:
+    """Names of shapes, which keys of parameters begin with."""
+    found = []
+    for number, name in enumerate(materials):
+        plain = re.sub(r"[^A-Za-z0-9-]+", "_", name).strip("_") or str(number)
+        plain = f"{OBJECT}_{plain}"
+        found.append(plain if plain not in found else f"{plain}_{number}")
+    return found
+
+
+def _check_shared(path: str, found: dict[str, Surface]) -> None:
+    """Raises InputError where one texture cannot hold what materials show."""
+    if not any(len(part.texcoords) for part in found.values()):
+        return
+    out = "take photos.materials=each, or bake one atlas and export the mesh with that"
+    for name, part in found.items():
+        if not len(part.texcoords):
+            raise InputError(
+                f"photos.materials=one: material {name} of {path} has no texture coordinates: {out}"
+            )
+    charts = [part.texcoords[part.faces] for part in found.values()]
+    own = max(overlap(each) for each in charts)
+    if (share := overlap(np.concatenate(charts))) > own + LARGEST_OVERLAP:
+        raise InputError(
+            f"photos.materials=one: {len(found)} materials of {path} share {share:.0%} of the "
+            f"texels, each of which would be of several places: {out}"
+        )
 
 
 def _smoothed(vertices: np.ndarray, faces: np.ndarray, texcoords: np.ndarray) -> Surface:
@@ -102,6 +267,10 @@ def _rectangle(x0: float, y0: float, x1: float, y1: float) -> Surface:
 
 
 def _sphere(x: float, y: float, z: float, radius: float) -> Surface:
+    """Closed: each pole, as the seam, is one place."""
     angle = np.linspace(0, np.pi, 65)
-    ball = lathe.turn(np.column_stack([np.sin(angle), -np.cos(angle)]) * radius, 128)
-    return replace(ball, vertices=ball.vertices + np.float32([x, y, z]))
+    profile = np.column_stack([np.sin(angle), -np.cos(angle)])
+    profile[[0, -1], 0] = 0  # sin π is not
+    # Of radius 1 until it is whole: how finely its places are told apart does not scale.
+    ball = lathe.turn(profile, 128)
+    return replace(ball, vertices=ball.vertices * np.float32(radius) + np.float32([x, y, z]))

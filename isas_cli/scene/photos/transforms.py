@@ -23,11 +23,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ...runtime import images
 from ...runtime.errors import InputError
 from . import models
-from .base import Asked, Capture, exposure, load_json, matrix, number, picture, whole
+from .base import Asked, Capture, exposure, load_json, matrix, number, whole
 from .camera import Camera
+from .finding import listed_mask, missed, picture, present, size
 from .lens import Lens
 
 NAMES = ("transforms.json", "transforms_train.json")
@@ -77,7 +77,8 @@ def _cameras(file: Path) -> tuple[dict, list[Camera]]:
     frames = top.get("frames")
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{file}: has no list of frames")
-    return top, [_camera(file, n, top, frame) for n, frame in enumerate(frames)]
+    found = [present(_camera, file, n, top, frame) for n, frame in enumerate(frames)]
+    return top, [camera for camera in found if camera is not None]
 
 
 def _undone(
@@ -121,6 +122,8 @@ def _listed(file: Path, top: dict, cameras: list[Camera], *keys: str) -> list[st
             raise InputError(f"{file}: {key} is no list of pictures")
         for name in listed:
             found = _called(str(name))
+            if missed(found):
+                continue
             if found not in names:
                 raise InputError(f"{file}: {key}: {name} is the file_path of no frame")
             held.append(found)
@@ -141,8 +144,7 @@ def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
     both = {**top, **frame}
     lens = _lens(both, where)
     image = picture(file.parent, frame["file_path"], where)
-    mask = frame.get("mask_path")
-    width, height = images.size(image)
+    width, height = size(image)
     width = whole(both["w"], f"{where}: w") if "w" in both else width
     height = whole(both["h"], f"{where}: h") if "h" in both else height
 
@@ -156,7 +158,7 @@ def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
     return Camera(
         name=_called(frame["file_path"]),
         image=image,
-        mask=picture(file.parent, mask, f"{where}: mask_path") if mask else None,
+        mask=listed_mask(file.parent, frame.get("mask_path"), f"{where}: mask_path"),
         width=width,
         height=height,
         fx=fx if fx is not None else fy,

@@ -1,0 +1,295 @@
+"""Where pictures lie, and their masks, besides where the cameras' file says."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ...config.schema import PhotosConfig
+from ...runtime import heif, images, raw
+from ...runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from .camera import Camera
+
+PLAIN = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".tiff", ".webp", ".bmp")
+PICTURES = (*PLAIN, *heif.ENDINGS, *raw.ENDINGS)
+NONE = "none"
+_MASKS = ("masks", "mask")
+# What folders of masks have in their names.
+_TELLING = ("mask", "matte", "segment", "silhouette")
+# Folders of pictures → of masks.
+_INSTEAD = (("images", "masks"), ("image", "mask"), ("rgb", "mask"), ("rgb", "masks"))
+# Names of a mask, of a picture's {name} and its {stem}; the second kind also beside the picture.
+_SAME = ("{name}{ending}", "{stem}{ending}")
+_MARKED = (
+    *("{stem}_mask{ending}", "{stem}.mask{ending}", "{stem}-mask{ending}", "mask_{stem}{ending}"),
+    *("{name}.mask", "{name}.mask{ending}", "{name}_mask{ending}"),
+)
+
+
+@dataclass
+class Sources:
+    """What the settings say of where files are: ``images``, ``masks``: folders that stand before
+    those of the cameras' file, or None; ``given``: whether masks are looked for in ``masks`` alone,
+    which without it are none; ``skip``: whether views whose picture is missing are left out;
+    ``turned``: whether pictures without a size in the cameras' file have that after turning;
+    ``missing``: names of the pictures that were missing."""
+
+    images: Path | None = None
+    masks: Path | None = None
+    given: bool = False
+    skip: bool = False
+    turned: bool = False
+    missing: list[str] = field(default_factory=list)
+
+
+class Missing(InputError):
+    """A picture is not there, and may be left out."""
+
+
+_SOURCES: ContextVar[Sources] = ContextVar("sources")
+_AS_IT_IS = Sources()
+
+
+@contextmanager
+def looking(settings: PhotosConfig, root: Path) -> Iterator[Sources]:
+    """Within, files are looked for as ``settings`` say. Raises InputError for a folder that is
+    none."""
+    found = Sources(
+        *(_folder(settings, name, root) for name in ("images", "masks")),
+        settings.masks is not None,
+        settings.missing == "skip",
+        settings.orientation == "turned",
+    )
+    before = _SOURCES.set(found)
+    try:
+        yield found
+    finally:
+        _SOURCES.reset(before)
+
+
+def _folder(settings: PhotosConfig, name: str, root: Path) -> Path | None:
+    value = getattr(settings, name)
+    if value is None or (name == "masks" and value == NONE):
+        return None
+    for folder in (Path(value), root / value):
+        if folder.is_dir():
+            return folder
+    none = "; photos.masks=none for no masks at all" if name == "masks" else ""
+    raise InputError(f"photos.{name}={value}: no such folder, neither here nor in {root}{none}")
+
+
+def picture(folder: Path, name: str, where: str) -> Path:
+    """The picture ``name`` below ``folder``, where a known ending may be left out. Raises
+    InputError, ``Missing`` where that may be."""
+    sources = _SOURCES.get(_AS_IT_IS)
+    found = _file(folder, name, where)
+    if sources.images is not None:
+        found = _below(sources.images, name) or found
+    if found is not None:
+        return found
+    if sources.skip:
+        sources.missing.append(name.removeprefix("./"))
+        raise Missing(name)
+    raise InputError(
+        f"{where}: its picture {folder / name} does not exist: mend the path or remove it; "
+        "photos.images=FOLDER says where pictures lie, photos.missing=skip leaves such views out"
+    )
+
+
+def listed_mask(folder: Path, name: Any, where: str) -> Path | None:
+    """The mask that the cameras' file names for a view, or None. Raises InputError."""
+    sources = _SOURCES.get(_AS_IT_IS)
+    if not name:
+        return None
+    if sources.given:
+        known = isinstance(name, str) and sources.masks is not None
+        return _below(sources.masks, name) if known else None
+    found = _file(folder, name, where)
+    if found is None:
+        raise InputError(
+            f"{where}: {folder / name} does not exist: mend the path or remove it; "
+            "photos.masks=FOLDER says where masks lie, photos.masks=none that there are none"
+        )
+    return found
+
+
+def present(make: Callable[..., Any], *arguments: Any) -> Any:
+    """What ``make`` makes, or None where a picture is missing that may be."""
+    try:
+        return make(*arguments)
+    except Missing:
+        return None
+
+
+def missed(name: str) -> bool:
+    """Whether the view of a picture of that name was left out."""
+    return name in _SOURCES.get(_AS_IT_IS).missing
+
+
+def size(image: Path) -> tuple[int, int]:
+    """Width and height of a picture, pixels, as cameras without a size of their own have it."""
+    return images.size(image, _SOURCES.get(_AS_IT_IS).turned)
+
+
+def _file(folder: Path, name: Any, where: str) -> Path | None:
+    if not isinstance(name, str):
+        raise InputError(f"{where}: {name!r} is no name of a picture")
+    endings = ["", *PICTURES, *(ending.upper() for ending in PICTURES)]
+    for spelt in dict.fromkeys((name, name.replace("\\", "/"))):  # as Windows parts folders
+        for ending in endings:
+            path = Path(f"{folder / spelt}{ending}")
+            if os.path.isfile(path):  # which also says no to a name that no file can have
+                return path
+    return None
+
+
+def existing(folder: Path, name: str) -> Path | None:
+    """The picture ``name`` below ``folder``, or None."""
+    return _file(folder, name, str(folder))
+
+
+def below(folders: Iterable[Path], name: str, where: str) -> Path:
+    """The picture ``name`` in the first of ``folders`` that has it, as ``picture``. Raises
+    InputError, naming the first, where none has."""
+    folders = list(folders)
+    own = next((folder for folder in folders if existing(folder, name) is not None), folders[0])
+    return picture(own, name, where)
+
+
+def _below(folder: Path, name: str) -> Path | None:
+    """``name`` in a folder that stands for the first of its own ones, or for several of them, also
+    with another ending."""
+    parts = [part for part in Path(name).parts if part not in (".", "..", "/")]
+    for first in range(len(parts)):
+        path = folder.joinpath(*parts[first:])
+        for each in (path, path.with_suffix("")):
+            if (found := _file(folder, str(each.relative_to(folder)), name)) is not None:
+                return found
+    return None
+
+
+def masked(cameras: list[Camera], root: Path, sources: Sources) -> tuple[list[Camera], list[str]]:
+    """The cameras with the masks that lie where they usually do, or in the folder given; and what
+    should be said of them. Raises InputError where that folder has none that fits."""
+    if sources.given and sources.masks is None:
+        return [replace(camera, mask=None) for camera in cameras], []
+    search = _Search(cameras, root, sources)
+    found = [search.mask(camera) for camera in cameras]
+    told = []
+    times = Counter(found)
+    several = sorted(mask for mask, number in times.items() if mask is not None and number > 1)
+    listed = {camera.mask for camera in cameras}
+    several = [mask for mask in several if mask not in listed]  # as the file says, it may be
+    if several:
+        told.append(
+            f"mask {several[0]} would be that of {times[several[0]]} pictures, so of none: name "
+            "masks as their pictures are named, folders too"
+        )
+        found = [None if mask in several else mask for mask in found]
+    without = [camera.name for camera, mask in zip(cameras, found) if mask is None]
+    if sources.given and len(without) == len(cameras):
+        raise InputError(
+            f"photos.masks={sources.masks}: no file there is named as a mask of {without[0]} is, "
+            f"such as {Path(without[0]).stem}.png"
+        )
+    if without and len(without) < len(cameras):
+        told.append(
+            f"{len(without)} of {len(cameras)} views have no mask, first {without[0]}: all of "
+            "their pixels count"
+        )
+    if not sources.given:
+        told += search.unused(found)
+    return [replace(camera, mask=mask) for camera, mask in zip(cameras, found)], told
+
+
+class _Search:
+    """Folders are listed once."""
+
+    def __init__(self, cameras: list[Camera], root: Path, sources: Sources):
+        self._root, self._sources = root, sources
+        self._pictures = {camera.image for camera in cameras}
+        self._listed: dict[Path, dict[str, Path]] = {}
+
+    def mask(self, camera: Camera) -> Path | None:
+        if camera.mask is not None and not self._sources.given:
+            return camera.mask
+        picture, sources = camera.image, self._sources
+        if sources.given and camera.mask is not None and camera.mask.is_relative_to(sources.masks):
+            return camera.mask
+        for folder in self._ancestors(picture):
+            below = picture.relative_to(folder)
+            for masks in self._folders(folder):
+                inside = masks / below.parent
+                names = _MARKED if inside == picture.parent else (*_SAME, *_MARKED)
+                if (found := self._named(inside, below, names)) is not None:
+                    return found
+        return None if sources.given else self._named(picture.parent, picture, _MARKED)
+
+    def _ancestors(self, picture: Path) -> list[Path]:
+        """Folders around a picture from the set's own to its own."""
+        tops = [self._root, *([self._sources.images] if self._sources.images else [])]
+        for top in tops:
+            if picture.is_relative_to(top):
+                own = [each for each in picture.parents if each.is_relative_to(top)]
+                return own[::-1]
+        return [picture.parent]
+
+    def _folders(self, pictures: Path) -> list[Path]:
+        """Where masks may lie of what lies in ``pictures``."""
+        if self._sources.given:
+            return [self._sources.masks]
+        name = pictures.name
+        around = [f"{name}_{each}" for each in _MASKS]
+        around += [name.replace(a, b) for a, b in _INSTEAD if a in name]
+        found = [self._root / each for each in _MASKS] + [pictures / each for each in _MASKS]
+        if pictures != self._root:
+            found += [pictures.parent / each for each in (*_MASKS, *around)]
+        return list(dict.fromkeys(found))
+
+    def _named(self, folder: Path, picture: Path, patterns: tuple[str, ...]) -> Path | None:
+        here = self._files(folder)
+        for pattern in patterns if here else ():
+            for ending in PLAIN:
+                name = pattern.format(name=picture.name, stem=picture.stem, ending=ending)
+                found = here.get(name.lower())
+                if found is not None and found not in self._pictures:
+                    return found
+        return None
+
+    def _files(self, folder: Path) -> dict[str, Path]:
+        if folder not in self._listed:
+            try:
+                files = sorted(each.name for each in os.scandir(folder) if each.is_file())
+            except OSError:
+                files = []
+            self._listed[folder] = {name.lower(): folder / name for name in files}
+        return self._listed[folder]
+
+    def unused(self, masks: list[Path | None]) -> list[str]:
+        """Of folders that look like masks, none of which is one."""
+        used = {mask.parent for mask in masks if mask is not None}
+        first = min(self._pictures)
+        told = []
+        for depth in ("*", "*/*"):
+            for folder in sorted(self._root.glob(depth)):
+                if not any(word in folder.name.lower() for word in _TELLING):
+                    continue
+                if any(each == folder or each.is_relative_to(folder) for each in used):
+                    continue
+                files = self._files(folder) if folder.is_dir() else {}
+                files = [p for p in files.values() if p.suffix.lower() in PLAIN]
+                if files and not self._pictures & set(files):
+                    told.append(
+                        f"{folder} looks like masks, but {files[0].name} there is the mask of no "
+                        f"picture, and none is masked by it: call that of {first.name} "
+                        f"{first.stem}.png or {first.name}.png, or say photos.masks=none"
+                    )
+        return told
