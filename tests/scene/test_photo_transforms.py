@@ -178,6 +178,7 @@ def test_isas_photos_says_what_was_applied(tmp_path, monkeypatch, capfd):
         (dict(camera_model=[7]), r"camera_model \[7\]; valid"),
         (dict(equirectangular=True), "frame 0: equirectangular; valid"),
         (dict(ftheta_p0=0.1), "frame 0: ftheta_p0; valid"),
+        (dict(rolling_shutter=[0, [1, 2], 0]), "rolling_shutter .*moves"),
         (dict(rolling_shutter=[0, 0, 1, 0]), "rolling_shutter .*moves"),
         (dict(camera_model="OPENCV_FISHEYE", k1="a"), "k1='a': no number"),
         (dict(fl_x=None, x_fov=200), "x_fov=200: degrees, between"),
