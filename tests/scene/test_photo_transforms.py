@@ -60,6 +60,13 @@ def test_the_fourth_radial_factor(tmp_path):
     assert first(tmp_path).lens.below == (0.02, 0, 0.01)
 
 
+def test_a_byte_order_mark_is_no_letter(tmp_path):
+    photo_sets.transforms(Files(tmp_path, POSES))
+    file = tmp_path / "transforms.json"
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    assert len(reading.read(str(tmp_path)).cameras) == 3
+
+
 def test_instant_ngps_fisheye(tmp_path):
     photo_sets.transforms(Files(tmp_path, POSES), is_fisheye=True, k1=0.05, k2=0.01)
     assert first(tmp_path).lens.kind == "fisheye"
@@ -171,6 +178,7 @@ def test_isas_photos_says_what_was_applied(tmp_path, monkeypatch, capfd):
         (dict(camera_model=[7]), r"camera_model \[7\]; valid"),
         (dict(equirectangular=True), "frame 0: equirectangular; valid"),
         (dict(ftheta_p0=0.1), "frame 0: ftheta_p0; valid"),
+        (dict(rolling_shutter=[0, [1, 2], 0]), "rolling_shutter .*moves"),
         (dict(rolling_shutter=[0, 0, 1, 0]), "rolling_shutter .*moves"),
         (dict(camera_model="OPENCV_FISHEYE", k1="a"), "k1='a': no number"),
         (dict(fl_x=None, x_fov=200), "x_fov=200: degrees, between"),

@@ -53,9 +53,9 @@ class Asked:
 
 
 def read_text(file: Path) -> str:
-    """Raises InputError."""
+    """Without the mark that Windows' programs begin it by. Raises InputError."""
     try:
-        return file.read_text(encoding="utf-8")
+        return file.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: cannot be read as text: {error}") from error
 

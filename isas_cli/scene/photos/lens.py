@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -127,7 +128,7 @@ class Lens:
         depth = c[0] * x + c[1] * y + c[2]
         return (a[0] * x + a[1] * y + a[2]) / depth, (b[0] * x + b[1] * y + b[2]) / depth
 
-    @property
+    @cached_property
     def reach(self) -> float:
         """The radius on the plane without a lens up to which it keeps the order of points: beyond,
         its polynomial folds back or has a pole, and far points would be looked up inside the

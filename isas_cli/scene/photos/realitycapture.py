@@ -71,8 +71,7 @@ def read(file: Path, asked: Asked) -> Capture:
 def _camera(file: Path, root: Path) -> Camera | None:
     """None where the file holds no pose."""
     try:
-        # Of the byte order mark, which some versions write, a text is free.
-        tree = ElementTree.fromstring(read_text(file).lstrip("\ufeff").encode())
+        tree = ElementTree.fromstring(read_text(file).encode())
     except (ElementTree.ParseError, ValueError) as error:
         raise InputError(f"{file}: cannot be read as XMP: {error}") from error
     told = {}

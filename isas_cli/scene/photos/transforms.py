@@ -187,7 +187,9 @@ def _lens(both: dict, where: str) -> Lens:
         told = f"camera_model {model}" if other is None else other
         valid = ", ".join(models.PARAMETERS)
         raise InputError(f"{where}: {told}; valid: {valid}; {models.WAY_OUT}")
-    if np.any(both.get("rolling_shutter", 0)) or "transform_matrix_end" in both:
+    shutter = both.get("rolling_shutter") or [0]
+    still = isinstance(shutter, list) and all(x == 0 for x in shutter)
+    if not still or "transform_matrix_end" in both:
         raise InputError(
             f"{where}: rolling_shutter or transform_matrix_end: a camera that moves while it takes "
             "a picture, which isas does not know: leave them out where it hardly moves"
