@@ -119,6 +119,12 @@ _WORST = (
 )
 
 
+# Where a derivative is wrong, in words, by class and parameter.
+_CAUSES = {
+    ("BumpMap", "nested_texture"): "low where it turns parts of a surface away from the camera",
+}
+
+
 def of_words(keys: pandas.DataFrame) -> pandas.DataFrame:
     """A row for each class and parameter: the worst verdict of its scenes, and where that is."""
     rows = []
@@ -128,6 +134,7 @@ def of_words(keys: pandas.DataFrame) -> pandas.DataFrame:
         note = ""
         if verdict in _WORST[:4] and len(where) < len(group):
             note = "in " + ", ".join(dict.fromkeys(where["scene"]))
+            note = f"{_CAUSES[kind, word]}: {note}" if (kind, word) in _CAUSES else note
         elif verdict == _WORST[5]:
             ends = set(" ".join(where["isas_ends"] + " " + where["replayed_ends"]).split())
             note = "not at its " + " and ".join(f"{end} end" for end in sorted(ends, reverse=True))

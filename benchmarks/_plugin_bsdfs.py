@@ -46,8 +46,8 @@ _OPAQUE = {"clearcoat": 0.5, "clearcoat_gloss": 0.4, "specular": 0.6}
 _THIN = {"metallic": None, "spec_trans": 0.4, "diff_trans": 0.8, "eta": 1.4}
 
 
-def _under_points(inside: str, *more: str) -> str:
-    return room(ball(inside, *more), lights=POINTS)
+def _under_points(inside: str, kind: str = "rectangle", more: str = "") -> str:
+    return room(ball(inside, kind, more), lights=POINTS)
 
 
 _CURVE = "bsplinecurve", '<string name="filename" value="curve.txt"/>'
@@ -171,8 +171,12 @@ BSDFS = {
     ),
     "twosided-both": room(ball(bsdf("twosided", MATTE, _BESIDE["plastic"]), "rectangle")),
     "bumpmap": of("bumpmap", bitmap("arbitrary", "b.exr"), number("scale", 0.3), _ROUGH),
+    # Facets that all face the camera, and some that turn away from it.
     "bumpmap-points": _under_points(
         bsdf("bumpmap", bitmap("arbitrary", "b.exr"), number("scale", 0.3), MATTE)
+    ),
+    "bumpmap-steep": _under_points(
+        bsdf("bumpmap", bitmap("arbitrary", "b.exr"), number("scale", 0.3), MATTE), "sphere"
     ),
     "bumpmap-mirror": of("bumpmap", bitmap("arbitrary", "b.exr"), number("scale", 0.3), _MIRROR),
     "normalmap": of("normalmap", bitmap("normalmap", "n.exr"), _ROUGH),

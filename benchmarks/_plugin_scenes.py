@@ -8,7 +8,6 @@ from _plugin_room import (
     LAMP,
     LOOK,
     MATTE,
-    POINTS,
     SIDE,
     SKY,
     ball,
@@ -174,13 +173,11 @@ def _grid(name: str, file: str) -> str:
     )
 
 
-def _fog(
-    kind: str = "homogeneous", density: str = "", albedo: str = "", phase: str = "", **lights: str
-) -> str:
+def _fog(kind: str = "homogeneous", density: str = "", albedo: str = "", phase: str = "") -> str:
     """A ball of a medium, with a phase function."""
     inside = (density or number("sigma_t", 1)) + (albedo or colour("albedo", "0.8,0.7,0.6"))
     medium = f'<medium type="{kind}" name="interior">{inside}{phase}</medium>'
-    return room(ball(bsdf("null") + medium), integrator="volpath", **lights)
+    return room(ball(bsdf("null") + medium), integrator="volpath")
 
 
 def _phase(kind: str, inside: str = "") -> str:
@@ -208,12 +205,6 @@ MEDIA = {
     ),
     "sggx": _fog(
         "heterogeneous", _grid("sigma_t", "d.vol"), phase=_phase("sggx", _grid("S", "s.vol"))
-    ),
-    "sggx-points": _fog(
-        "heterogeneous",
-        _grid("sigma_t", "d.vol"),
-        phase=_phase("sggx", _grid("S", "s.vol")),
-        lights=POINTS,
     ),
     "constvolume": _fog(
         "heterogeneous",

@@ -17,7 +17,7 @@ from ..rendering import coverage, integrators, light, targets, trial
 from ..runtime import backend
 from ..runtime.errors import InputError
 from ..scene import built, flat, lenses, mesh_checks, scene_file, stand_ins
-from ..scene.photos import building, photographs
+from ..scene.photos import building, noise, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
 from ..unknowns.exposure import Exposure
@@ -85,6 +85,7 @@ def bare(
             *narrow_blurs(found),
             *(warning for each in found for warning in each.kind.warnings()),
             *_doubtful_starts(found),
+            *_wrong(params, found),
             *_flat_densities(found, adapted),
             *_traded(unknowns, truth_known),
         ],
@@ -135,10 +136,10 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
     """Make the photographs the targets of ``problem``, and of its ``held_out`` views, which have
     the other sensors of the scene, of film ``sizes`` in all."""
     count, filled = len(taken.shown), not taken.settings.background
+    problem.warnings += taken.capture.notes
     problem.names = tuple(each.camera.name for each in taken.shown)
     pictures, masks = ([getattr(p, n) for p in taken.shown] for n in ("image", "mask"))
     targets.given(problem, pictures, masks, filled)
-    problem.warnings += taken.capture.notes
     if (exposure := problem.unknowns.of(Exposure)) is not None:
         exposure.kind.compare(_energies(problem))
     problem.warnings += _untold(taken, problem.unknowns)
@@ -251,6 +252,17 @@ def _doubtful_starts(found: list[Unknown]) -> list[str]:
     is for ends."""
     doubts = ((each.key, each.kind.doubt(each.start)) for each in found)
     return [f"start of '{key}': {doubt.partition('; ')[0]}" for key, doubt in doubts if doubt]
+
+
+def _wrong(params: mi.SceneParameters, found: list[Unknown]) -> list[str]:
+    """Of unknowns by which the census of derivatives found wrong ones."""
+    said = []
+    for key in (each.key for each in found if each.kind.carried and each.key in params):
+        what = verdicts.place(params, key)
+        if verdicts.verdict(*what) in verdicts.WRONG:
+            told = verdicts.note(*what)
+            said.append(f"derivatives by '{key}' are not right everywhere: {told}")
+    return said
 
 
 def where_of(scene: SceneConfig) -> str:

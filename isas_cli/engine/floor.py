@@ -20,6 +20,7 @@ from ..rendering.stratified import noise
 from ..runtime import streams
 
 if TYPE_CHECKING:
+    from ..scene.problem import Problem
     from .evaluate import Evaluator
 
 # How far numbers are moved, of their range or their scale.
@@ -75,6 +76,20 @@ def measure(evaluator: "Evaluator", seed: int) -> Floor | None:
     return Floor(
         noise(images, variance), math.sqrt(whole), math.sqrt(sum(squares.values())), errors
     )
+
+
+def photographs(problem: "Problem") -> dict | None:
+    """What a record says of photographs' noise; None where the targets are none."""
+    if problem.photographed is None:
+        return None
+    deviation, how = problem.photographed
+    if deviation is None:
+        return {"unknown": how}
+    counts = np.array(problem.targets, np.float64).reshape(-1, 3)
+    if problem.mask is not None:
+        counts = counts[np.array(problem.mask) > 0]
+    share = deviation / float(counts.mean()) if counts.size and counts.mean() > 0 else 0.0
+    return {"noise": share, "pixel_rms": deviation, "how": how}
 
 
 def _moved(unknown, rng: np.random.Generator) -> np.ndarray:

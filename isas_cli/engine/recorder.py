@@ -13,7 +13,8 @@ from ..config.schema import Config
 from ..records import KEY_PREFIX, VALUE_PREFIX, RunWriter, manifest, safe_name, trackers
 from ..rendering.renderer import Renderer
 from ..runtime.errors import InputError
-from . import held_out
+from . import ends, held_out
+from .floor import photographs
 from .loop import Hooks, Loop
 from .pictures import Pictures
 from .resumption import Continuation
@@ -71,7 +72,7 @@ class Recorder:
                     typed.target.seed,
                     loop.plan.statements,
                     loop.plan.record(),
-                    None if floor is None else floor.record,
+                    photographs(loop.whole) if floor is None else floor.record,
                 )
             )
         self._checkpoint()
@@ -276,12 +277,13 @@ class Recorder:
     @property
     def notes(self) -> list[str]:
         """What a reader may want to know, and need not worry about."""
-        if not self.loop.converged:
-            return []
-        return [
-            "what is left is the targets' noise: a fit to them ends at an image_rmse of "
-            f"{self.loop.floor.image_rmse:.2g}; target.noise=… lowers it"
-        ]
+        notes = ends.reached(self.loop.problem.unknowns, self.loop.stepper.values)
+        if self.loop.converged:
+            notes.append(
+                "what is left is the targets' noise: a fit to them ends at an image_rmse of "
+                f"{self.loop.floor.image_rmse:.2g}; target.noise=… lowers it"
+            )
+        return notes
 
     def _doubts(self) -> dict[str, str]:
         """By unknown, why its result is not to be trusted."""

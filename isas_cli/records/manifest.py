@@ -83,7 +83,7 @@ def describe(
 
     ``effects``: effect → what is done about it; ``plan``: the same in numbers, with what was
     measured for it (``effects.Plan``); ``floor``: the targets' noise and what fitting it leaves
-    (``engine.floor.Floor``); None of what has none."""
+    (``engine.floor.Floor``), or what is known of photographs'; None of what has none."""
     integrator = problem.integrator
     return {
         "isas": __version__,

@@ -32,7 +32,9 @@ class Problem:
     ``kept``: where some views are left out (``only``), the numbers of the others;
     ``flat``: parameters that held pictures of one colour and now hold few texels;
     ``names``: of the views, where they have any; ``held_out``: the same with views of which nothing
-    is learnt, or None; ``freezes``: whether Dr.Jit can record kernels that trace the scene.
+    is learnt, or None; ``freezes``: whether Dr.Jit can record kernels that trace the scene;
+    ``photographed``: of photographs, the standard deviation of a pixel's noise in units of radiance
+    and how it was found, or None and why it is not known.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Problem:
     names: tuple[str, ...] = ()
     held_out: "Problem | None" = None
     freezes: bool = True
+    photographed: tuple[float | None, str] | None = None
 
     @property
     def truth_known(self) -> bool:

@@ -17,6 +17,7 @@ from importlib import resources
 import mitsuba as mi
 
 UNKNOWN = "not in the census"
+WRONG = ("wrong (isas)", "never differentiated (isas)")
 
 
 @cache

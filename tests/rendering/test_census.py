@@ -8,6 +8,8 @@ import pytest
 from _derivative_methods import Trial
 from _derivative_trial import Census
 
+from isas_cli.config.schema import SceneConfig, UnknownConfig
+from isas_cli.engine import assemble
 from isas_cli.runtime import backend
 from isas_cli.unknowns import verdicts
 
@@ -105,3 +107,13 @@ def test_a_verdict_is_of_what_holds_the_numbers(scenes, scene, key, place):
 def test_what_the_census_does_not_know_is_said():
     assert verdicts.verdict("velvet", "softness") == verdicts.UNKNOWN
     assert verdicts.note("velvet", "softness") == ""
+
+
+def test_what_the_census_found_wrong_runs_with_a_word(scenes):
+    bump, matte = "thing.bsdf.nested_texture.data", "thing.bsdf.nested_bsdf.reflectance.value"
+    assert verdicts.verdict("BumpMap", "nested_texture") in verdicts.WRONG
+    unknowns = {key: UnknownConfig(start=0.4) for key in (bump, matte)}
+    path = str(scenes["bumpmap-points"])
+    found = assemble.bare(SceneConfig(name="file", path=path, unknowns=unknowns))[0].warnings
+    (text,) = (each for each in found if "not right everywhere" in each)
+    assert bump in text and "away from the camera" in text and matte not in text

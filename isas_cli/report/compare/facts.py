@@ -202,6 +202,10 @@ def _noise(floor: dict | None) -> str | None:
     """Of the manifest's ``targets``."""
     if not floor:
         return None
+    if "unknown" in floor:
+        return f"noise unknown: {floor['unknown']}"
+    if "how" in floor:
+        return f"noise of {floor['noise']:.2g} of their brightness, {floor['how']}"
     return (
         f"noise of {floor['noise']:.2g} of their brightness; fitting it leaves an image error of "
         f"{floor['image_rmse']:.2g}"

@@ -1,0 +1,68 @@
+"""Whether cleaner targets would end nearer: the default `target.noise` against half its variance.
+
+On all scenes with an unknown texture, everything else as `isas run` has it by default, but for the
+end after so many iterations: more than a minute holds on two cores, and no times count, so that
+this may run beside other work. Half the variance is what doubling independent paths gives. Writes
+results/doubled.csv, a row a scene: final parameter errors, and `quotient`, the cleaner one's over
+the default's. The goal is that no scene gains more than 3 %.
+
+    .venv/bin/python benchmarks/doubled.py [SCENE …] [--iterations N] [--seeds N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import _contest
+import numpy as np
+import pandas
+from reproduce import RESULTS
+from steps_or_paths import TEXTURES
+
+from isas_cli import records
+from isas_cli.config.schema import TargetConfig
+
+SETTINGS = ["evaluation.count=1", "frames.views=0", "frames.snapshots=0", "report=false"]
+NOISES = TargetConfig().wanted, round(TargetConfig().wanted / math.sqrt(2), 5)
+
+
+def measured(scene: str, folder: Path, iterations: int, seeds: int) -> dict:
+    listed = ",".join(f"{{sampler:progress,target.noise:{noise}}}" for noise in NOISES)
+    command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *SETTINGS]
+    command += [f"seed=[{','.join(map(str, range(1, seeds + 1)))}]", f"hydra.run.dir={folder}"]
+    command += [f"budget.iterations={iterations}", f"contestants=[{listed}]"]
+    subprocess.run(command, check=True)
+    errors = {noise: [] for noise in NOISES}
+    for path in sorted(folder.rglob("summary.json")):
+        run = records.load(path.parent)
+        last = float(run.history["parameter_rmse"].iloc[-1])
+        errors[float(run.config["target"]["noise"])].append(last)
+    plain, clean = (float(np.exp(np.mean(np.log(errors[noise])))) for noise in NOISES)
+    row = {"scene": scene, "iterations": iterations, "seeds": seeds, "noise": NOISES[0]}
+    return row | {"parameter_rmse": plain, "cleaner": clean, "quotient": clean / plain}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenes", nargs="*", metavar="SCENE")
+    parser.add_argument("--iterations", type=int, default=1500)
+    parser.add_argument("--seeds", type=int, default=1)
+    chosen = parser.parse_args()
+    path = RESULTS / "doubled.csv"
+    known = pandas.read_csv(path) if path.exists() else pandas.DataFrame({"scene": []})
+    for scene in chosen.scenes or TEXTURES:
+        with tempfile.TemporaryDirectory() as folder:
+            row = measured(scene, Path(folder), chosen.iterations, chosen.seeds)
+        known = known[known["scene"] != scene]
+        known = pandas.concat([known, pandas.DataFrame([row])], ignore_index=True)
+        _contest.write(path, known)
+        print(known.to_string(index=False), flush=True)
+
+
+if __name__ == "__main__":
+    main()
