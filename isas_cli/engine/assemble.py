@@ -20,6 +20,7 @@ from ..scene import built, flat, lenses, mesh_checks, scene_file, stand_ins
 from ..scene.photos import building, noise, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
+from ..unknowns import verdicts
 from ..unknowns.exposure import Exposure
 from ..unknowns.parameters import owner, read
 from ..unknowns.poses import Pose
@@ -140,6 +141,7 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
     problem.names = tuple(each.camera.name for each in taken.shown)
     pictures, masks = ([getattr(p, n) for p in taken.shown] for n in ("image", "mask"))
     targets.given(problem, pictures, masks, filled)
+    problem.photographed = noise.of_all(taken.shown)
     if (exposure := problem.unknowns.of(Exposure)) is not None:
         exposure.kind.compare(_energies(problem))
     problem.warnings += _untold(taken, problem.unknowns)
