@@ -122,7 +122,7 @@ Look at photographs with known cameras before a run spends anything on them: a t
 a contact sheet with the object's outline over each, how far known points lie off, and warnings.
 Nothing is rendered.
 
-  isas photos my_photos photos.mesh=mug.obj             transforms.json, COLMAP or cameras.json
+  isas photos my_photos photos.mesh=mug.obj             transforms.json, COLMAP, cameras.json …
   isas photos chessboard                                a set that comes with isas
   isas run scene=photos photos.path=my_photos photos.mesh=mug.obj      the run that follows
 

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
 
 from ..config import schema
 from ..config.compose import compose, translate
 from ..runtime.errors import InputError
 from ..scene.photos import checks, photographs, sheet
+from . import photo_tables
 
 _OUTPUT = "output="
+# Exposures that differ by less than a sixth of a stop are alike.
+_ALIKE = 2 ** (1 / 6)
 
 
 def main(arguments: list[str]) -> int:
-    """Print the table of views and warnings, write the sheet. Raises IsasError; returns 0."""
+    """Print the tables of cameras and views, notes and warnings, write the sheet, and say what to
+    run. Raises IsasError; returns 0."""
     settings, folders, output = [], [], None
     for argument in arguments:
         if argument.startswith("-"):
@@ -36,47 +40,33 @@ def main(arguments: list[str]) -> int:
     taken = photographs.load(schema.typed(composed).scene.photos, shapeless=True)
     checked = checks.views(taken)
     console = Console()
-    console.print(_table(checked, taken))
-    for warning in checks.warnings(checked, taken):
+    console.print(photo_tables.cameras(checked, taken))
+    console.print(photo_tables.views(checked, taken))
+    for note in taken.capture.notes:
+        console.print(f"note: {note}", highlight=False, markup=False)
+    for warning in [*checks.warnings(checked, taken), *_unlike(taken)]:
         console.print(f"warning: {warning}", highlight=False, markup=False)
     output = output or Path(f"photos-{Path(folders[0]).resolve().name}.png")
     shown = sheet.write(checked, taken, output)
     told = "" if shown == len(checked) else f" ({shown} of {len(checked)} views)"
     print(f"sheet: {output}{told}")
+    print(_command(folders[0], settings, taken.surface is not None))
     return 0
 
 
-def _table(checked: list[checks.View], taken: photographs.Photographs) -> Table:
-    held = f"{len(taken.held)} held out: {taken.capture.kind}"
-    table = Table(title=f"{len(taken.shown)} views to learn from, {held}")
-    table.add_column("view", no_wrap=True)
-    for name in ("pixels", "focal length", "count", "lost"):
-        table.add_column(name, justify="right")
-    own = taken.surface is not None
-    for name in ("distance", "object seen", "spans") if own else ():
-        table.add_column(name, justify="right")
-    known = any(view.apart is not None for view in checked)
-    for name in ("points", "off by") if known else ():
-        table.add_column(name, justify="right")
-    bright = any(view.photograph.camera.exposure != (1, 1, 1) for view in checked)
-    if bright:
-        table.add_column("exposure", justify="right")
-    for view in checked:
-        shown, camera = view.photograph, view.photograph.camera
-        lost = ", ".join(f"{n} {why}" for why, n in shown.lost.items() if n)
-        row = [
-            camera.name + (" (held out)" if view.held else ""),
-            f"{camera.width}×{camera.height}",
-            f"{camera.fx:.1f}",
-            f"{(shown.mask > 0).mean():.0%}",
-            lost or "–",
-        ]
-        if own:
-            row += [f"{view.distance:.4g}", f"{view.inside:.0%}", f"{view.spanned:.0%}"]
-        if known:
-            apart = view.apart is not None
-            row += [str(len(view.points[0])), f"{view.apart:.2f} px"] if apart else ["", ""]
-        if bright:
-            row.append("/".join(f"{e:.4g}" for e in dict.fromkeys(camera.exposure)))
-        table.add_row(*row)
-    return table
+def _unlike(taken: photographs.Photographs) -> list[str]:
+    """Whether pictures were exposed unlike, which nothing accounts for."""
+    ratio = photo_tables.exposures(taken)
+    if taken.settings.exposure != "fixed" or ratio < _ALIKE:
+        return []
+    return [
+        f"by their EXIF, pictures were exposed unlike, up to {ratio:.3g} times: "
+        "photos.exposure=scale finds a factor each"
+    ]
+
+
+def _command(folder: str, settings: list[str], described: bool) -> str:
+    """What runs with the same settings, as a shell takes it."""
+    words = ["isas", "run", "scene=photos", f"photos.path={folder}", *settings]
+    # Without an object there is nothing to run: what is missing stands where it goes.
+    return shlex.join(words) + ("" if described else " photos.mesh=FILE")

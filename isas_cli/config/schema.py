@@ -186,29 +186,34 @@ _UPS = ("x", "y", "z", "-x", "-y", "-z")
 class PhotosConfig:
     """Photographs with known cameras (scene=photos; ``photos.path`` is ``scene.photos.path``).
 
-    ``path``: the folder that holds them; ``mesh``: a file (OBJ, PLY, STL, glTF) in the cameras'
-    world, or instead ``plane``: [x0, y0, x1, y1] of z = 0, or ``sphere``: [x, y, z, radius];
-    ``environment``: a picture of the light from all sides (None: unknown), whose up is the world's
-    axis ``up``; ``width``: pixels, to which views are shrunk (None: as they are); ``texture``:
-    texels a side of the base colour; ``roughness``: whether that is unknown, too; ``sky``: rows of
-    an unknown environment; ``test``: views held out, [names], n for every n-th, or ``given``: those
-    that the files hold out; ``exposure``: of the views, besides what their file says, ``fixed``:
-    all alike, or unknown, ``scale``: a factor each, ``channels``: three each; ``refine``: whether
-    the cameras' poses are unknown as well; ``saturated``: from which value of an 8- or 16-bit or
-    camera raw file on, of its largest, a pixel does not count (None: all count); ``encoding``: of
-    the files, ``auto``: as images are read everywhere, ``srgb`` (no camera raw file is) or
-    ``linear``; ``background``: whether pixels count that the object does not fill, or ``black``:
-    they do, and are black in photographs and renderings, where alpha or masks end the object;
-    ``images``, ``masks``: folders where the pictures and masks lie (None: where the cameras' file
-    and custom say; ``masks=none``: there are none); ``missing``: ``refuse`` a picture that does not
-    exist, or ``skip`` its view; ``scale``: of pictures that were resized after calibration, how
-    large they are of the cameras' size, or ``auto``; ``orientation``: whether cameras are of
-    pictures as ``stored`` or as ``turned`` by their Orientation tag (``auto``: as is usual of their
-    file); ``materials``: of a mesh that has several, ``each`` a shape and a colour of its own, or
-    ``one`` for all.
+    ``path``: the folder that holds them; ``cameras``: the file or folder in it that says where the
+    cameras are (None: it is looked for); ``world``: of files whose poses are not in the world of
+    the mesh and that say how these differ (``applied_transform``, Polycam's alignment), ``mesh``:
+    that of the mesh, or ``file``: as they stand there; ``mesh``: a file (OBJ, PLY, STL, glTF) in
+    the cameras' world, or instead ``plane``: [x0, y0, x1, y1] of z = 0, or ``sphere``: [x, y, z,
+    radius]; ``environment``: a picture of the light from all sides (None: unknown), whose up is the
+    world's axis ``up``; ``width``: pixels, to which views are shrunk (None: as they are);
+    ``texture``: texels a side of the base colour; ``roughness``: whether that is unknown, too;
+    ``sky``: rows of an unknown environment; ``test``: views held out, [names], n for every n-th, or
+    ``given``: those that the files hold out; ``exposure``: of the views, besides what their file
+    says, ``fixed``: all alike, or unknown, ``scale``: a factor each, ``channels``: three each;
+    ``refine``: whether the cameras' poses are unknown as well; ``saturated``: from which value of
+    an 8- or 16-bit or camera raw file on, of its largest, a pixel does not count (None: all count);
+    ``encoding``: of the files, ``auto``: as images are read everywhere, ``srgb`` (no camera raw
+    file is) or ``linear``; ``background``: whether pixels count that the object does not fill, or
+    ``black``: they do, and are black in photographs and renderings, where alpha or masks end the
+    object; ``images``, ``masks``: folders where the pictures and masks lie (None: where the
+    cameras' file and custom say; ``masks=none``: there are none); ``missing``: ``refuse`` a picture
+    that does not exist, or ``skip`` its view; ``scale``: of pictures that were resized after
+    calibration, how large they are of the cameras' size, or ``auto``; ``orientation``: whether
+    cameras are of pictures as ``stored`` or as ``turned`` by their Orientation tag (``auto``: as is
+    usual of their file); ``materials``: of a mesh that has several, ``each`` a shape and a colour
+    of its own, or ``one`` for all.
     """
 
     path: Optional[str] = None
+    cameras: Optional[str] = None
+    world: str = "mesh"
     mesh: Optional[str] = None
     plane: Optional[List[float]] = None
     sphere: Optional[List[float]] = None
@@ -237,6 +242,7 @@ class PhotosConfig:
         for name, valid in (
             ("exposure", ("fixed", "scale", "channels")),
             ("encoding", ("auto", "srgb", "linear")),
+            ("world", ("mesh", "file")),
             ("up", _UPS),
             ("missing", ("refuse", "skip")),
             ("orientation", ("auto", "stored", "turned")),

@@ -137,6 +137,7 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
     """Make the photographs the targets of ``problem``, and of its ``held_out`` views, which have
     the other sensors of the scene, of film ``sizes`` in all."""
     count, filled = len(taken.shown), not taken.settings.background
+    problem.warnings += taken.capture.notes
     problem.names = tuple(each.camera.name for each in taken.shown)
     pictures, masks = ([getattr(p, n) for p in taken.shown] for n in ("image", "mask"))
     targets.given(problem, pictures, masks, filled)

@@ -11,6 +11,7 @@ from photo_sets import CENTRE, FOCAL, POSES, SIZE, Files
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene.photos import building, reading
 from isas_cli.scene.photos.camera import Camera
+from isas_cli.scene.photos.lens import Lens
 
 POINTS = np.array([[0.0, 0.0, 0.0], [0.3, -0.2, 0.1], [-0.25, 0.3, 0.2], [0.1, 0.2, -0.4]])
 FORMATS = ["transforms", "blender", "ours", "colmap"]
@@ -81,7 +82,7 @@ def test_a_lens_is_browns():
     np.testing.assert_allclose(camera.distort(np.array([x, y])), wanted, rtol=1e-12)
 
 
-def lens(**more) -> Camera:
+def lens(radial=(0.1, -0.05, 0.02, 0.01), tangential=(0.003, 0.002), **more) -> Camera:
     values = dict(
         name="a.png",
         image=None,
@@ -92,8 +93,7 @@ def lens(**more) -> Camera:
         cx=20.0,
         cy=15.0,
         to_world=np.eye(4),
-        radial=(0.1, -0.05, 0.02, 0.01),
-        tangential=(0.003, 0.002),
+        lens=Lens(radial, tangential),
     )
     return Camera(**values | more)
 
@@ -111,9 +111,9 @@ def test_models_of_colmap(tmp_path, model, numbers, radial):
     photo_sets.colmap(Files(tmp_path, POSES), model, numbers)
     capture = reading.read(str(tmp_path))
     camera = capture.cameras[0]
-    assert camera.radial[:2] == radial and (camera.cx, camera.cy) == CENTRE
+    assert camera.lens.radial[:2] == radial and (camera.cx, camera.cy) == CENTRE
     if model == "OPENCV":
-        assert camera.tangential == (0.01, 0.02) and camera.fy == camera.fx + 1
+        assert camera.lens.tangential == (0.01, 0.02) and camera.fy == camera.fx + 1
     numbers, places = capture.observed["view_0.png"]
     assert list(capture.observed) == ["view_0.png"]
     np.testing.assert_allclose(capture.points[numbers], [[0.1, 0.2, 0.3]])
@@ -172,11 +172,14 @@ def pose(content) -> list:
         (lambda c: [row.__setitem__(0, -row[0]) for row in pose(c)[:3]], "view_1.*mirrored.*-1"),
         (lambda c: [row.__setitem__(0, 2 * row[0]) for row in pose(c)[:3]], "view_1.*no rotation"),
         (lambda c: pose(c).__setitem__(3, [0, 0, 1, 1]), "last row"),
-        (lambda c: c.update(camera_model="OPENCV_FISHEYE"), "FISHEYE; valid: OPENCV, PINHOLE"),
+        (
+            lambda c: c.update(camera_model="EQUIRECTANGULAR"),
+            "EQUIRECTANGULAR; valid: SIMPLE_PINHOLE, P",
+        ),
         (lambda c: c.update(fl_x="wide"), "fl_x='wide': no number"),
         (lambda c: c.update(fl_x=-3.0), "focal length -3"),
         (lambda c: c.update(w=40.5), "w=40.5: a whole number"),
-        (lambda c: (c.pop("fl_x"), c.pop("fl_y")), "neither fl_x nor camera_angle_x"),
+        (lambda c: (c.pop("fl_x"), c.pop("fl_y")), "none of fl_x, camera_angle_x, x_fov"),
         (lambda c: c.update(frames=[]), "no list of frames"),
         (lambda c: c["frames"][1].update(exposure=0), "frame 1: exposure=0: must be above 0"),
         (lambda c: c["frames"][1].update(exposure=[1, -1, 1]), "frame 1: exposure=.*above 0"),
@@ -195,8 +198,9 @@ def test_what_is_wrong_is_one_line(tmp_path, edit, told):
 
 
 def test_an_unknown_model_of_colmap(tmp_path):
-    photo_sets.colmap(Files(tmp_path, POSES), "FOV", (1, 2, 3, 4, 5))
-    with pytest.raises(InputError, match="FOV; valid: SIMPLE_PINHOLE, PINHOLE"):
+    photo_sets.colmap(Files(tmp_path, POSES), "EQUIRECTANGULAR", SIZE)
+    told = "cameras.txt:2: camera model EQUIRECTANGULAR; valid: SIMPLE_PINHOLE.*image_undistorter"
+    with pytest.raises(InputError, match=told):
         reading.read(str(tmp_path))
 
 

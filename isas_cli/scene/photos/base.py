@@ -1,7 +1,8 @@
 """What every format of cameras is turned into, and what their readers share.
 
-A format is a module with ``find(folder)``, the file that says that a folder is of it, or None, and
-``read(file)``, the ``Capture`` that it describes.
+A format is a module with ``find(folder)``, the file that says that a folder is of it, or None,
+``claims(file)``, whether a file is of it, and ``read(file, asked)``, the ``Capture`` that it
+describes. Both ``read`` and, where it has to look into files, ``find`` raise InputError.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ class Capture:
     that are known, or None; ``observed``: by view, the numbers of those points that were found in
     it and where, ``(K,)`` and ``(K, 2)`` pixels as ``Camera`` counts them; ``plane``: a known
     rectangle of the plane z = 0, [x0, y0, x1, y1], or None; ``kind``: the format, in words;
-    ``held``: names of the views that the files hold out; ``turned``: whether their cameras are
+    ``held``: names of the views that the files hold out; ``notes``: what was chosen or changed on
+    the way, a sentence each; ``worlds``: whether the file tells of another world than that of its
+    poses, so that ``photos.world`` means something; ``turned``: whether their cameras are
     usually of pictures turned as their Orientation tags ask, not of the pixels as stored."""
 
     cameras: list[Camera]
@@ -32,13 +35,27 @@ class Capture:
     observed: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     plane: tuple[float, ...] | None = None
     held: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    worlds: bool = False
     turned: bool = False
 
 
+@dataclass(frozen=True)
+class Asked:
+    """``root``: the folder given, in which pictures are looked for; ``given``: whether views that
+    the files hold out are looked for; ``world``: ``mesh`` or ``file``, as
+    ``photos.world``; ``named``: whether ``photos.cameras`` says which file."""
+
+    root: Path
+    given: bool = False
+    world: str = "mesh"
+    named: bool = False
+
+
 def read_text(file: Path) -> str:
-    """Raises InputError."""
+    """Without the mark that Windows' programs begin it by. Raises InputError."""
     try:
-        return file.read_text(encoding="utf-8")
+        return file.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: cannot be read as text: {error}") from error
 

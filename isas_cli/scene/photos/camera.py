@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...runtime.errors import InputError
+from .lens import Lens
 
 # Of a rotation: what is left of RᵀR - 1. Files round to four digits; a scale or a shear is larger.
 _STRAIGHT = 2e-3
@@ -22,10 +23,9 @@ class Camera:
     ``name``: of the view, as the file names its picture; ``image``, ``mask``: files (a mask is
     black where a pixel does not count, or None); ``width``, ``height``: pixels; ``fx``, ``fy``,
     ``cx``, ``cy``: pixels, counted from the picture's upper left *corner*, so that its first
-    pixel's middle is (0.5, 0.5); ``radial``: k1 … k4, ``tangential``: p1, p2, of Brown's lens as
-    OpenCV and COLMAP have it; ``to_world``: ``(4, 4)``, from camera to world, the camera's x to the
-    right, y *down*, z *forward* (OpenCV's axes); ``exposure``: by how much its photograph is
-    brighter than one at exposure 1, of each channel.
+    pixel's middle is (0.5, 0.5); ``lens``: what it does to the image plane; ``to_world``: ``(4,
+    4)``, from camera to world, the camera's x to the right, y *down*, z *forward* (OpenCV's axes);
+    ``exposure``: by how much its photograph is brighter than one at exposure 1, of each channel.
 
     Raises InputError, naming the view, for what is no camera.
     """
@@ -40,16 +40,17 @@ class Camera:
     cy: float
     to_world: np.ndarray
     mask: Path | None = None
-    radial: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
-    tangential: tuple[float, float] = (0.0, 0.0)
+    lens: Lens = Lens()
     exposure: tuple[float, ...] = (1.0, 1.0, 1.0)
     described: str = field(default="", repr=False)  # the file that says so
 
     def __post_init__(self) -> None:
         where = f"{self.described}: camera of {self.name}" if self.described else self.name
-        numbers = [self.fx, self.fy, self.cx, self.cy, *self.radial, *self.tangential]
+        numbers = [self.fx, self.fy, self.cx, self.cy]
         if not (np.isfinite(numbers).all() and np.isfinite(self.to_world).all()):
             raise InputError(f"{where}: holds NaN or infinite numbers: mend or remove this view")
+        if self.lens.wrong:
+            raise InputError(f"{where}: {self.lens.wrong}: mend or remove this view")
         if min(self.width, self.height) < 1:
             raise InputError(f"{where}: a picture of {self.width}×{self.height} pixels")
         if not min(self.fx, self.fy) > 0:
@@ -82,7 +83,7 @@ class Camera:
     @property
     def ideal(self) -> bool:
         """Whether a renderer's pinhole camera is the same: square pixels, no distortion."""
-        return self.fx == self.fy and not any(self.radial) and not any(self.tangential)
+        return self.fx == self.fy and self.lens.straight
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where points ``(N, 3)`` of the world are seen: ``(N, 2)`` pixels from the picture's upper
@@ -97,27 +98,12 @@ class Camera:
 
     def distort(self, plane: np.ndarray) -> np.ndarray:
         """From the image plane at distance 1 without a lens, ``(…, 2)``, to that with it."""
-        x, y = plane[..., 0], plane[..., 1]
-        r2 = x * x + y * y
-        k1, k2, k3, k4 = self.radial
-        p1, p2 = self.tangential
-        stretched = 1 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
-        return np.stack(
-            [
-                x * stretched + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-                y * stretched + 2 * p2 * x * y + p1 * (r2 + 2 * y * y),
-            ],
-            axis=-1,
-        )
+        return self.lens.distort(plane)
 
     @property
     def reach(self) -> float:
-        """The radius on that plane up to which distortion keeps the order of points: beyond, the
-        polynomial folds back, and far points would be looked up inside the picture."""
-        k1, k2, k3, k4 = self.radial
-        slope = np.polynomial.Polynomial([1, 3 * k1, 5 * k2, 7 * k3, 9 * k4])
-        roots = [r.real for r in slope.roots() if abs(r.imag) < 1e-9 and r.real > 0]
-        return float(np.sqrt(min(roots))) if roots else np.inf
+        """The radius on that plane up to which the lens keeps the order of points."""
+        return self.lens.reach
 
     def pinhole(self, width: int | None = None) -> "Camera":
         """The camera without a lens and with square pixels that shows about the same, as wide as
@@ -133,6 +119,5 @@ class Camera:
             fy=focal,
             cx=self.cx * wide / self.width,
             cy=self.cy * down,
-            radial=(0.0,) * 4,
-            tangential=(0.0, 0.0),
+            lens=Lens(),
         )

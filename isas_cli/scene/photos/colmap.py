@@ -1,48 +1,78 @@
 """COLMAP's model: `cameras.txt`, `images.txt` and `points3D.txt`, or the same in binary.
 
 Poses go from world to camera, as a quaternion and a translation; the camera's axes are x right,
-y down, z forward, and pixels count from the picture's corner. Binary models are turned into text by
-``pycolmap`` (``pip install '.[photos]'``).
+y down, z forward, and pixels count from the picture's corner. Where `rigs.txt` and `frames.txt`
+stand beside them (COLMAP 3.12 and later), poses are of frames, as COLMAP itself reads them: those
+in `images.txt` do not count. Binary models are turned into text by ``pycolmap``
+(``pip install '.[photos]'``).
 """
 
 from __future__ import annotations
 
 import os
-import re
 import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ...runtime.errors import InputError
-from .base import Capture, number, read_text, whole
+from . import layouts, models
+from .base import Asked, Capture, number, read_text, whole
 from .camera import Camera
-from .finding import picture, present
+from .finding import below, present
 
-# Model → what its parameters are; f is both fx and fy.
-_MODELS = {
-    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
-    "PINHOLE": ("fx", "fy", "cx", "cy"),
-    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
-    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
-    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
-}
-_PLACES = ("", "sparse/0", "sparse", "colmap/sparse/0", "colmap")
+# Of a quaternion and a translation: how far images.txt may differ from frames.txt in silence.
+_SAME = 1e-4
+_BOTH = ("txt", "bin")
+
+
+@dataclass(frozen=True)
+class _Model:
+    """``folder``: with the text files; ``called``: the user's own, for messages; ``binary``:
+    whether that is binary, so that its lines have no numbers."""
+
+    folder: Path
+    called: Path
+    binary: bool = False
+
+    def name(self, name: str) -> str:
+        """Of a file of the model, as the user has it."""
+        return str(self.called / f"{name}.{'bin' if self.binary else 'txt'}")
+
+    def has(self, name: str) -> bool:
+        return (self.folder / f"{name}.txt").is_file()
+
+    def numbered(self, name: str) -> list[tuple[str, str]]:
+        """Of a file, each line that is no comment: where it is, and its text, perhaps empty."""
+        text = read_text(self.folder / f"{name}.txt").splitlines()
+        found = [(n, line.strip()) for n, line in enumerate(text, 1)]
+        return [(self.where(name, n, line), line) for n, line in found if not line.startswith("#")]
+
+    def where(self, name: str, line: int, text: str) -> str:
+        number_ = f": entry {text.split(maxsplit=1)[0]}" if text else ""
+        return f"{self.name(name)}{number_}" if self.binary else f"{self.name(name)}:{line}"
+
+    def lines(self, name: str) -> Iterator[tuple[str, list[str]]]:
+        """Those that are not empty, in words."""
+        return ((where, line.split()) for where, line in self.numbered(name) if line)
+
+
+def claims(file: Path) -> bool:
+    return file.name in ("cameras.txt", "cameras.bin")
 
 
 def find(folder: Path) -> Path | None:
-    for ending in ("txt", "bin"):
-        for place in _PLACES:
-            file = folder / place / f"cameras.{ending}"
-            if file.is_file():
-                return file
-    return None
+    """The cameras of the model with the most images of those in the first place that has any."""
+    return layouts.chosen(folder)[0]
 
 
-def read(file: Path, root: Path) -> Capture:
-    """``root``: the folder given, in which the pictures are looked for. Raises InputError."""
+def read(file: Path, asked: Asked) -> Capture:
+    """Raises InputError, naming the file and the line, for what is missing or wrong."""
     if file.suffix == ".txt":
-        return _read(file, root)
+        return _read(_Model(file.parent, file.parent), asked)
     try:
         import pycolmap
     except ImportError:
@@ -53,31 +83,31 @@ def read(file: Path, root: Path) -> Capture:
     with tempfile.TemporaryDirectory() as folder:
         try:
             pycolmap.Reconstruction(str(file.parent)).write_text(folder)
-        except (RuntimeError, ValueError, OSError) as error:
+        except (RuntimeError, ValueError, IndexError, OSError) as error:
             told = " ".join(str(error).split())
             raise InputError(f"{file}: pycolmap cannot read the model: {told}") from error
-        try:
-            return _read(Path(folder) / "cameras.txt", root, str(file))
-        except InputError as error:  # names the user's files, not those that they were turned into
-            told = str(error).replace(folder, str(file.parent))
-            raise InputError(re.sub(r"\.txt(:\d+)?\b", ".bin", told)) from error
+        return _read(_Model(Path(folder), file.parent, binary=True), asked)
 
 
-def _read(file: Path, root: Path, called: str = "") -> Capture:
-    called = called or str(file)
-    lenses = {}
-    for where, words in _lines(file):
+def _read(model: _Model, asked: Asked) -> Capture:
+    root, lenses = asked.root, {}
+    for where, words in model.lines("cameras"):
         if len(words) < 4:
             raise InputError(f"{where}: a camera is ID, MODEL, WIDTH, HEIGHT and its parameters")
         lenses[words[0]] = _lens(words[1], words[2:], where)
-    file = file.with_name("images.txt")
-    if not file.is_file():
-        raise InputError(f"{called}: images.txt is missing beside it")
-    places = _points(file.with_name("points3D.txt"))
+    if not model.has("images"):
+        raise InputError(f"{model.name('cameras')}: images.txt is missing beside it")
+    frames = _frames(model)
+    places = _points(model)
     order = {name: index for index, name in enumerate(places)}
-    cameras, observed = [], {}
-    for where, words, found in _images(file):
-        camera = present(_camera, where, words, lenses, root, called)
+    folders = layouts.pictures(model.called, root)
+    cameras, observed, moved = [], {}, 0
+    for where, words, found in _images(model):
+        pose = _pose(words[1:8], where)
+        if frames is not None:
+            told, pose = pose, _of_frame(frames, words, where)
+            moved += not np.allclose(told, pose, atol=_SAME * max(1, np.abs(pose).max()))
+        camera = present(_camera, where, words, pose, lenses, folders, root, model)
         if camera is None:
             continue
         cameras.append(camera)
@@ -86,21 +116,22 @@ def _read(file: Path, root: Path, called: str = "") -> Capture:
             table = np.array(known, np.float64)
             observed[camera.name] = table[:, 0].astype(int), table[:, 1:]
     if not cameras:
-        raise InputError(f"{called}: images.txt lists no image")
+        raise InputError(f"{model.name('cameras')}: images.txt lists no image")
     points = np.array(list(places.values())) if places else None
-    return Capture(cameras, "COLMAP", points, observed)
-
-
-def _lines(file: Path):
-    for number_, line in enumerate(read_text(file).splitlines(), 1):
-        if line.strip() and not line.startswith("#"):
-            yield f"{file}:{number_}", line.split()
+    notes = [] if asked.named else layouts.notes(model.called, root)
+    if moved:
+        notes.append(
+            f"{model.name('images')}: poses of {moved} images differ from those of rigs.txt and "
+            "frames.txt, which COLMAP takes, and so does isas"
+        )
+    return Capture(cameras, "COLMAP", points, observed, notes=notes)
 
 
 def _lens(model: str, words: list[str], where: str) -> dict:
-    if model not in _MODELS:
-        raise InputError(f"{where}: camera model {model}; valid: {', '.join(_MODELS)}")
-    names = _MODELS[model]
+    if model not in models.PARAMETERS:
+        valid = ", ".join(models.PARAMETERS)
+        raise InputError(f"{where}: camera model {model}; valid: {valid}; {models.WAY_OUT}")
+    names = models.PARAMETERS[model].split()
     width, height = (whole(word, f"{where}: size") for word in words[:2])
     if len(words) - 2 != len(names):
         raise InputError(f"{where}: {model} has {len(names)} parameters: {', '.join(names)}")
@@ -113,73 +144,111 @@ def _lens(model: str, words: list[str], where: str) -> dict:
         "fy": values.get("fy", f),
         "cx": values["cx"],
         "cy": values["cy"],
-        "radial": (values.get("k1", 0.0), values.get("k2", 0.0), 0.0, 0.0),
-        "tangential": (values.get("p1", 0.0), values.get("p2", 0.0)),
+        "lens": models.lens(model, values),
     }
 
 
-def _images(file: Path):
+def _images(model: _Model):
     """Of every image: where it stands, its ten words, and [(x, y, id of a point), …]. Each takes
-    two lines, the second of which may be empty."""
-    lines = enumerate(read_text(file).splitlines(), 1)
-    kept = [(n, line) for n, line in lines if not line.startswith("#")]
-    while kept and not kept[0][1].strip():
-        kept.pop(0)
-    for (n, line), (_, second) in zip(kept[::2], [*kept[1::2], (0, "")]):
-        where, words = f"{file}:{n}", line.split(maxsplit=9)
-        if not words:
+    two lines, the second of which may be empty; empty lines before the first are skipped."""
+    lines = iter(model.numbered("images"))
+    for where, line in lines:
+        if not line:
             continue
+        words = line.split(maxsplit=9)
         if len(words) != 10:
             raise InputError(f"{where}: an image is ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA, NAME")
+        below_it, second = next(lines, (where, ""))
         rest = second.split()
+        if len(rest) % 3:
+            raise InputError(
+                f"{below_it}: of an image's second line, which is empty or its points X, Y, ID: "
+                f"{len(rest)} words, no multiple of 3"
+            )
         triples = zip(*(rest[i::3] for i in range(3)))
-        found = [(number(x, where), number(y, where), p) for x, y, p in triples]
+        found = [(number(x, below_it), number(y, below_it), p) for x, y, p in triples]
         yield where, words, found
 
 
-def _camera(where: str, words: list[str], lenses: dict, root: Path, called: str) -> Camera:
-    pose = [number(word, f"{where}: pose") for word in words[1:8]]
-    quaternion = np.array(pose[:4])
-    length = np.linalg.norm(quaternion)
-    if not length > 1e-6:
+def _pose(words: list[str], where: str) -> np.ndarray:
+    """``(4, 4)``, to the camera or rig, of QW, QX, QY, QZ, TX, TY, TZ."""
+    w, x, y, z, *place = (number(word, f"{where}: pose") for word in words)
+    if not np.linalg.norm([w, x, y, z]) > 1e-6:
         raise InputError(f"{where}: its quaternion is 0, 0, 0, 0")
-    to_camera = np.eye(4)
-    to_camera[:3, :3] = _rotation(quaternion / length)
-    to_camera[:3, 3] = pose[4:]
+    found = np.eye(4)
+    found[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix()
+    found[:3, 3] = place
+    return found
+
+
+def _frames(model: _Model) -> dict[str, tuple[str, np.ndarray, dict]] | None:
+    """Of each image's number: where its frame stands, that frame's pose and, of the sensors of its
+    rig, theirs (None: unknown); None for models without frames."""
+    if not (model.has("rigs") and model.has("frames")):
+        return None
+    rigs = {}
+    for where, words in model.lines("rigs"):
+        if len(words) < 2:
+            raise InputError(f"{where}: a rig is ID, NUM_SENSORS and its sensors")
+        sensors = {tuple(words[2:4]): np.eye(4)}
+        rest = words[4:]
+        while rest:
+            known = rest[2:3] == ["1"]
+            if len(rest) < (10 if known else 3):
+                raise InputError(f"{where}: a sensor is TYPE, ID, HAS_POSE and, where 1, its pose")
+            sensors[tuple(rest[:2])] = _pose(rest[3:10], where) if known else None
+            rest = rest[10 if known else 3 :]
+        rigs[words[0]] = sensors
+    found = {}
+    for where, words in model.lines("frames"):
+        if len(words) < 10 or words[1] not in rigs:
+            raise InputError(f"{where}: a frame is ID, RIG of rigs.txt, its pose, its images")
+        pose = _pose(words[2:9], where)
+        for kind, _, image in zip(*(words[10 + i :: 3] for i in range(3))):
+            if kind == "CAMERA":
+                found[image] = where, pose, rigs[words[1]]
+    return found
+
+
+def _of_frame(frames: dict, words: list[str], where: str) -> np.ndarray:
+    if words[0] not in frames:
+        raise InputError(f"{where}: image {words[0]} is in no frame of frames.txt")
+    _, pose, sensors = frames[words[0]]
+    sensor = sensors.get(("CAMERA", words[8]))
+    if sensor is None:
+        raise InputError(f"{where}: rigs.txt has no pose of camera {words[8]} in its rig")
+    return sensor @ pose
+
+
+def _camera(
+    where: str,
+    words: list[str],
+    to_camera: np.ndarray,
+    lenses: dict,
+    folders: list[Path],
+    root: Path,
+    model: _Model,
+) -> Camera:
     if words[8] not in lenses:
         raise InputError(f"{where}: camera {words[8]} is not in cameras.txt")
     name = words[9].strip()
-    places = (root / each for each in ("images", ""))
-    folder = next((place for place in places if os.path.isfile(place / name)), root)
     masks = (root / "masks" / f"{name}.png", root / "masks" / Path(name).with_suffix(".png"))
     return Camera(
         name=name,
-        image=picture(folder, name, where),
+        image=below(folders, name, where),
         mask=next((mask for mask in masks if os.path.isfile(mask)), None),
         to_world=np.linalg.inv(to_camera),
-        described=called,
+        described=model.name("images"),
         **lenses[words[8]],
     )
 
 
-def _rotation(quaternion: np.ndarray) -> np.ndarray:
-    """Of a unit quaternion w, x, y, z."""
-    w, x, y, z = quaternion
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def _points(file: Path) -> dict[str, np.ndarray]:
+def _points(model: _Model) -> dict[str, np.ndarray]:
     """Places by id; none where the file is missing."""
-    if not file.is_file():
+    if not model.has("points3D"):
         return {}
     found = {}
-    for where, words in _lines(file):
+    for where, words in model.lines("points3D"):
         if len(words) < 4:
             raise InputError(f"{where}: a point is ID, X, Y, Z, …")
         found[words[0]] = np.array([number(word, where) for word in words[1:4]])

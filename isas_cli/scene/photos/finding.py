@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
@@ -142,11 +142,26 @@ def size(image: Path) -> tuple[int, int]:
 def _file(folder: Path, name: Any, where: str) -> Path | None:
     if not isinstance(name, str):
         raise InputError(f"{where}: {name!r} is no name of a picture")
-    path = folder / name
-    endings = [*PICTURES, *(ending.upper() for ending in PICTURES)]
-    candidates = [path, *(Path(f"{path}{ending}") for ending in endings)]
-    # isfile also says no to a name that no file can have.
-    return next((each for each in candidates if os.path.isfile(each)), None)
+    endings = ["", *PICTURES, *(ending.upper() for ending in PICTURES)]
+    for spelt in dict.fromkeys((name, name.replace("\\", "/"))):  # as Windows parts folders
+        for ending in endings:
+            path = Path(f"{folder / spelt}{ending}")
+            if os.path.isfile(path):  # which also says no to a name that no file can have
+                return path
+    return None
+
+
+def existing(folder: Path, name: str) -> Path | None:
+    """The picture ``name`` below ``folder``, or None."""
+    return _file(folder, name, str(folder))
+
+
+def below(folders: Iterable[Path], name: str, where: str) -> Path:
+    """The picture ``name`` in the first of ``folders`` that has it, as ``picture``. Raises
+    InputError, naming the first, where none has."""
+    folders = list(folders)
+    own = next((folder for folder in folders if existing(folder, name) is not None), folders[0])
+    return picture(own, name, where)
 
 
 def _below(folder: Path, name: str) -> Path | None:

@@ -230,6 +230,6 @@ def _key(camera: Camera, image: np.ndarray, mask: np.ndarray, settings: PhotosCo
     numbers = {
         name: value
         for name, value in asdict(camera).items()
-        if isinstance(value, (int, float)) or name in ("radial", "tangential")
+        if isinstance(value, (int, float)) or name == "lens"
     }
     return digest(_FORMAT, pixels.hexdigest(), numbers, settings.width)

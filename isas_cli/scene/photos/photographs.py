@@ -44,7 +44,7 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     that is wrong with cameras, pictures, object."""
     root = reading.folder_of(settings.path)
     with finding.looking(settings, root) as sources:
-        capture = reading.read(settings.path, settings.test)
+        capture = reading.read(settings.path, settings.test, settings.cameras, settings.world)
     _check(capture, sources)
     capture.cameras, told = finding.masked(capture.cameras, root, sources)
     over, more = turns.turned(capture.cameras, capture, settings.orientation)

@@ -8,14 +8,16 @@ from pathlib import Path
 
 from ...runtime.errors import InputError, nearest
 from ...scenes.library import ASSETS
-from . import colmap, ours, transforms
-from .base import Capture
+from . import colmap, metashape, opencv, ours, polycam, realitycapture, transforms
+from .base import Asked, Capture
 from .camera import Camera
 
 # Sets that come with isas, by name.
 OWN = ("chessboard",)
 # In place of names, the views that the files hold out.
 GIVEN = "given"
+# In the order in which a folder is asked: what people write themselves first.
+_FORMATS = (ours, transforms, colmap, opencv, metashape, polycam, realitycapture)
 
 
 def folder_of(path: str) -> Path:
@@ -26,25 +28,26 @@ def folder_of(path: str) -> Path:
     if path in OWN:
         return ASSETS / path
     if folder.is_file():
-        raise InputError(f"photos.path={path}: is a file: give the folder that it lies in")
+        raise InputError(
+            f"photos.path={path}: is a file: give the folder that it lies in, and "
+            f"photos.cameras={folder.name}"
+        )
     raise InputError(f"photos.path={path}: no such folder; sets that come with isas: {OWN[0]}")
 
 
-def read(path: str, test=None) -> Capture:
-    """The cameras in the folder ``path``, with those held out where ``test`` is ``given``. Raises
-    InputError where there are none that can be read, for a camera that is none, and for two of one
-    picture."""
+def read(path: str, test=None, cameras: str | None = None, world: str = "mesh") -> Capture:
+    """The cameras in the folder ``path``, or of its file or folder ``cameras``, with those held out
+    where ``test`` is ``given``; ``world``: as ``photos.world``. Raises InputError where there are
+    none that can be read, for a camera that is none, and for two of one picture."""
     folder = folder_of(path)
-    if (file := ours.find(folder)) is not None:
-        capture = ours.read(file)
-    elif (file := transforms.find(folder)) is not None:
-        capture = transforms.read(file, test == GIVEN)
-    elif (file := colmap.find(folder)) is not None:
-        capture = colmap.read(file, folder)
+    if cameras is None:
+        module, file = _found(folder, f"photos.path={path}")
     else:
+        module, file = _named_file(folder, cameras)
+    capture = module.read(file, Asked(folder, test == GIVEN, world, cameras is not None))
+    if world != "mesh" and not capture.worlds:
         raise InputError(
-            f"photos.path={path}: no cameras there: looked for {ours.NAME}, "
-            f"{', '.join(transforms.NAMES)}, and COLMAP's cameras.txt (also below sparse/0)"
+            f"photos.world={world}: {file} tells of no other world: leave photos.world out"
         )
     if test == GIVEN and not capture.held:
         one, train = transforms.NAMES
@@ -56,6 +59,32 @@ def read(path: str, test=None) -> Capture:
     if times > 1:
         raise InputError(f"{file}: {name} is listed {times} times: once a picture")
     return capture
+
+
+def _found(folder: Path, where: str):
+    """The format of a folder, and the file that says so. ``where``: for messages."""
+    found = [(module, file) for module in _FORMATS if (file := module.find(folder)) is not None]
+    if not found:
+        raise InputError(
+            f"{where}: no cameras there: looked for {ours.NAME}, "
+            f"{', '.join(transforms.NAMES)}, COLMAP's cameras.txt and cameras.bin (also below "
+            "sparse and dense), OpenCV's YAML or XML, Metashape's XML, Polycam's keyframes and "
+            "RealityCapture's XMP"
+        )
+    return found[0]
+
+
+def _named_file(folder: Path, cameras: str):
+    """As ``_found``, of ``photos.cameras``: a file, or a folder that is asked as any other."""
+    place = folder / cameras
+    if place.is_dir():
+        return _found(place, f"photos.cameras={cameras}")
+    if not place.is_file():
+        raise InputError(f"photos.cameras={cameras}: no such file or folder in {folder}")
+    module = next((module for module in _FORMATS if module.claims(place)), None)
+    if module is None:
+        raise InputError(f"photos.cameras={cameras}: is of no format of cameras that isas reads")
+    return module, place
 
 
 def split(capture: Capture, test) -> tuple[list[Camera], list[Camera]]:

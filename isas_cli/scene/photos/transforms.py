@@ -5,6 +5,12 @@ goes from camera to world. Intrinsics stand at the top or with a frame, as ``fl_
 angle of view. Ours alone is a frame's ``exposure``, a number or [red, green, blue]: how many times
 as bright its picture is as at exposure 1.
 
+nerfstudio turns the poses of COLMAP and others so that z is up, and says by which
+``applied_transform`` (3 × 4, the new world from the old one) and ``applied_scale`` (of places,
+afterwards). What is applied is undone, so that a mesh of the old world fits, unless
+``photos.world=file``. instant-ngp's ``scale``, ``offset`` and ``aabb_scale`` say where it puts the
+scene in its own unit cube; they change no pose.
+
 nerfstudio lists the views that it holds out as ``val_filenames`` and ``test_filenames``, and those
 to learn from as ``train_filenames``; Blender sets have them in `transforms_test.json`.
 """
@@ -12,40 +18,57 @@ to learn from as ``train_filenames``; Blender sets have them in `transforms_test
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ...runtime.errors import InputError
-from .base import Capture, exposure, load_json, matrix, number, whole
+from . import models
+from .base import Asked, Capture, exposure, load_json, matrix, number, whole
 from .camera import Camera
 from .finding import listed_mask, missed, picture, present, size
+from .lens import Lens
 
 NAMES = ("transforms.json", "transforms_train.json")
 TEST = "transforms_test.json"
-_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
+# nerfstudio's other name for a lens without a word on which.
+_PERSPECTIVE = "PERSPECTIVE"
+_NUMBERS = tuple(f"k{n}" for n in range(1, 7)) + ("p1", "p2")
+# Of instant-ngp: these make a picture something else than a lens does, or move the camera.
+_OTHERS = ("ftheta_p0", "latlong", "equirectangular", "orthographic")
 # From the camera's axes as the file has them to x right, y down, z forward.
-_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def claims(file: Path) -> bool:
+    return file.suffix == ".json" and not file.name.startswith("cameras")
 
 
 def find(folder: Path) -> Path | None:
     return next((folder / name for name in NAMES if (folder / name).is_file()), None)
 
 
-def read(file: Path, given: bool = False) -> Capture:
-    """``given``: whether views that the files hold out are looked for. Raises InputError, naming
-    the frame, for what is missing or wrong."""
+def read(file: Path, asked: Asked) -> Capture:
+    """Raises InputError, naming the frame, for what is missing or wrong."""
     top, cameras = _cameras(file)
     held = []
-    if given and file.name == NAMES[0]:
+    if asked.given and file.name == NAMES[0]:
         held = _listed(file, top, cameras, "val_filenames", "test_filenames")
         if "train_filenames" in top:
             wanted = {*held, *_listed(file, top, cameras, "train_filenames")}
             cameras = [camera for camera in cameras if camera.name in wanted]
-    elif given and file.with_name(TEST).is_file():
+    elif asked.given and file.with_name(TEST).is_file():
         _, more = _cameras(file.with_name(TEST))
         cameras, held = cameras + more, [camera.name for camera in more]
-    return Capture(cameras, file.name, held=held)
+    cameras, notes = _undone(file, top, cameras, asked.world)
+    worlds = bool(notes)
+    if any("fisheye_crop_radius" in each for each in (top, *top["frames"])):
+        notes.append(
+            f"{file}: fisheye_crop_radius is not heeded: what lies beyond it counts, unless a mask "
+            "says that it does not"
+        )
+    return Capture(cameras, file.name, held=held, notes=notes, worlds=worlds)
 
 
 def _cameras(file: Path) -> tuple[dict, list[Camera]]:
@@ -58,6 +81,38 @@ def _cameras(file: Path) -> tuple[dict, list[Camera]]:
     return top, [camera for camera in found if camera is not None]
 
 
+def _undone(
+    file: Path, top: dict, cameras: list[Camera], world: str
+) -> tuple[list[Camera], list[str]]:
+    """Cameras in the ``world`` that is asked for, and what to say of it."""
+    told = [name for name in ("applied_transform", "applied_scale") if top.get(name) is not None]
+    turn, scale = np.eye(4), 1.0
+    if "applied_transform" in told:
+        turn = matrix(top["applied_transform"], f"{file}: applied_transform")
+    if "applied_scale" in told:
+        scale = number(top["applied_scale"], f"{file}: applied_scale")
+    if not scale > 0 or not np.linalg.det(turn) > 1e-12:
+        raise InputError(f"{file}: {' or '.join(told)} cannot be undone: mirrored, or scale 0")
+    if scale == 1 and (turn == np.eye(4)).all():
+        return cameras, []
+    which = f"{file}: {' and '.join(told)}"
+    if world == "file":
+        return cameras, [f"{which} stay: the mesh has to be in the world of its poses"]
+    back, larger = np.linalg.inv(turn), np.cbrt(np.linalg.det(turn))
+    found = []
+    for camera in cameras:
+        pose = camera.to_world.copy()
+        pose[:3, 3] /= scale
+        pose = back @ pose
+        pose[:3, :3] *= larger
+        found.append(replace(camera, to_world=pose))
+    note = (
+        f"{which} undone: the mesh is taken to be in the world before them, COLMAP's or "
+        "another's; photos.world=file takes poses as they stand in the file"
+    )
+    return found, [note]
+
+
 def _listed(file: Path, top: dict, cameras: list[Camera], *keys: str) -> list[str]:
     """Names of the views that nerfstudio lists so. Raises InputError for one that is no view."""
     names, held = {camera.name for camera in cameras}, []
@@ -66,13 +121,18 @@ def _listed(file: Path, top: dict, cameras: list[Camera], *keys: str) -> list[st
         if not isinstance(listed, list):
             raise InputError(f"{file}: {key} is no list of pictures")
         for name in listed:
-            found = str(name).removeprefix("./")
+            found = _called(str(name))
             if missed(found):
                 continue
             if found not in names:
                 raise InputError(f"{file}: {key}: {name} is the file_path of no frame")
             held.append(found)
     return held
+
+
+def _called(path: str) -> str:
+    """A view's name of its path, which Windows parts by backslashes."""
+    return path.replace("\\", "/").removeprefix("./")
 
 
 def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
@@ -82,10 +142,7 @@ def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
     if "transform_matrix" not in frame:
         raise InputError(f"{where} has no transform_matrix")
     both = {**top, **frame}
-    model = both.get("camera_model", "OPENCV")
-    if model not in _MODELS or both.get("is_fisheye"):
-        told = "fisheye" if both.get("is_fisheye") else model
-        raise InputError(f"{where}: camera_model {told}; valid: {', '.join(_MODELS)}")
+    lens = _lens(both, where)
     image = picture(file.parent, frame["file_path"], where)
     width, height = size(image)
     width = whole(both["w"], f"{where}: w") if "w" in both else width
@@ -97,9 +154,9 @@ def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
     fx = _focal(both, where, "x", width)
     fy = _focal(both, where, "y", height)
     if fx is None and fy is None:
-        raise InputError(f"{where}: neither fl_x nor camera_angle_x says its focal length")
+        raise InputError(f"{where}: none of fl_x, camera_angle_x, x_fov says its focal length")
     return Camera(
-        name=frame["file_path"].removeprefix("./"),
+        name=_called(frame["file_path"]),
         image=image,
         mask=listed_mask(file.parent, frame.get("mask_path"), f"{where}: mask_path"),
         width=width,
@@ -108,23 +165,60 @@ def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
         fy=fy if fy is not None else fx,
         cx=of("cx", width / 2),
         cy=of("cy", height / 2),
-        radial=tuple(of(name, 0.0) for name in ("k1", "k2", "k3", "k4")),
-        tangential=(of("p1", 0.0), of("p2", 0.0)),
-        to_world=matrix(frame["transform_matrix"], f"{where}: transform_matrix") @ _TO_OPENCV,
+        lens=lens,
+        to_world=matrix(frame["transform_matrix"], f"{where}: transform_matrix") @ TO_OPENCV,
         exposure=exposure(frame, where),
         described=str(file),
     )
 
 
+def _lens(both: dict, where: str) -> Lens:
+    """``camera_model``, or instant-ngp's ``is_fisheye``, and its numbers.
+
+    Of OPENCV, k4 is the factor of r⁸, as nerfstudio has it, unless k5 or k6 stand with it: the
+    three are OpenCV's, below the fraction."""
+    model = both.get("camera_model", "OPENCV")
+    if both.get("is_fisheye"):
+        model = "OPENCV_FISHEYE"
+    if model == _PERSPECTIVE:
+        model = "OPENCV"
+    other = next((name for name in _OTHERS if both.get(name)), None)
+    if other is not None or not isinstance(model, str) or model not in models.PARAMETERS:
+        told = f"camera_model {model}" if other is None else other
+        valid = ", ".join(models.PARAMETERS)
+        raise InputError(f"{where}: {told}; valid: {valid}; {models.WAY_OUT}")
+    shutter = both.get("rolling_shutter") or [0]
+    still = isinstance(shutter, list) and all(x == 0 for x in shutter)
+    if not still or "transform_matrix_end" in both:
+        raise InputError(
+            f"{where}: rolling_shutter or transform_matrix_end: a camera that moves while it takes "
+            "a picture, which isas does not know: leave them out where it hardly moves"
+        )
+    names = {*_NUMBERS, *models.PARAMETERS[model].split()} - {"f", "fx", "fy", "cx", "cy"}
+    values = {n: number(both[n], f"{where}: {n}") for n in names if both.get(n) is not None}
+    if model == "OPENCV" and (values.get("k5") or values.get("k6")):
+        model = "FULL_OPENCV"
+    return models.lens(model, values)
+
+
 def _focal(both: dict, where: str, axis: str, size: int) -> float | None:
-    """Pixels, along one axis; None where nothing says it."""
-    for name in (f"fl_{axis}", f"camera_angle_{axis}"):
+    """Pixels, along one axis; None where nothing says it. ``camera_angle_x`` is in radians, as
+    NeRF's, ``x_fov`` in degrees, as instant-ngp's."""
+    radians, degrees = f"camera_angle_{axis}", (f"{axis}_fov", f"fov_{axis}")
+    for name in (f"fl_{axis}", radians, *degrees):
         if name not in both:
             continue
         value = number(both[name], f"{where}: {name}")
         if name.startswith("fl"):
             return value
-        if not 0 < value < math.pi:
+        if name == radians and not 0 < value < math.pi:
             raise InputError(f"{where}: {name}={value:g}: radians, between 0 and π")
+        if name != radians:
+            # Below, it is radians, or the lens of a telescope.
+            if not math.pi < value < 180:
+                raise InputError(
+                    f"{where}: {name}={value:g}: degrees, between π and 180; radians are {radians}"
+                )
+            value = math.radians(value)
         return size / 2 / math.tan(value / 2)
     return None

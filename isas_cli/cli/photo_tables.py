@@ -1,0 +1,154 @@
+"""What `isas photos` prints of pictures: those that are alike in one row."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rich.table import Table
+
+from ..scene.photos import checks, exif
+from ..scene.photos.photographs import Photographs
+
+# More views than that are told by their ranges, but for those that stand out.
+_MOST = 40
+_LOW, _SMALL, _OFF = 0.1, 0.01, 2  # shares of a view; pixels
+
+
+def cameras(checked: list[checks.View], taken: Photographs) -> Table:
+    """What files say of the pictures: those alike in kind in one row, with the ranges of their
+    numbers."""
+    described = {camera.name: camera for camera in taken.capture.cameras}
+    groups: dict[tuple, list] = {}
+    for view in checked:
+        camera = described[view.photograph.camera.name]
+        lost, said = view.photograph.lost, exif.read(camera.image)
+        mask = "file" if camera.mask is not None else "alpha" if "transparent" in lost else "none"
+        size = f"{camera.width}×{camera.height}"
+        key = (size, camera.lens.kind, *camera.lens.terms, mask, said is None)
+        groups.setdefault(key, []).append((camera, mask, said))
+    table = Table(title="as their files have them")
+    table.add_column("views", overflow="fold")
+    for name in ("pixels", "focal length", "lens", "mask", "EXIF exposure"):
+        table.add_column(name, overflow="fold")
+    for group in groups.values():
+        each, masks, said = zip(*group)
+        names = [camera.name for camera in each]
+        several = f"{len(names)}: {names[0]} … {names[-1]}"
+        table.add_row(
+            several if len(names) > 1 else names[0],
+            f"{each[0].width}×{each[0].height}",
+            _range([camera.fx for camera in each], ".1f"),
+            _lens(each),
+            masks[0],
+            _exposure(said),
+        )
+    return table
+
+
+def exposures(taken: Photographs) -> float:
+    """How many times as long as the darkest picture the brightest was exposed, by what the
+    pictures say beyond what the cameras' file does; 1 where that is not known of all."""
+    found = []
+    for camera in taken.capture.cameras:
+        said = exif.read(camera.image)
+        if said is None:
+            return 1.0
+        found.append(said.exposure / camera.exposure[1])
+    return max(found) / min(found)
+
+
+def views(checked: list[checks.View], taken: Photographs) -> Table:
+    """What was seen of each; of many, those that stand out and the ranges of the others."""
+    held = f"{len(taken.held)} held out: {taken.capture.kind}"
+    table = Table(title=f"{len(taken.shown)} views to learn from, {held}")
+    table.add_column("view", no_wrap=True)
+    for name in ("pixels", "focal length", "count", "lost"):
+        table.add_column(name, justify="right")
+    own = taken.surface is not None
+    for name in ("distance", "object seen", "spans") if own else ():
+        table.add_column(name, justify="right")
+    known = any(view.apart is not None for view in checked)
+    for name in ("points", "off by") if known else ():
+        table.add_column(name, justify="right")
+    bright = any(view.photograph.camera.exposure != (1, 1, 1) for view in checked)
+    if bright:
+        table.add_column("exposure", justify="right")
+    few = len(checked) <= _MOST
+    single = checked if few else [view for view in checked if _stands_out(view)][:_MOST]
+    for view in single:
+        table.add_row(*_row([view], own, known, bright))
+    told = set(map(id, single))
+    rest = [view for view in checked if id(view) not in told]
+    if rest:
+        table.add_row(*_row(rest, own, known, bright))
+    return table
+
+
+def _stands_out(view: checks.View) -> bool:
+    return (
+        (view.photograph.mask > 0).mean() < _LOW
+        or (view.inside is not None and view.inside < _LOW)
+        or (view.spanned is not None and view.spanned < _SMALL)
+        or (view.apart is not None and view.apart > _OFF)
+    )
+
+
+def _row(group: list[checks.View], own: bool, known: bool, bright: bool) -> list[str]:
+    """Of views, the ranges of their numbers."""
+    seen = [view.photograph for view in group]
+    cameras = [each.camera for each in seen]
+    name = cameras[0].name + (" (held out)" if group[0].held else "")
+    if len(group) > 1:
+        name = f"{len(group)} views: {cameras[0].name} … {cameras[-1].name}"
+    lost: dict[str, list[int]] = {}
+    for each in seen:
+        for why, count in each.lost.items():
+            if count:
+                lost.setdefault(why, []).append(count)
+    row = [
+        name,
+        ", ".join(dict.fromkeys(f"{camera.width}×{camera.height}" for camera in cameras)),
+        _range([camera.fx for camera in cameras], ".1f"),
+        _range([(each.mask > 0).mean() for each in seen], ".0%"),
+        ", ".join(f"{_range(counts, 'd')} {why}" for why, counts in lost.items()) or "–",
+    ]
+    if own:
+        row.append(_range([view.distance for view in group], ".4g"))
+        row += [_range([getattr(view, n) for view in group], ".0%") for n in ("inside", "spanned")]
+    if known:
+        found = [view for view in group if view.apart is not None]
+        row.append(_range([len(view.points[0]) for view in found], "d"))
+        row.append(f"{_range([view.apart for view in found], '.2f')} px" if found else "")
+    if bright:
+        told = [e for camera in cameras for e in dict.fromkeys(camera.exposure)]
+        single = "/".join(f"{e:.4g}" for e in told)
+        row.append(single if len(group) == 1 else _range(told, ".4g"))
+    return row
+
+
+def _range(values: Iterable, spelt: str) -> str:
+    """Of numbers, the least and the greatest, as far as these are spelt unlike."""
+    values = list(values)
+    if not values:
+        return ""
+    ends = dict.fromkeys(format(end, spelt) for end in (min(values), max(values)))
+    return " to ".join(ends)
+
+
+def _lens(cameras) -> str:
+    lenses = [camera.lens for camera in cameras]
+    if len(set(map(str, lenses))) == 1:
+        return str(lenses[0])
+    kind = [] if lenses[0].kind == "flat" else [lenses[0].kind]
+    terms = [f"{n} {_range([x.terms[n] for x in lenses], '.3g')}" for n in lenses[0].terms]
+    return ", ".join(kind + terms)
+
+
+def _exposure(said: tuple) -> str:
+    if said[0] is None:
+        return "none"
+    told = list(dict.fromkeys(map(str, said)))
+    if len(told) == 1:
+        return told[0]
+    ratio = max(each.exposure for each in said) / min(each.exposure for each in said)
+    return f"{told[0]} and {len(told) - 1} others, up to {ratio:.3g} times as bright"

@@ -1,0 +1,130 @@
+"""RealityCapture's and RealityScan's XMP files, one beside each picture.
+
+As "RealityCapture XMP Camera Math" has it: ``Rotation``, row after row, goes from world to camera
+(x right, y down, z forward), ``Position`` is where the camera stands; ``FocalLength35mm`` is of a
+film 36 mm long, and it and the principal point are in lengths of the picture's longer side. Of its
+lenses those are read of which the formula is sure: ``perspective``, ``brown3``, ``brown4``. The
+mesh has to be exported with "Same as XMP" as coordinate system. Its CSV, of angles, is not read.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from ...runtime.errors import InputError
+from .base import Asked, Capture, number, read_text
+from .camera import Camera
+from .finding import existing, size
+from .lens import Lens
+
+_SPACE = "{http://www.capturingreality.com/ns/xcr/1.1#}"
+_FILM = 36.0  # mm
+_LENSES = ("perspective", "brown3", "brown4")
+_WAY_OUT = "export the registration for COLMAP, or undistorted pictures with XMP"
+
+
+def claims(file: Path) -> bool:
+    ending = file.suffix.lower()
+    if ending == ".csv":
+        return "heading" in read_text(file)[:200]
+    return ending == ".xmp" and _SPACE.strip("{}") in read_text(file)
+
+
+def find(folder: Path) -> Path | None:
+    """The first of its files: those beside pictures before a table."""
+    for ending in ("xmp", "csv"):
+        for place in (folder, folder / "images"):
+            found = (file for file in sorted(place.glob(f"*.{ending}")) if _likely(file))
+            if (first := next(found, None)) is not None:
+                return first
+    return None
+
+
+def _likely(file: Path) -> bool:
+    try:
+        return claims(file)
+    except InputError:
+        return False
+
+
+def read(file: Path, asked: Asked) -> Capture:
+    """Raises InputError, naming the file, for what is missing, wrong or not known."""
+    if file.suffix.lower() == ".csv":
+        raise InputError(
+            f"{file}: RealityCapture's table of angles is not read, as nobody says exactly what "
+            f"they mean: {_WAY_OUT}"
+        )
+    found, lost = [], []
+    for each in sorted(file.parent.glob(f"*{file.suffix}")):
+        if _likely(each):
+            camera = _camera(each, asked.root)
+            found.append(camera) if camera is not None else lost.append(each.name)
+    if not found:
+        raise InputError(f"{file}: no XMP file there holds Rotation and Position of a camera")
+    notes = [f"{file.parent}: {len(lost)} XMP files hold no pose, first {lost[0]}"] if lost else []
+    return Capture(found, "RealityCapture", notes=notes)
+
+
+def _camera(file: Path, root: Path) -> Camera | None:
+    """None where the file holds no pose."""
+    try:
+        tree = ElementTree.fromstring(read_text(file).encode())
+    except (ElementTree.ParseError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read as XMP: {error}") from error
+    told = {}
+    for element in tree.iter():
+        if element.tag.startswith(_SPACE):
+            told[element.tag.removeprefix(_SPACE)] = element.text or ""
+        for name, value in element.attrib.items():
+            if name.startswith(_SPACE):
+                told[name.removeprefix(_SPACE)] = value
+    if not {"Rotation", "Position"} <= set(told):
+        return None
+
+    def of(name: str, count: int = 1, otherwise: str = "0") -> list[float]:
+        words = told.get(name, otherwise).split()
+        if len(words) != count:
+            raise InputError(f"{file}: {name} has {len(words)} numbers, not {count}")
+        return [number(word, f"{file}: {name}") for word in words]
+
+    image = existing(file.parent, file.stem)
+    if image is None:
+        raise InputError(f"{file}: no picture of that name lies beside it")
+    width, height = size(image)
+    side = max(width, height)
+    if "FocalLength35mm" not in told:
+        raise InputError(f"{file}: has no FocalLength35mm")
+    focal = of("FocalLength35mm")[0] / _FILM * side
+    pose = np.eye(4)
+    pose[:3, :3] = np.reshape(of("Rotation", 9), (3, 3)).T
+    pose[:3, 3] = of("Position", 3)
+    return Camera(
+        name=image.relative_to(root).as_posix() if root in image.parents else image.name,
+        image=image,
+        width=width,
+        height=height,
+        fx=focal,
+        fy=focal,
+        cx=width / 2 + of("PrincipalPointU")[0] * side,
+        cy=height / 2 + of("PrincipalPointV")[0] * side,
+        lens=_lens(file, told, of),
+        to_world=pose,
+        described=str(file),
+    )
+
+
+def _lens(file: Path, told: dict[str, str], of) -> Lens:
+    model = told.get("DistortionModel", "perspective")
+    numbers = of("DistortionCoeficients", 6, "0 0 0 0 0 0")
+    if model == "perspective" or not any(numbers):
+        numbers = [0.0] * 6
+    elif model not in _LENSES and not (model in ("brown3t2", "brown4t2") and not any(numbers[4:])):
+        raise InputError(
+            f"{file}: DistortionModel {model}; valid: {', '.join(_LENSES)}; {_WAY_OUT}"
+        )
+    if of("Skew")[0] != 0 or of("AspectRatio", 1, "1")[0] != 1:
+        raise InputError(f"{file}: Skew is not 0 or AspectRatio not 1: {_WAY_OUT}")
+    return Lens(radial=tuple(numbers[:4]))

@@ -1,0 +1,259 @@
+"""Cameras as Metashape, Polycam and RealityCapture export them: files by the form that their
+documentation gives, of cameras that are known."""
+
+import json
+
+import numpy as np
+import photo_sets
+import pytest
+from photo_sets import CENTRE, FOCAL, POSES, SIZE, Files
+from PIL import Image
+from scipy.spatial.transform import Rotation
+from test_photo_cameras import POINTS, expected
+
+from isas_cli.runtime.errors import InputError
+from isas_cli.scene.photos import reading
+
+FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def text(values) -> str:
+    return " ".join(repr(float(x)) for x in np.ravel(values))
+
+
+def agree(folder, poses=POSES, **more):
+    capture = reading.read(str(folder), **more)
+    for camera, pose in zip(capture.cameras, poses, strict=True):
+        np.testing.assert_allclose(camera.project(POINTS)[0], expected(pose), atol=1e-6)
+        assert camera.image.is_file() and (camera.width, camera.height) == SIZE
+    return capture
+
+
+def refused(folder, told: str) -> None:
+    with pytest.raises(InputError, match=told) as error:
+        reading.read(str(folder))
+    assert "\n" not in str(error.value)
+
+
+# Metashape ---------------------------------------------------------------------------------------
+
+ADJUSTED = (
+    f"<f>{FOCAL}</f><cx>{CENTRE[0] - SIZE[0] / 2}</cx><cy>{CENTRE[1] - SIZE[1] / 2}</cy>"
+    "<k1>0</k1><p1>0</p1>"
+)
+
+
+def metashape(folder, lens=ADJUSTED, kind="frame", world=None, reference="LOCAL_CS[&quot;m&quot;]"):
+    """As 2.1 writes it. ``world``: the component's turn, place and scale, in which POSES are."""
+    Files(folder, POSES).names(".png")
+    turn, place, scale = world or (np.eye(3), np.zeros(3), 1.0)
+    back = np.eye(4)
+    back[:3, :3], back[:3, 3] = turn.T / scale, -turn.T @ place / scale
+    cameras = []
+    for number, pose in enumerate(POSES):
+        inside = back @ pose
+        inside[:3, :3] = turn.T @ pose[:3, :3]
+        cameras.append(
+            f'<camera id="{number}" sensor_id="0" component_id="0" label="view_{number}">'
+            f"<transform>{text(inside)}</transform><orientation>1</orientation></camera>"
+        )
+    component = (
+        f'<transform><rotation locked="false">{text(turn)}</rotation>'
+        f"<translation>{text(place)}</translation><scale>{scale!r}</scale></transform>"
+    )
+    told = f"""<?xml version="1.0" encoding="UTF-8"?>
+<document version="2.0.0"><chunk label="Chunk 1" enabled="true">
+  <sensors next_id="1"><sensor id="0" label="unknown" type="{kind}">
+    <resolution width="{SIZE[0]}" height="{SIZE[1]}"/>
+    <calibration type="{kind}" class="initial"><f>1</f></calibration>
+    <calibration type="{kind}" class="adjusted">
+      <resolution width="{SIZE[0]}" height="{SIZE[1]}"/>{lens}</calibration>
+  </sensor></sensors>
+  <components next_id="1" active_id="0"><component id="0" label="Component 1">
+    {component if world else ""}</component></components>
+  <cameras next_id="4" next_group_id="1">
+    <group id="0" label="g">{cameras[0]}</group>{"".join(cameras[1:])}
+    <camera id="3" sensor_id="0" label="lost"/></cameras>
+  <reference>{reference}</reference></chunk></document>
+"""
+    (folder / "cameras.xml").write_text(told)
+
+
+WORLD = Rotation.from_rotvec([0.3, -0.5, 0.9]).as_matrix(), np.array([0.4, 0.2, -3.0]), 2.5
+
+
+@pytest.mark.parametrize("world", [None, WORLD])
+def test_metashape(tmp_path, world):
+    metashape(tmp_path, world=world)
+    capture = agree(tmp_path)
+    assert capture.kind == "Metashape"
+    assert capture.notes == [
+        f"{tmp_path / 'cameras.xml'}: 1 cameras are not aligned or disabled, first lost"
+    ]
+
+
+def test_metashapes_lens(tmp_path):
+    """By the manual's formulas, written out: P1 and P2 the other way round, B1 and B2."""
+    k1, k2, k3, k4, p1, p2, b1, b2 = 0.1, -0.05, 0.02, 0.01, 0.003, 0.002, 1.5, 0.7
+    names = dict(k1=k1, k2=k2, k3=k3, k4=k4, p1=p1, p2=p2, b1=b1, b2=b2, f=FOCAL, cx=3.5, cy=-4)
+    for kind in ("frame", "fisheye"):
+        metashape(tmp_path, "".join(f"<{n}>{x}</{n}>" for n, x in names.items()), kind)
+        (camera, *_) = reading.read(str(tmp_path)).cameras
+        homogeneous = np.column_stack([POINTS, np.ones(len(POINTS))]).T
+        x, y, z = (np.linalg.inv(POSES[0]) @ homogeneous)[:3]
+        x, y = x / z, y / z
+        if kind == "fisheye":
+            r = np.hypot(x, y)
+            x, y = x * np.arctan(r) / r, y * np.arctan(r) / r
+        r2 = x * x + y * y
+        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3 + k4 * r2**4
+        bent_x = x * radial + p1 * (r2 + 2 * x * x) + 2 * p2 * x * y
+        bent_y = y * radial + p2 * (r2 + 2 * y * y) + 2 * p1 * x * y
+        u = SIZE[0] / 2 + 3.5 + bent_x * FOCAL + bent_x * b1 + bent_y * b2
+        v = SIZE[1] / 2 - 4 + bent_y * FOCAL
+        np.testing.assert_allclose(camera.project(POINTS)[0], np.stack([u, v], 1), atol=1e-9)
+
+
+def test_what_of_metashape_is_refused(tmp_path):
+    metashape(tmp_path, world=WORLD, reference="GEOGCS[&quot;WGS 84&quot;]")
+    refused(tmp_path, "cameras.xml: its cameras lie on the Earth.*Local Coordinates")
+    metashape(tmp_path, kind="spherical")
+    refused(tmp_path, "view_0: camera type spherical; valid: frame, fisheye; export .* COLMAP")
+    metashape(tmp_path, ADJUSTED + "<p3>0.1</p3>")
+    refused(tmp_path, "p3 or p4")
+    metashape(tmp_path)
+    (tmp_path / "view_1.png").unlink()
+    refused(tmp_path, "cameras.xml: camera view_1: its picture .*view_1 does not exist")
+    (tmp_path / "cameras.xml").write_text('<document><chunk label="a">')
+    refused(tmp_path, "cameras.xml: cannot be read as XML")
+
+
+# Polycam -----------------------------------------------------------------------------------------
+
+
+def polycam(folder, kind="corrected_", poses=POSES) -> None:
+    keyframes = folder / "keyframes"
+    for name in ("cameras", "images"):
+        (keyframes / f"{kind}{name}").mkdir(parents=True)
+    Files(keyframes / f"{kind}images", POSES).names(".png")
+    for number, pose in enumerate(poses):
+        rows = (pose @ FLIPPED)[:3]
+        told = {f"t_{i}{j}": rows[i, j] for i in range(3) for j in range(4)}
+        told |= dict(fx=FOCAL, fy=FOCAL, cx=CENTRE[0], cy=CENTRE[1], width=40, height=30)
+        told |= dict(blur_score=115.28, timestamp=638443502)
+        photo_sets.write(keyframes / f"{kind}cameras" / f"view_{number}.json", told)
+
+
+@pytest.mark.parametrize("kind", ["corrected_", ""])
+def test_polycam(tmp_path, kind):
+    polycam(tmp_path, kind)
+    capture = agree(tmp_path)
+    assert capture.cameras[0].name == f"keyframes/{kind}images/view_0.png"
+    assert bool(capture.notes) == (kind == "")
+    assert agree(tmp_path, cameras="keyframes").kind == "Polycam"
+
+
+def test_polycams_mesh_is_in_a_world_of_its_own(tmp_path):
+    """alignmentTransform leads there, column after column."""
+    turn = np.eye(4)
+    turn[:3, :3], turn[:3, 3] = WORLD[0], WORLD[1]
+    raw = [np.linalg.inv(turn) @ pose for pose in POSES]
+    polycam(tmp_path, poses=raw)
+    photo_sets.write(tmp_path / "mesh_info.json", {"alignmentTransform": turn.T.ravel().tolist()})
+    (note,) = agree(tmp_path).notes
+    assert "alignmentTransform applied" in note and "photos.world=file" in note
+    stay = reading.read(str(tmp_path), world="file")
+    np.testing.assert_allclose(stay.cameras[0].to_world, raw[0], atol=1e-9)
+    assert not stay.notes
+    photo_sets.write(tmp_path / "mesh_info.json", {"alignmentTransform": [1, 2]})
+    refused(tmp_path, "mesh_info.json: alignmentTransform: no 16 numbers")
+
+
+def test_what_of_polycam_is_refused(tmp_path):
+    polycam(tmp_path)
+    file = tmp_path / "keyframes" / "corrected_cameras" / "view_1.json"
+    content = json.loads(file.read_text())
+    del content["t_12"]
+    photo_sets.write(file, content)
+    refused(tmp_path, "view_1.json: has no t_12, which Polycam's cameras have")
+
+
+# RealityCapture ----------------------------------------------------------------------------------
+
+
+def xmp(folder, elements=True, **more) -> None:
+    """``elements``: whether long values stand in elements or attributes; versions do either."""
+    Files(folder, POSES).names(".png")
+    told = dict(
+        Version=3,
+        PosePrior="locked",
+        Coordinates="absolute",
+        DistortionModel="brown3",
+        DistortionCoeficients="0 0 0 0 0 0",
+        FocalLength35mm=repr(FOCAL * 36 / 40),
+        Skew=0,
+        AspectRatio=1,
+        PrincipalPointU=repr((CENTRE[0] - 20) / 40),
+        PrincipalPointV=repr((CENTRE[1] - 15) / 40),
+    )
+    for number, pose in enumerate(POSES):
+        each = told | {"Rotation": text(np.linalg.inv(pose)[:3, :3]), "Position": text(pose[:3, 3])}
+        each = {name: value for name, value in (each | more).items() if value is not None}
+        inner = ("Rotation", "Position", "DistortionCoeficients") if elements else ()
+        attributes = " ".join(f'xcr:{n}="{x}"' for n, x in each.items() if n not in inner)
+        body = "".join(f"<xcr:{n}>{each[n]}</xcr:{n}>" for n in inner if n in each)
+        (folder / f"view_{number}.xmp").write_text(
+            '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
+            'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description '
+            f'xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#" {attributes}>{body}'
+            "</rdf:Description></rdf:RDF></x:xmpmeta>\n"
+        )
+
+
+@pytest.mark.parametrize("elements", [False, True])
+@pytest.mark.parametrize("place", [".", "images"])
+def test_realitycapture(tmp_path, elements, place):
+    (tmp_path / place).mkdir(exist_ok=True)
+    xmp(tmp_path / place, elements)
+    assert agree(tmp_path).kind == "RealityCapture"
+
+
+def test_realitycaptures_lens(tmp_path):
+    xmp(tmp_path, DistortionModel="brown4", DistortionCoeficients="0.1 -0.05 0.02 0.01 0 0")
+    (camera, *_) = reading.read(str(tmp_path)).cameras
+    assert camera.lens.radial == (0.1, -0.05, 0.02, 0.01)
+
+
+def test_realitycapture_counts_in_the_longer_side(tmp_path):
+    """Of a picture on edge, its height."""
+    xmp(tmp_path)
+    Image.new("RGB", SIZE[::-1]).save(tmp_path / "view_0.png")
+    camera = reading.read(str(tmp_path)).cameras[0]
+    np.testing.assert_allclose((camera.fx, camera.fy), FOCAL)
+    np.testing.assert_allclose((camera.cx, camera.cy), np.array(CENTRE) - (5, -5))
+
+
+@pytest.mark.parametrize(
+    "more, told",
+    [
+        (
+            dict(DistortionModel="brown3t2", DistortionCoeficients="0.1 0 0 0 0.01 0"),
+            "view_0.xmp: DistortionModel brown3t2; valid: .*COLMAP",
+        ),
+        (dict(DistortionModel="division", DistortionCoeficients="-0.1 0 0 0 0 0"), "division"),
+        (dict(Skew=0.1), "Skew is not 0"),
+        (dict(FocalLength35mm=None), "has no FocalLength35mm"),
+        (dict(Rotation="1 0 0"), "Rotation has 3 numbers, not 9"),
+        (dict(Rotation=None), "holds Rotation and Position"),
+    ],
+)
+def test_what_of_realitycapture_is_refused(tmp_path, more, told):
+    xmp(tmp_path, **more)
+    refused(tmp_path, told)
+
+
+def test_realitycaptures_table_is_refused(tmp_path):
+    Files(tmp_path, POSES).names(".png")
+    head = "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2\n"
+    (tmp_path / "registration.csv").write_text(head)
+    refused(tmp_path, "registration.csv: RealityCapture's table of angles is not read.*COLMAP")

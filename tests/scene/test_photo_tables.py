@@ -1,0 +1,140 @@
+"""`isas photos`: what it says of each picture, of many, and what to run."""
+
+import shlex
+import shutil
+
+import numpy as np
+import photo_sets
+import pytest
+import trimesh
+from photo_sets import POSES, SIZE, Files
+from PIL import Image
+
+from isas_cli.cli import photo_tables
+from isas_cli.cli.app import main
+from isas_cli.config.compose import compose, translate
+from isas_cli.scene.photos import exif
+from isas_cli.scene.photos.lens import Lens
+
+
+@pytest.fixture
+def called(tmp_path, monkeypatch, capfd):
+    """`isas photos` in an empty folder: its whole output, spaces as one."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "220")
+
+    def call(*arguments: str) -> list[str]:
+        assert main(["photos", *arguments]) == 0
+        return [" ".join(line.split()) for line in capfd.readouterr().out.splitlines()]
+
+    return call
+
+
+def jpeg(path, time=None, aperture=8.0, speed=100) -> None:
+    """Grey, with how it was taken."""
+    tags = Image.Exif()
+    if time is not None:
+        tags.get_ifd(0x8769).update({0x829A: time, 0x829D: aperture, 0x8827: speed})
+    Image.new("RGB", SIZE, (128, 128, 128)).save(path, exif=tags)
+
+
+def shots(folder, times) -> dict:
+    content = photo_sets.transforms(Files(folder, POSES))
+    for frame, time in zip(content["frames"], times):
+        name = frame["file_path"].replace(".exr", ".jpg")
+        jpeg(folder / name, time)
+        frame["file_path"] = name
+    return photo_sets.write(folder / "transforms.json", content)
+
+
+def row(lines: list[str], begin: str) -> str:
+    return next(line for line in lines if line.startswith(f"│ {begin}"))
+
+
+def test_pictures_that_are_alike_are_one_row(called, tmp_path):
+    content = shots(tmp_path, [1 / 125, 1 / 125, None])
+    mask = np.full((*SIZE[::-1], 1), 255, np.uint8)
+    Image.fromarray(mask[..., 0]).save(tmp_path / "mask.png")
+    for frame in content["frames"][:2]:
+        frame.update(mask_path="mask.png", camera_model="SIMPLE_RADIAL_FISHEYE", k1=0.02)
+    photo_sets.write(tmp_path / "transforms.json", content)
+    lines = called(".", "photos.sphere=[0,0,0,0.4]")
+    both = row(lines, "2: view_0.jpg … view_1.jpg")
+    assert "40×30 │ 55.0 │ fisheye, k1 0.02 │ file │ 1/125 s f/8 ISO 100" in both
+    assert "40×30 │ 55.0 │ none │ none │ none" in row(lines, "view_2.jpg │ 40×30 │ 55.0 │ none")
+    assert not any("exposed unlike" in line for line in lines)  # not known of all
+
+
+def test_exposures_that_nothing_accounts_for(called, tmp_path):
+    content = shots(tmp_path, [1 / 100, 1 / 250, 1 / 100])
+    told = "up to 2.5 times: photos.exposure=scale"
+    lines = called(".")
+    assert any(told in line for line in lines)
+    assert "1/100 s f/8 ISO 100 and 1 others, up to 2.5 times as bright" in row(lines, "3: view_0")
+    assert not any(told in line for line in called(".", "photos.exposure=scale"))
+    # A file that says so accounts for it.
+    content["frames"][1]["exposure"] = 0.4
+    photo_sets.write(tmp_path / "transforms.json", content)
+    assert not any(told in line for line in called("."))
+
+
+def test_what_pictures_say_of_themselves(tmp_path):
+    jpeg(tmp_path / "a.jpg", 1 / 250, 2.8, 400)
+    found = exif.read(tmp_path / "a.jpg")
+    assert str(found) == "1/250 s f/2.8 ISO 400"
+    assert found.exposure == pytest.approx(400 / 250 / 2.8**2)
+    jpeg(tmp_path / "b.jpg", 2.0)
+    assert str(exif.read(tmp_path / "b.jpg")).startswith("2 s f/8")
+    jpeg(tmp_path / "c.jpg")
+    jpeg(tmp_path / "d.jpg", 0)
+    (tmp_path / "e.jpg").write_text("no picture")
+    for name in ("c.jpg", "d.jpg", "e.jpg", "gone.jpg"):
+        assert exif.read(tmp_path / name) is None
+
+
+def test_the_command_line_runs(called, tmp_path):
+    """Its last line, word for word as a shell takes it, composes to the same settings."""
+    folder = tmp_path / "my set"
+    folder.mkdir()
+    photo_sets.transforms(Files(folder, POSES))
+    trimesh.creation.icosphere(2, 0.4).export(tmp_path / "a ball.ply")
+    settings = ["photos.mesh=a ball.ply", "photos.test=[view_1.exr]", "photos.texture=64"]
+    line = called("my set", *settings)[-1]
+    words = shlex.split(line)
+    assert words[:3] == ["isas", "run", "scene=photos"]
+    photos = compose(translate(words[2:])).scene.photos
+    assert photos.path.endswith("my set") and photos.mesh.endswith("a ball.ply")
+    assert list(photos.test) == ["view_1.exr"] and photos.texture == 64
+    assert called("my set")[-1] == "isas run scene=photos 'photos.path=my set' photos.mesh=FILE"
+
+
+def test_two_hundred_pictures_stay_readable(called, tmp_path):
+    """Those alike are told by their ranges; one that looks elsewhere stands out."""
+    content = photo_sets.transforms(Files(tmp_path, POSES))
+    away = np.array(content["frames"][0]["transform_matrix"]) @ np.diag([-1.0, 1, -1, 1])
+    frames = []
+    for number in range(200):
+        frame = dict(content["frames"][number % 3])
+        name = f"{number:03d}.exr"
+        shutil.copy(tmp_path / frame["file_path"], tmp_path / name)
+        frame.update(file_path=name, fl_x=55 + number / 100, fl_y=55 + number / 100)
+        if number == 77:
+            frame["transform_matrix"] = away.tolist()
+        frames.append(frame)
+    photo_sets.write(tmp_path / "transforms.json", {**content, "frames": frames})
+    lines = called(".", "photos.sphere=[0,0,0,0.4]")
+    assert len(lines) < 30
+    assert "40×30 │ 55.0 to 57.0 │ none │ none │ none" in row(lines, "200: 000.exr … 199.exr")
+    assert "│ 0% │" in row(lines, "077.exr")
+    rest = row(lines, "199 views: 000.exr … 199.exr")
+    assert "55.0 to 57.0" in rest and "100%" in rest
+    assert any("sheet: " in line and "(60 of 200 views)" in line for line in lines)
+
+
+def test_numbers_of_a_lens_as_ranges():
+    from test_photo_cameras import lens
+
+    cameras = [lens(radial=(k, 0, 0, 0), tangential=(0, 0)) for k in (0.1, 0.15)]
+    assert photo_tables._lens(cameras) == "k1 0.1 to 0.15"
+    assert photo_tables._lens(cameras[:1] * 2) == str(cameras[0].lens) == "k1 0.1"
+    assert Lens().terms == {}
