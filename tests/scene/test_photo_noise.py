@@ -11,6 +11,7 @@ from isas_cli.runtime import images
 from isas_cli.scene.photos import importing, noise
 from isas_cli.scene.photos.camera import Camera
 from isas_cli.scene.photos.importing import Photograph
+from isas_cli.scene.photos.lens import Lens
 
 SIGMA = 0.02
 
@@ -84,8 +85,8 @@ def test_what_resampling_leaves_of_it_is_told(width, tmp_path):
     for sigma in (SIGMA, 0.0):
         file = tmp_path / f"{sigma}.exr"
         images.write_exr(file, scene(1, sigma).astype(np.float32), ["R", "G", "B"], {})
-        lens = replace(camera(), image=file, radial=(0.02, 0.0, 0.0, 0.0))
-        made.append(importing.load(lens, PhotosConfig(width=width)))
+        seen = replace(camera(), image=file, lens=Lens(radial=(0.02, 0.0, 0.0, 0.0)))
+        made.append(importing.load(seen, PhotosConfig(width=width)))
     noisy, clean = made
     counts = (noisy.mask > 0) & (clean.mask > 0)
     there = np.std((noisy.image - clean.image)[counts])
