@@ -143,7 +143,9 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
     targets.given(problem, pictures, masks, filled)
     problem.photographed = noise.of_all(taken.shown)
     if (exposure := problem.unknowns.of(Exposure)) is not None:
-        exposure.kind.compare(_energies(problem))
+        ends = np.cumsum([width * height for width, height in problem.film_sizes])[:-1]
+        parts = np.split(np.array(problem.mask), ends)
+        exposure.kind.compare(np.array([part.sum() for part in parts]))
     problem.warnings += _untold(taken, problem.unknowns)
     if not taken.held:
         return
@@ -201,14 +203,6 @@ def _untold(taken: photographs.Photographs, unknowns: Unknowns) -> list[str]:
             "photos.background=false, unless photos.environment shows it"
         )
     return found
-
-
-def _energies(problem: Problem) -> np.ndarray:
-    """Of the targets, Σ I² over the pixels that count, by view and channel, ``(V, 3)``."""
-    squares = np.square(np.array(problem.targets, np.float64)).reshape(-1, 3)
-    squares *= np.array(problem.mask)[:, None]
-    starts = np.cumsum([0, *(width * height for width, height in problem.film_sizes)])[:-1]
-    return np.add.reduceat(squares, starts)
 
 
 def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:

@@ -19,12 +19,13 @@ class Exposure(Kind):
     ∂ℒ/∂e_v would drift that way while colours are still wrong, and hardly come back. So estimators
     tell the first view's derivative as well, as if it were free, and steps go along
 
-        h_v = ∂ℒ/∂e_v - (E_v / E_0) / e_v ∂ℒ/∂e_0,
+        h_v = ∂ℒ/∂e_v - e_v (N_v / N_0) ∂ℒ/∂e_0,
 
-    E the energies of the views' pictures: that is as if the mean of all exposures were fixed, and
-    all were divided by the first after each step. With ∂ℒ/∂log e_v = 2 E_v (log e_v + log of what
-    colours are too bright by), as near the truth, the latter drops out of h: e_v goes to its value
-    whatever the colours are. Where colours or light fit, ∂ℒ/∂e_0 is 0, and h the derivative.
+    N the pixels of a view that count: as if the mean of all exposures were fixed, and all were
+    divided by the first after each step. Where a picture is c times what its view should show,
+    ∂ℒ/∂e_v is 2 N_v (c e_v - t_v) c for a truth t and views whose scene is as bright: c drops out
+    of h, which is 0 at e_v = t_v whatever the colours are. Where colours or light fit, ∂ℒ/∂e_0 is
+    0, and h the derivative.
 
     No parameter of the scene: it lies with the views, and every ray's weight holds it
     (``rendering.rays``). Paths do not carry its derivative, so estimators add it (``add``).
@@ -48,18 +49,14 @@ class Exposure(Kind):
         table = np.broadcast_to(entry, (self._views.count, 3))
         self._entry = mi.UInt32(table.ravel())
         self._views.exposure = dr.opaque(mi.Float, 1, table.size)
-        self.compare(np.ones(self.present.shape))
+        self.compare(np.ones(self._views.count))
 
-    def compare(self, energy: np.ndarray) -> None:
-        """``energy (V, 3)`` or ``(V, 1)``: of each view's picture, Σ I² over the pixels that count,
-        in any unit. Where the first view's is 0 it tells nothing, and all others are as they are
-        told."""
-        energy = np.asarray(energy, np.float64)
-        if energy.shape[1] != self._channels:
-            energy = np.repeat(energy.sum(axis=1, keepdims=True), self._channels, axis=1)
-        first = energy[:1]
-        share = np.divide(energy, first, where=first > 0, out=np.zeros_like(energy))
-        self._share = like(mi.Float, share.ravel().astype(np.float32))
+    def compare(self, weights: np.ndarray) -> None:
+        """``weights (V,)``: of each view, of its pixels that count. Where the first view has none
+        it tells nothing, and all others are as they are told."""
+        first = float(weights[0])
+        share = np.asarray(weights, np.float64) / first if first > 0 else np.zeros(len(weights))
+        self._share = like(mi.Float, np.repeat(share, self._channels).astype(np.float32))
         dr.make_opaque(self._share)
 
     def value(self, array: np.ndarray):
@@ -79,7 +76,7 @@ class Exposure(Kind):
         g, channels = gradient.array, self._channels
         entry = dr.arange(mi.UInt32, len(g))
         first = dr.gather(mi.Float, g, entry % channels)
-        found = g - self._share * first / dr.detach(value).array
+        found = g - self._share * first * dr.detach(value).array
         return mi.TensorXf(dr.select(entry < channels, 0, found), gradient.shape)
 
     def numbers(self, array: np.ndarray, truth: np.ndarray | None) -> dict[str, float]:

@@ -1,0 +1,189 @@
+"""Meshes as people have them: several materials, several nodes; and the sphere in place of one."""
+
+import json
+
+import mitsuba as mi
+import numpy as np
+import photo_sets
+import pytest
+import trimesh
+from photo_sets import POSES, Files
+
+from isas_cli.config import schema
+from isas_cli.config.compose import compose, translate
+from isas_cli.config.schema import PhotosConfig
+from isas_cli.engine import assemble
+from isas_cli.runtime import backend
+from isas_cli.runtime.errors import InputError
+from isas_cli.scene import export
+from isas_cli.scene.photos import shape
+from isas_cli.scene.topology import Topology
+
+CORNERS = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nv 2 1 0\n"
+LEFT, RIGHT = "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n", "f 2/{} 5/{} 6/{}\nf 2/{} 6/{} 3/{}\n"
+OWN = "vt 0 0\nvt 0.4 0\nvt 0.4 1\nvt 0 1\nvt 0.6 0\nvt 1 0\nvt 1 1\nvt 0.6 1\n"
+APART = RIGHT.format(5, 6, 7, 5, 7, 8)
+OVER = RIGHT.format(1, 2, 3, 1, 3, 4)  # the same texels
+
+
+def obj(folder, text: str) -> str:
+    (folder / "mesh.obj").write_text(CORNERS + OWN + text)
+    return str(folder / "mesh.obj")
+
+
+def parts(path: str, **settings) -> dict:
+    return shape.parts(PhotosConfig(mesh=path, **settings), None)
+
+
+def as_in_the_file(part, left: float, right: float) -> bool:
+    """Whether u goes from ``left`` to ``right`` along x, and v is 1 - y, as the file says."""
+    u, v = part.texcoords.T
+    x, y = part.vertices[:, 0], part.vertices[:, 1]
+    wanted = left + (right - left) * (x - x.min())
+    return np.allclose(u, wanted, atol=1e-6) and np.allclose(v, 1 - y, atol=1e-6)
+
+
+@pytest.mark.parametrize("library", [True, False])
+@pytest.mark.parametrize("words", ["usemtl {}\n", "o {0}\nusemtl {0}\n"])
+@pytest.mark.parametrize("second", [APART, OVER])
+def test_a_map_each(tmp_path, library, words, second):
+    """Of the file's own coordinates, whether they overlap or not, whether the file of materials is
+    there or not."""
+    text = f"{words.format('wood')}{LEFT}{words.format('red paint.2')}{second}"
+    path = obj(tmp_path, f"mtllib mesh.mtl\n{text}")
+    if library:
+        (tmp_path / "mesh.mtl").write_text("newmtl wood\nKd 1 0 0\nnewmtl red paint.2\nKd 1 1 0\n")
+    found = parts(path)
+    assert list(found) == ["object_wood", "object_red_paint_2"]
+    assert as_in_the_file(found["object_wood"], 0, 0.4)
+    assert as_in_the_file(found["object_red_paint_2"], *((0.6, 1) if second == APART else (0, 0.4)))
+    assert len(shape.surface(PhotosConfig(mesh=path), None).faces) == 4
+
+
+def test_one_map_where_coordinates_do_not_overlap(tmp_path):
+    path = obj(tmp_path, f"usemtl a\n{LEFT}usemtl b\n{APART}")
+    found = parts(path, materials="one")
+    assert list(found) == ["object"] and len(found["object"].texcoords) == 12
+    path = obj(tmp_path, f"usemtl a\n{LEFT}usemtl b\n{OVER}")
+    with pytest.raises(InputError, match="2 materials of .*mesh.obj share .*photos.materials=each"):
+        parts(path, materials="one")
+
+
+def test_materials_without_coordinates(tmp_path):
+    """A colour each; beside one that has some, too."""
+    plain = LEFT.replace("/1", "").replace("/2", "").replace("/3", "").replace("/4", "")
+    path = obj(tmp_path, f"usemtl a\n{plain}usemtl b\n{APART}")
+    found = parts(path)
+    assert len(found["object_a"].texcoords) == 0 and as_in_the_file(found["object_b"], 0.6, 1)
+    with pytest.raises(InputError, match="material a of .* has no texture coordinates"):
+        parts(path, materials="one")
+    path = obj(tmp_path, plain + APART)
+    with pytest.raises(InputError, match="only some have texture coordinates: unwrap"):
+        parts(path)
+
+
+def test_nodes_of_gltf(tmp_path):
+    """Where they stand; those of one material are one."""
+    square = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+    uv = [[0, 0], [1, 0], [1, 1], [0, 1]]
+    scene = trimesh.Scene()
+    for number, name in enumerate(("red", "blue", "red")):
+        each = square.copy()
+        colour = [255 * (name == "red"), 0, 255 * (name == "blue"), 255]
+        material = trimesh.visual.material.PBRMaterial(name=name, baseColorFactor=colour)
+        each.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+        place = trimesh.transformations.translation_matrix([2 * number, 0, 0])
+        scene.add_geometry(each, transform=place)
+    scene.export(tmp_path / "mesh.glb")
+    found = parts(str(tmp_path / "mesh.glb"))
+    assert {name: len(part.faces) for name, part in found.items()} == {
+        "object_red": 4,
+        "object_blue": 2,
+    }
+    assert as_in_the_file(found["object_blue"], 0, 1)
+    assert sorted(set(found["object_red"].vertices[:, 0].tolist())) == [0, 1, 4, 5]
+
+
+def test_edges_between_materials_stay_smooth(tmp_path):
+    """Normals are those of the whole surface."""
+    ball = trimesh.creation.icosphere(3)
+    lines = ["v {} {} {}".format(*v) for v in ball.vertices] + ["usemtl a"]
+    for number, face in enumerate(ball.faces + 1):
+        lines += ["usemtl b"] * (number == 600) + ["f {} {} {}".format(*face)]
+    (tmp_path / "ball.obj").write_text("\n".join(lines))
+    found = parts(str(tmp_path / "ball.obj"))
+    assert len(found) == 2
+    for part in found.values():
+        np.testing.assert_allclose(part.normals, part.vertices, atol=0.02)
+
+
+@pytest.fixture
+def two(tmp_path) -> list[str]:
+    photo_sets.transforms(Files(tmp_path, POSES))
+    path = obj(tmp_path, f"usemtl a\n{LEFT}usemtl b\n{OVER}")
+    return ["scene=photos", f"photos.path={tmp_path}", f"photos.mesh={path}", "photos.texture=8"]
+
+
+def built(settings: list[str]):
+    cfg = schema.typed(compose(translate(settings))).scene
+    return cfg, *assemble.bare(cfg)[:2]
+
+
+def test_each_is_an_unknown_and_leaves_again(two, tmp_path, rng):
+    cfg, made, _ = built([*two, "photos.sky=4", "photos.roughness=true"])
+    keys = [f"object_{name}.bsdf.brdf_0.{what}" for name in "ab" for what in ("base_color.data",)]
+    assert set(keys) < set(made.unknowns.keys) and len(made.unknowns.keys) == 5
+    arrays = {u.key: rng.uniform(0.3, 0.6, u.start.shape).astype(np.float32) for u in made.unknowns}
+    path, _ = export.write(cfg, arrays, tmp_path / "result")
+    with backend.loading():  # of EXR files, for which a worker's one thread is not enough
+        params = mi.traverse(mi.load_file(str(path), optimize=False))
+    for name in "ab":
+        (key,) = [k for k in params.keys() if k.startswith(f"object_{name}.") and "r.data" in k]
+        np.testing.assert_allclose(
+            params[key], arrays[f"object_{name}.bsdf.brdf_0.base_color.data"]
+        )
+        assert (tmp_path / f"result/painted/object_{name}.png").is_file()
+
+
+@pytest.mark.parametrize("key", ["object.vertices", "object_a.vertices", "object.bsdf.x"])
+def test_what_would_tear_it_is_one_line(two, key):
+    unknowns = json.dumps({key: {"start": "smooth"}})
+    with pytest.raises(InputError, match="object_a, object_b; photos.materials=one") as error:
+        built([*two, f"scene.unknowns={unknowns}"])
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("sphere", [[0, 0, 0, 0.5], [0.1, -3, 7, 1e-4], [1, 2, 3, 200]])
+def test_a_sphere_is_closed(sphere):
+    found = shape.surface(PhotosConfig(sphere=sphere), None)
+    whole = Topology.of(found.vertices, found.faces.astype(np.int64))
+    assert whole.flaws() == [] and whole.count == 63 * 128 + 2
+    out = (found.vertices - np.float32(sphere[:3])) / sphere[3]
+    np.testing.assert_allclose(found.normals, out, atol=0.02)
+
+
+def said(folder, *more: str) -> str:
+    photo_sets.transforms(Files(folder, POSES))
+    settings = ["scene=photos", f"photos.path={folder}", "photos.sphere=[0,0,0,0.4]", *more]
+    cfg = schema.typed(compose(translate([*settings, "photos.texture=8", "photos.sky=4"]))).scene
+    made, taken, every = assemble.bare(cfg)
+    assemble._take(taken, made, every)
+    return " | ".join(made.warnings)
+
+
+SHAPE = 'scene.unknowns={"object.vertices": {"start": "smooth"}}'
+
+
+def test_what_is_said_of_shapes(tmp_path):
+    assert "photos.background=true, but only where" in said(tmp_path, SHAPE)
+    assert "open" not in said(tmp_path, SHAPE)  # the sphere is no user's mesh
+    assert "photos.background" not in said(tmp_path, SHAPE, "photos.background=true")
+    moved = {"object.bsdf.brdf_0.base_color.data": {"start": 0.5}, "move": {"start": 0.0}}
+    pose = [
+        'scene.poses={"move": {"kind": "translation", "objects": ["object"]}}',
+        f"scene.unknowns={json.dumps(moved)}",
+    ]
+    assert "runs away" not in said(tmp_path, *pose)
+    assert "photos.background=false, unless" in said(tmp_path, *pose, "photos.background=true")
+    single = said(tmp_path, *pose, "photos.test=[view_1,view_2]")
+    assert "some texture shows a single view" in single and "background=true" not in single
