@@ -121,7 +121,10 @@ _WORST = (
 
 # Where a derivative is wrong, in words, by class and parameter.
 _CAUSES = {
-    ("BumpMap", "nested_texture"): "low where it turns parts of a surface away from the camera",
+    (
+        "BumpMap",
+        "nested_texture",
+    ): "not right where it turns parts of a surface away from the camera",
 }
 
 
