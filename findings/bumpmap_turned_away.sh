@@ -5,9 +5,10 @@
 # Seen with Mitsuba 3.9.1 (llvm_ad_rgb): on a plane with steep bumps that faces the camera they do,
 # within 1 %. With the same plane turned by 40 degrees both give 1.12 of what differences show, at 60
 # degrees -0.33 of it, with standard errors of 0.02 and less.
-# Where: src/bsdfs/bumpmap.cpp: light is dropped where the tilted frame turns a point away from the
-# viewer, and a diffuse material does not fade towards that edge. The edge moves with the bumps;
-# derivatives of what is on its two sides say nothing of that.
+# Where: src/bsdfs/bumpmap.cpp turns the viewer's direction into the tilted frame, and diffuse.cpp
+# reflects nothing where its cosine there is not above 0, without fading towards that edge. The edge
+# moves with the bumps; derivatives of what lies on its two sides say nothing of that. traverse()
+# flags the texture as discontinuous, beside differentiable; no integrator does anything about it.
 # Users of isas: `isas unknowns` and every run with such an unknown say so.
 set -euo pipefail
 folder=$(mktemp -d)
