@@ -82,7 +82,8 @@ def given(
     if len(empty) == len(problem.names):
         raise InputError(
             "no photograph shows the object where a pixel counts: its place or scale is not the "
-            "cameras': look at `isas photos DIR photos.mesh=FILE`"
+            "cameras', or masks are inverted (white counts): look at `isas photos DIR "
+            "photos.mesh=FILE`"
         )
     problem.warnings += [f"view {name} does not show the object" for name in empty]
     problem.set_targets(mi.Float(pixels), mi.Float(mask), hashed.hexdigest())

@@ -145,3 +145,47 @@ def test_a_start_in_another_order_is_refused(ball, capsys):
     with pytest.raises(AssertionError):
         run(ball, "photos.background=black", "budget.iterations=1", words)
     assert "in another order" in capsys.readouterr().err.replace("\n", " ")
+
+
+def rewrite(ball, number: int, alpha: np.ndarray) -> None:
+    """Another alpha of a view, over a bright wall."""
+    pixels = np.full((HEIGHT, WIDTH, 4), 230, np.uint8)
+    pixels[covered() > 0, :3] = GREY
+    pixels[..., 3] = np.rint(255 * alpha)
+    Image.fromarray(pixels).save(ball / f"{number}.png")
+
+
+def told(folder, **settings) -> list[str]:
+    own = {"path": str(folder), "sphere": [0.0, 0.0, 0.0, RADIUS]}
+    return photographs.load(PhotosConfig(**own | settings)).warnings
+
+
+def test_outlines_that_fit_are_passed_without_a_word(ball):
+    assert told(ball, background="black") == told(ball) == []
+
+
+def test_inverted_alpha_and_masks_are_doubted(ball):
+    for number in range(4):
+        rewrite(ball, number, 1 - covered())
+    assert "masks look inverted" in told(ball, background="black")[0]
+    (ball / "masks").mkdir()
+    for number in range(4):
+        Image.open(ball / f"{number}.png").convert("RGB").save(ball / f"{number}.png")
+        mask = np.uint8(255 * (covered() < 0.5))
+        Image.fromarray(mask).save(ball / f"masks/{number}.png")
+    assert "masks look inverted" in told(ball, background="black", saturated=None)[0]
+    assert "masks look inverted" in told(ball, saturated=None)[0]
+
+
+def test_an_alpha_that_says_nothing_is_doubted_or_refused(ball):
+    rewrite(ball, 1, np.ones((HEIGHT, WIDTH)))
+    (said,) = told(ball, background="black")
+    assert "fills all of 1 of 4 pictures" in said and "1.png" in said
+    rewrite(ball, 1, np.zeros((HEIGHT, WIDTH)))
+    with pytest.raises(InputError, match="1.png: by its alpha or mask it shows nothing"):
+        told(ball, background="black")
+
+
+def test_an_environment_that_is_not_there_is_refused_at_once(ball):
+    with pytest.raises(InputError, match="photos.environment=gone.exr: no such picture file"):
+        told(ball, environment="gone.exr")

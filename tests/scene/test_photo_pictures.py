@@ -199,7 +199,7 @@ def test_a_missing_picture(tmp_path, form):
     taken = loaded(tmp_path, missing="skip")
     assert [each.camera.name[-5:] for each in taken.shown] == ["0.png", "2.png"]
     (told,) = taken.warnings
-    assert "1 views are left out" in told and "1.png" in told
+    assert "1 of the views are left out" in told and "1.png" in told
 
 
 def test_pictures_in_another_folder(tmp_path):

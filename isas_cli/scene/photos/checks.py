@@ -114,7 +114,8 @@ def warnings(checked: list[View], photographs: Photographs) -> list[str]:
     behind = [v for v in checked if v.before < 0.5]
     outside = [v for v in checked if v.before >= 0.5 and v.inside < _SEEN]
     tiny = [v for v in checked if v.inside >= _SEEN and v.spanned < _SPANNED]
-    if len(behind) > many:
+    around = [v.photograph.camera.name for v in checked if _encloses(photographs.surface, v)]
+    if len(behind) > many and len(around) <= many:
         found.append(
             f"the object lies behind {len(behind)} of {len(checked)} cameras: they look the other "
             "way; the axes of their file are other than its format's"
@@ -129,9 +130,11 @@ def warnings(checked: list[View], photographs: Photographs) -> list[str]:
             f"the object fills less than {_SPANNED:.0%} of {len(tiny)} of {len(checked)} views: "
             "its scale is probably not the cameras'"
         )
-    inside = [v.photograph.camera.name for v in checked if _encloses(photographs.surface, v)]
-    if inside:
-        found.append(f"{len(inside)} cameras stand inside the mesh, first that of {inside[0]}")
+    if around:
+        scale = ": its scale is probably not the cameras'" if len(around) > many else ""
+        found.append(
+            f"{len(around)} cameras stand inside the mesh, first that of {around[0]}{scale}"
+        )
     return found
 
 

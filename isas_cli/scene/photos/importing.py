@@ -15,7 +15,7 @@ from ...config.schema import PhotosConfig
 from ...runtime import images, raw
 from ...runtime.cache import cached, digest
 from ...runtime.errors import InputError
-from . import noise, turns
+from . import noise, outlines, turns
 from .camera import Camera
 
 # Raised when what is kept means something else.
@@ -39,7 +39,8 @@ class Photograph:
     ``mask (H, W) float32``: weights of the pixels, 0 where it shows nothing that counts;
     ``lost``: why pixels do not count → how many of the photograph's own; ``doubt``: what its file
     says of its colours that could not be heeded, or None; ``variance``: of a pixel's noise, or None
-    where the photograph does not tell (``noise.of_one``)."""
+    where the photograph does not tell (``noise.of_one``); ``part (H, W)``: how much of each pixel
+    the object fills, where that counts (``photos.background=black``)."""
 
     camera: Camera
     image: np.ndarray
@@ -47,6 +48,7 @@ class Photograph:
     lost: dict[str, int]
     doubt: str | None = None
     variance: float | None = None
+    part: np.ndarray | None = None
 
 
 def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photograph:
@@ -64,6 +66,11 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
     if settings.background == BLACK:
         part, associated = _part(camera, settings, turned)
         image = image if associated else image * part[..., None]
+        if outlines.empty(part):
+            raise InputError(
+                f"{camera.image}: by its alpha or mask it shows nothing of the object: leave this "
+                "view out, or mend its mask"
+            )
     mask, lost = _mask(camera, picture, settings, turned, part)
     variance = None
     if camera.image.suffix.lower() not in noise.LOSSY:
@@ -77,13 +84,16 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
         )
         image, mask = made["image"], made["mask"]
         variance = None if variance is None else variance * _noise_kept(camera, target)
+        if part is not None:
+            grey = np.repeat(part[..., None], 3, axis=2)
+            part = resample(camera, target, grey, np.ones_like(part))[0][..., 0]
     if not mask.any():
         told = ", ".join(f"{number} {why}" for why, number in lost.items() if number)
         raise InputError(
             f"{camera.image}: no pixel counts ({told or 'all outside after undistortion'}): "
             "leave this view out, or mend its mask"
         )
-    return Photograph(target, image, mask, lost, picture.doubt, variance)
+    return Photograph(target, image, mask, lost, picture.doubt, variance, part)
 
 
 def _linear(file: Path, encoding: str) -> bool | None:

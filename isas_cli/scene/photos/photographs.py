@@ -9,7 +9,7 @@ from pathlib import Path
 from ...config.schema import PhotosConfig
 from ...runtime.errors import InputError
 from ...scenes.meshes import Surface
-from . import finding, importing, reading, shape, turns
+from . import finding, importing, outlines, reading, shape, turns
 from .base import Capture
 from .importing import Photograph
 
@@ -43,6 +43,8 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     """Read and resample. ``shapeless``: whether there may be no object. Raises InputError for all
     that is wrong with cameras, pictures, object."""
     root = reading.folder_of(settings.path)
+    if settings.environment is not None and not Path(settings.environment).is_file():
+        raise InputError(f"photos.environment={settings.environment}: no such picture file")
     with finding.looking(settings, root) as sources:
         capture = reading.read(settings.path, settings.test, settings.cameras, settings.world)
     _check(capture, sources)
@@ -57,7 +59,9 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
         for part in (shown, held)
     ]
     told += [*_left_out(sources), *more, *_doubts([*made[0], *made[1]])]
-    return Photographs(*made, capture, parts, settings, told)
+    found = Photographs(*made, capture, parts, settings, told)
+    told += outlines.doubts(found.all, found.surface)
+    return found
 
 
 def _check(capture: Capture, sources: finding.Sources) -> None:
@@ -83,8 +87,8 @@ def _left_out(sources: finding.Sources) -> list[str]:
     names = ", ".join(sources.missing[:_NAMED])
     more = len(sources.missing) - _NAMED
     return [
-        f"photos.missing=skip: {len(sources.missing)} views are left out, whose pictures do not "
-        f"exist: {names}{f' and {more} more' if more > 0 else ''}"
+        f"photos.missing=skip: {len(sources.missing)} of the views are left out, whose pictures do "
+        f"not exist: {names}{f' and {more} more' if more > 0 else ''}"
     ]
 
 

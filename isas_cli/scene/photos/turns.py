@@ -76,12 +76,12 @@ def resized(camera: Camera, size: tuple[int, int], settings: PhotosConfig) -> Ca
     """The camera of a picture of that ``size``. Raises InputError where it has another, unless
     ``photos.scale`` says so."""
     own, scale = (camera.width, camera.height), settings.scale
-    found = factor(size, own)
+    plain = found = factor(size, own)
     if found is not None and isinstance(scale, (int, float)):
         least = 1 / min(own)  # what rounding to a pixel may change
         found = found if abs(found - scale) <= max(least, 1e-3 * scale) else None
     elif scale is None and size != own:
-        plain, found = found, None
+        found = None
         if plain is not None:
             raise InputError(
                 f"{_sizes(camera, size)}: {plain:.4g} times as large: photos.scale=auto where it "
@@ -91,6 +91,8 @@ def resized(camera: Camera, size: tuple[int, int], settings: PhotosConfig) -> Ca
         told = "resize the picture, or scale the camera's numbers"
         if scale is not None:
             told = f"photos.scale={scale}, and no one factor of both axes is that"
+            if plain is not None:
+                told = f"photos.scale={scale}, but it is {plain:.4g} times as large"
         elif heif.names(camera.image):
             told = "HEIC pictures are turned as they are decoded: convert them as the cameras' were"
         raise InputError(f"{_sizes(camera, size)}: {told}")
