@@ -156,7 +156,7 @@ def test_pictures_resized_after_calibration(tmp_path, form):
         assert (camera.width, camera.height) == SIZE
         assert camera.fx == photo_sets.FOCAL / 2
         assert (camera.cx, camera.cy) == (photo_sets.CENTRE[0] / 2, photo_sets.CENTRE[1] / 2)
-    with pytest.raises(InputError, match="photos.scale=0.25, and no one factor"):
+    with pytest.raises(InputError, match="photos.scale=0.25, but it is 0.5 times"):
         loaded(tmp_path, scale=0.25)
 
 
