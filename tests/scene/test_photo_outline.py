@@ -80,11 +80,13 @@ def test_masks_end_it_where_there_is_no_alpha(ball):
             Image.open(ball / f"{number}.png").convert("RGB").save(ball / f"{number}.png")
         load(ball, background="black", saturated=None)
     (ball / "masks").mkdir()
-    for number in range(4):
-        Image.fromarray(np.uint8(255 * (covered() > 0.5))).save(ball / f"masks/{number}.png")
-    for each in load(ball, background="black", saturated=None):
-        assert each.mask.all() and not each.image[covered() <= 0.5].any()
-        assert (each.image[covered() == 1] > 0.2).all()
+    for white in (255, 1):
+        for number in range(4):
+            mask = np.uint8(white * (covered() > 0.5))
+            Image.fromarray(mask).save(ball / f"masks/{number}.png")
+        for each in load(ball, background="black", saturated=None):
+            assert each.mask.all() and not each.image[covered() <= 0.5].any()
+            assert (each.image[covered() == 1] > 0.2).all()
 
 
 def test_colours_that_are_multiplied_already_stay(ball):
@@ -162,6 +164,13 @@ def told(folder, **settings) -> list[str]:
 
 def test_outlines_that_fit_are_passed_without_a_word(ball):
     assert told(ball, background="black") == told(ball) == []
+
+
+def test_a_mesh_of_few_corners_is_asked_all_over(ball):
+    """The corners of a box lie on its outline, where masks end."""
+    mesh = ball / "box.obj"
+    trimesh.creation.box(extents=[1.1 * RADIUS] * 3).export(mesh)
+    assert told(ball, background="black", sphere=None, mesh=str(mesh)) == []
 
 
 def test_inverted_alpha_and_masks_are_doubted(ball):

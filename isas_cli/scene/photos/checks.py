@@ -10,12 +10,11 @@ from ...scenes.meshes import Surface
 from . import corners
 from .camera import Camera
 from .importing import Photograph
+from .outlines import scattered
 from .photographs import Photographs
 
-# Points of the surface that are looked for in each picture.
-_POINTS = 4000
-# Of these, the share that a view should see at least; and of a picture's area, what they should
-# span.
+# Of points of the surface, the share that a view should see at least; and of a picture's area, what
+# they should span.
 _SEEN, _SPANNED = 0.1, 0.01
 _OFF = 2  # pixels that a known point may lie off
 
@@ -41,7 +40,7 @@ class View:
 def views(photographs: Photographs) -> list[View]:
     """One each, in order."""
     described = {camera.name: camera for camera in photographs.capture.cameras}
-    points = None if photographs.surface is None else _scattered(photographs.surface)
+    points = None if photographs.surface is None else scattered(photographs.surface)
     result = []
     for number, each in enumerate(photographs.all):
         view = View(each, number >= len(photographs.shown))
@@ -50,17 +49,6 @@ def views(photographs: Photographs) -> list[View]:
         _reproject(view, described[each.camera.name], photographs)
         result.append(view)
     return result
-
-
-def _scattered(surface: Surface) -> np.ndarray:
-    """Points of a surface, evenly by its area, ``(_POINTS, 3)``; always the same."""
-    rng = np.random.default_rng(0)
-    a, b, c = (surface.vertices[surface.faces[:, k]].astype(np.float64) for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    chosen = rng.choice(len(area), _POINTS, p=area / area.sum())
-    u, v = rng.random((2, _POINTS, 1))
-    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    return a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
 
 
 def _place(view: View, camera: Camera, points: np.ndarray) -> None:

@@ -145,7 +145,9 @@ def _part(camera: Camera, settings: PhotosConfig, turned: bool) -> tuple[np.ndar
     if alpha is not None:
         return np.clip(alpha, 0, 1), images.multiplied(camera.image)
     if camera.mask is not None:
-        return _given_mask(camera, settings, turned), False
+        given = _given_mask(camera, settings, turned)
+        # Masks of 0 and 1 are 0 and 1 / 255 here.
+        return given / max(float(given.max()), 1e-6), False
     raise InputError(
         f"photos.background=black: {camera.image} has neither alpha nor a mask, which would say "
         "where the object ends: photos.masks=FOLDER names masks"
