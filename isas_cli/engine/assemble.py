@@ -21,12 +21,9 @@ from ..scene.photos import building, importing, noise, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
 from ..unknowns import verdicts
-from ..unknowns.exposure import Exposure
 from ..unknowns.parameters import owner, read
-from ..unknowns.poses import Pose
 from ..unknowns.specs import narrow_blurs, parse
 from ..unknowns.unknowns import Unknown, Unknowns
-from ..unknowns.vertices import Vertices
 
 
 def bare(
@@ -63,6 +60,13 @@ def bare(
         of_views = building.of_views(taken, views)
     truth_known = taken is None and scene.targets is None
     found = parsed(params, wanted, truth_known, scene.poses, of_views)
+    if taken is not None and len(taken.parts) > 1:
+        for each in (each for each in found if each.kind.deforms):
+            raise InputError(
+                f"scene.unknowns: '{each.key}': {scene.photos.mesh} has several materials, a shape "
+                f"each ({', '.join(taken.parts)}), which would part at their seams: "
+                f"photos.materials=one makes one shape '{building.OBJECT}' of them"
+            )
     written = {key for each in found for key in each.kind.writes}
     single = flat.reduce(mi.traverse(loaded), written)
     held = sorted(written & set(params.keys()))
@@ -142,10 +146,10 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
     pictures, masks = ([getattr(p, n) for p in taken.shown] for n in ("image", "mask"))
     targets.given(problem, pictures, masks, filled)
     problem.photographed = noise.of_all(taken.shown)
-    if (exposure := problem.unknowns.of(Exposure)) is not None:
-        ends = np.cumsum([width * height for width, height in problem.film_sizes])[:-1]
-        parts = np.split(np.array(problem.mask), ends)
-        exposure.kind.compare(np.array([part.sum() for part in parts]))
+    ends = np.cumsum([width * height for width, height in problem.film_sizes])[:-1]
+    counts = np.array([part.sum() for part in np.split(np.array(problem.mask), ends)])
+    for unknown in problem.unknowns:
+        unknown.kind.compare(counts)
     problem.warnings += _untold(taken, problem.unknowns)
     if not taken.held:
         return
@@ -172,7 +176,7 @@ def _untold(taken: photographs.Photographs, unknowns: Unknowns) -> list[str]:
     moving = [unknown for unknown in unknowns if unknown.kind.moves_geometry]
     if not moving or taken.settings.background == importing.BLACK:
         return []
-    shapes = [unknown.key for unknown in moving if isinstance(unknown.kind, Vertices)]
+    shapes = [unknown.key for unknown in moving if unknown.kind.deforms]
     filled, found = not taken.settings.background, []
     hidden = {"masked by its file", "transparent"}
     masked = any(each.lost.get(why) for each in taken.shown for why in hidden)
@@ -190,7 +194,7 @@ def _untold(taken: photographs.Photographs, unknowns: Unknowns) -> list[str]:
             "follows that"
         )
     painted = [u.key for u in unknowns if u.kind.role == "colour" and u.start.ndim == 3]
-    posed = [unknown.key for unknown in moving if isinstance(unknown.kind, Pose)]
+    posed = [unknown.key for unknown in moving if not unknown.kind.deforms]
     if posed and painted and len(taken.shown) == 1:
         found.append(
             f"'{posed[0]}' and '{painted[0]}' are unknown together, and from any pose some texture "

@@ -51,11 +51,10 @@ class Exposure(Kind):
         self._views.exposure = dr.opaque(mi.Float, 1, table.size)
         self.compare(np.ones(self._views.count))
 
-    def compare(self, weights: np.ndarray) -> None:
-        """``weights (V,)``: of each view, of its pixels that count. Where the first view has none
-        it tells nothing, and all others are as they are told."""
-        first = float(weights[0])
-        share = np.asarray(weights, np.float64) / first if first > 0 else np.zeros(len(weights))
+    def compare(self, counts: np.ndarray) -> None:
+        # Where the first view has none it tells nothing, and all others are as they are told.
+        first = float(counts[0])
+        share = np.asarray(counts, np.float64) / first if first > 0 else np.zeros(len(counts))
         self._share = like(mi.Float, np.repeat(share, self._channels).astype(np.float32))
         dr.make_opaque(self._share)
 

@@ -69,10 +69,11 @@ class Kind:
     is added to in the scene, whose rounding limits how finely it can be moved.
 
     ``moves_geometry``: whether it changes what is visible: path replay cannot differentiate it, and
-    no entry of it is ever judged unseen. ``affine``: whether it moves all of an object
-    alike, so that what is convex stays so. ``hides``: whether its entries hide each other from
-    view, so that its value decides which are seen. ``axes``: (axis of the array, whether its last
-    entry is the first one's neighbour), for each axis along which neighbours are alike.
+    no entry of it is ever judged unseen. ``affine``: whether it moves all of an object alike, so
+    that what is convex stays so. ``deforms``: whether it is a mesh's own shape. ``hides``: whether
+    its entries hide each other from view, so that its value decides which are seen. ``axes``: (axis
+    of the array, whether its last entry is the first one's neighbour), for each axis along which
+    neighbours are alike.
 
     ``order``: of those that write the same parameter, the lower comes first. ``settings``: what the
     configuration says of it beside ``scene.unknowns``, in a text that changes as that does.
@@ -91,6 +92,7 @@ class Kind:
     bare: tuple[float, float] = (0.0, 0.0)
     moves_geometry: bool = False
     affine: bool = False
+    deforms: bool = False
     hides: bool = False
     period: float | None = None
     scale: float = 1.0
@@ -192,6 +194,9 @@ class Kind:
         """The direction of steps for a ``gradient`` at ``value``, where that is another; both as
         ``value`` makes them. Traced."""
         return gradient
+
+    def compare(self, counts: np.ndarray) -> None:
+        """Be told how many pixels of each view count, ``(V,)``, by their weights."""
 
     def smoothed(self, gradient: np.ndarray) -> np.ndarray:
         """Where ``uniform``: the direction of steps for a ``gradient``, on the host."""

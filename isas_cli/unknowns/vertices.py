@@ -50,6 +50,7 @@ class Vertices(Kind):
 
     name = "vertices"
     moves_geometry = True
+    deforms = True
     uniform = True
     doubtful = True
     undivided = (

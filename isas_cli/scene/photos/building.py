@@ -98,7 +98,7 @@ def straightened(camera: Camera) -> np.ndarray:
 def unknowns(settings: PhotosConfig, parts: dict[str, meshes.Surface], own: dict) -> dict[str, Any]:
     """What is unknown: ``own``, or the base colour, the roughness where that is asked for, of each
     part, and the light where none is given; always the exposures and poses, where they are not
-    fixed. Raises InputError for keys that tear an object of several parts, or speak of one."""
+    fixed. Raises InputError for keys that speak of one part where there are several."""
     found = dict(own)
     if len(parts) > 1:
         _check_parts(settings, list(parts), found)
@@ -120,7 +120,7 @@ def unknowns(settings: PhotosConfig, parts: dict[str, meshes.Surface], own: dict
 
 def _check_parts(settings: PhotosConfig, names: list[str], own: dict) -> None:
     for key in own:
-        if key.startswith(f"{OBJECT}.") or (key.endswith(".vertices") and key[:-9] in names):
+        if key.partition(".")[0] == OBJECT:
             raise InputError(
                 f"scene.unknowns: '{key}': {settings.mesh} has several materials, a shape each: "
                 f"{', '.join(names)}; photos.materials=one makes one shape '{OBJECT}' of them"
