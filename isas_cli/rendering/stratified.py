@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
@@ -22,7 +22,6 @@ from ..runtime import streams
 from ..scene.problem import Problem
 from ..unknowns.parameters import own
 from . import rays
-from .integrators import Surfaces
 from .kernels import recorded
 
 # Lanes per pass: large enough to fill the cores, small enough for a few hundred MB.
@@ -43,10 +42,6 @@ _FEWEST, _DEAREST = 2, 4096
 # The share of pixels whose noise is the images': a few with rare bright paths would else be all of
 # it, and no number of paths would do.
 _SHARE = 0.99
-# Light samples at the first vertex, where paths can have several: on nine scenes 0.4 to 1.2 of the
-# noise × time of one, on six of them less than 0.9. More, or directions to pick from, gain as much
-# again where lamps are many, and lose it where none is.
-_LIGHTS = 4
 # Before any round: the number of the pilot's first pass, for its seed.
 _PILOT = 1 << 26
 # What strata are taken to gain, before there is a measurement.
@@ -137,7 +132,7 @@ class _Rendering:
         self.parts = _PARTS if self.length >= 4 * _PARTS else 1
         self.width = max(1, min(self.pixels, _LANES // self.length))
         sizes = self.length, self.parts, self.width
-        self._kernel = recorded(_kernel(_lit(problem.integrator), *sizes), problem)
+        self._kernel = recorded(_kernel(problem.integrator, *sizes), problem)
 
     def sums(self, kept: Sums | None) -> Sums:
         found = Sums.none(*self._shared_out()) if kept is None else kept
@@ -245,13 +240,6 @@ class _Rendering:
         dr.eval(sums)
         sums = [np.array(each)[: chosen.size] for each in sums]
         return np.stack(sums[:3]), np.stack(sums[3:6]), sums[6]
-
-
-def _lit(integrator):
-    """``integrator``, with light samples that pay where nothing but the radiance is asked for."""
-    if not isinstance(integrator, Surfaces):
-        return integrator
-    return integrator.cut(replace(integrator.paths, lights=(_LIGHTS, _LIGHTS), directions=1))
 
 
 def _kernel(integrator, length: int, parts: int, width: int):
