@@ -39,10 +39,11 @@ def test_one_thread_gives_the_same_bits(values):
 def test_several_threads_differ_by_rounding(values):
     """Sums in another order. Now and then that moves one drawn pixel to its neighbour, and Adam
     amplifies it where a texel's gradients nearly cancel: single texels were seen up to 0.04 apart
-    after 40 steps of 0.02, so that they say nothing. 99 in 100 were never more than 3e-5 apart. A
-    step taken twice or not at all moves all of them."""
+    after 40 steps of 0.02, and 1 in 30 of them 4e-4, so that these say nothing. A step taken twice
+    or not at all moves all of them; a hundredth fewer paths, by 2e-3 in the mean."""
     _, one, two = values
     apart = np.abs(one - two)
-    print("largest difference", apart.max(), "mean", apart.mean())
-    assert apart.mean() < 1e-4
-    assert np.quantile(apart, 0.99) < 1e-3
+    shares = np.quantile(apart, [0.5, 0.8])
+    print("largest difference", apart.max(), "mean", apart.mean(), "shares", shares)
+    assert apart.mean() < 5e-4
+    assert shares[0] < 1e-6 and shares[1] < 1e-4
