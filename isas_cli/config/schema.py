@@ -250,7 +250,7 @@ class PhotosConfig:
         ):
             if getattr(self, name) not in valid:
                 raise InputError(f"photos.{name}={getattr(self, name)}: valid: {', '.join(valid)}")
-        if self.background not in (False, True, "black") or isinstance(self.background, float):
+        if not isinstance(self.background, bool) and self.background != "black":
             raise InputError(f"photos.background={self.background}: valid: true, false, black")
         shapes = [n for n in ("mesh", "plane", "sphere") if getattr(self, n) is not None]
         if len(shapes) > 1:

@@ -47,9 +47,10 @@ def radiance(
     parameters are differentiated by. Traced.
 
     β: throughput so far, with the derivatives of all earlier BSDF values; L: radiance so far;
-    used: β as far as where paths go on is concerned, above 0 where only a derivative is left.
+    used: β as far as where paths go on is concerned, above 0 where only a derivative is left; κ: by
+    what roulette multiplies that.
     """
-    L, β, scale = mi.Spectrum(0), mi.Spectrum(1), mi.Float(1)
+    L, β, κ = mi.Spectrum(0), mi.Spectrum(1), mi.Float(1)
     sky = sky_for(scene, math.prod(draws))
     active, delta = mi.Bool(True), mi.Bool(True)
     spread, used = mi.Bool(False), mi.Spectrum(1)
@@ -90,13 +91,13 @@ def radiance(
         with dr.suspend_grad():
             drawn = scattered(lobes if differentiated else None, bsdf, si, sampler, active, attach)
             next_ray = si.spawn_ray(si.to_world(drawn.wo))
-            scale = scaled(scale, drawn.used, drawn.eta)
+            κ = scaled(κ, drawn.used, drawn.eta)
             used *= drawn.used
             active &= dr.max(used) != 0
             # Used or not: the stream stays in step with prb's.
             number, survival = sampler.next_1d(), mi.Float(1)
             if depth >= rr_depth:
-                lives = chance(used, scale)
+                lives = chance(used, κ)
                 active &= number < lives
                 survival = dr.select(active, dr.rcp(lives), 0)
                 used *= survival

@@ -176,7 +176,7 @@ class DerivativeSampling(InOneGo):
         up to it over the probability of having been drawn, and whether there is one.
         """
         context = mi.BSDFContext()
-        β, scale = mi.Spectrum(1), mi.Float(1)
+        β, κ = mi.Spectrum(1), mi.Float(1)
         depth = mi.UInt32(0)
         total = mi.Float(0)
         chosen_hit = dr.zeros(mi.PreliminaryIntersection3f)
@@ -202,9 +202,9 @@ class DerivativeSampling(InOneGo):
 
             sample, passed = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), active)
             β *= passed
-            scale = scaled(scale, passed, sample.eta)
+            κ = scaled(κ, passed, sample.eta)
             ray = si.spawn_ray(si.to_world(sample.wo))
-            β, alive = self._roulette(sampler, β, scale, depth)
+            β, alive = self._roulette(sampler, β, κ, depth)
             # The vertices after the last one would be of no use.
             active &= alive & (depth + 2 < self.paths.derivative)
             depth += 1
@@ -212,9 +212,9 @@ class DerivativeSampling(InOneGo):
 
         return chosen_hit, chosen_ray, chosen_depth, chosen_β * total, total > 0
 
-    def _roulette(self, sampler, β, scale, depth) -> tuple[mi.Spectrum, mi.Bool]:
+    def _roulette(self, sampler, β, κ, depth) -> tuple[mi.Spectrum, mi.Bool]:
         """Throughput after Russian roulette as path replay plays it, and who survives."""
-        lives = chance(β, scale)
+        lives = chance(β, κ)
         late = depth >= self.rr_depth
         alive = (dr.max(β) != 0) & (~late | (sampler.next_1d() < lives))
         return dr.select(late, β * dr.rcp(lives), β), alive
@@ -229,7 +229,7 @@ class DerivativeSampling(InOneGo):
         """
         context = mi.BSDFContext()
         at_once, pdf_light = mi.Spectrum(0), mi.Float(0)
-        L, β, scale = mi.Spectrum(0), mi.Spectrum(1), mi.Float(1)
+        L, β, κ = mi.Spectrum(0), mi.Spectrum(1), mi.Float(1)
         depth = mi.UInt32(number)
         ray = mi.Ray3f(ray)
         active = mi.Bool(active)
@@ -261,13 +261,13 @@ class DerivativeSampling(InOneGo):
 
             sample, passed = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), active)
             β *= passed
-            scale = scaled(scale, passed, sample.eta)
+            κ = scaled(κ, passed, sample.eta)
             ray = si.spawn_ray(si.to_world(sample.wo))
             previous = dr.detach(si, True)
             pdf = sample.pdf
             delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
             first = mi.Bool(False)
-            β, alive = self._roulette(sampler, β, scale, depth)
+            β, alive = self._roulette(sampler, β, κ, depth)
             active &= alive
             depth += 1
             hit = scene.ray_intersect_preliminary(ray, coherent=False, reorder=False, active=active)

@@ -46,7 +46,8 @@ def trace(
     differentiated by; a pass that is to be replayed needs the same. Returns the radiance, or in
     forward mode its derivative, ``(3, N)``. Traced.
 
-    L: radiance so far; in a replay, what the path still brings; β: throughput so far.
+    L: radiance so far; in a replay, what the path still brings; β: throughput so far; κ: by what
+    roulette multiplies it.
     """
     primal = mode == dr.ADMode.Primal
     max_depth = mi.UInt32(max_depth)
@@ -57,21 +58,7 @@ def trace(
     spread = (mi.Bool(False),) if caustics is not True else ()
 
     def vertex(
-        L,
-        found,
-        β,
-        scale,
-        depth,
-        active,
-        hit,
-        ray,
-        previous,
-        pdf,
-        delta,
-        spread,
-        sampler,
-        count,
-        here,
+        L, found, β, κ, depth, active, hit, ray, previous, pdf, delta, spread, sampler, count, here
     ):
         """One vertex: what it emits and reflects. ``count``: directions drawn to lights at the
         one before; ``here``: ``draws`` of this one."""
@@ -103,8 +90,8 @@ def trace(
                     found = found + dr.forward_to(total, flags=_ONCE)
 
         β = β * drawn.used
-        scale = scaled(scale, drawn.used, drawn.eta)
-        lives = chance(β, scale)
+        κ = scaled(κ, drawn.used, drawn.eta)
+        lives = chance(β, κ)
         late = depth >= rr_depth
         on &= (dr.max(β) != 0) & (~late | (sampler.next_1d() < lives))
         β = dr.select(late, β * dr.rcp(lives), β)
@@ -114,7 +101,7 @@ def trace(
         previous = dr.detach(si, True)
         spread = tuple(each | ~delta for each in spread)
         after = on, hit, next_ray, previous, drawn.pdf, delta, spread, sampler
-        return L, found, β, scale, depth + 1, *after
+        return L, found, β, κ, depth + 1, *after
 
     state = (
         mi.Spectrum(0 if primal else radiance),

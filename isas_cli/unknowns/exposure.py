@@ -58,12 +58,6 @@ class Exposure(Kind):
         self._share = like(mi.Float, np.repeat(share, self._channels).astype(np.float32))
         dr.make_opaque(self._share)
 
-    def value(self, array: np.ndarray):
-        # Earlier versions kept no entry of the first view.
-        if len(array) == self._views.count - 1:
-            array = np.concatenate([np.ones_like(array[:1]), array])
-        return super().value(array)
-
     def normal(self, array: np.ndarray) -> np.ndarray:
         return array / array[:1]
 

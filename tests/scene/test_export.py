@@ -283,7 +283,7 @@ def test_photographs_are_exported_with_their_cameras_where_they_were_found(tmp_p
     arrays = {
         colour: np.array([0.2, 0.5, 0.7]),
         "sky.data": rng.uniform(0.5, 2, (4, 8, 3)),
-        "exposure": np.array([[2.0], [0.5]]),
+        "exposure": np.array([[1.0], [2.0], [0.5]]),
         "cameras": rng.normal(0, 2, (2, 6)),
     }
     arrays = {key: array.astype(np.float32) for key, array in arrays.items()}

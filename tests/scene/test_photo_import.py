@@ -140,7 +140,8 @@ def test_raw_files_are_full_in_light():
     grey = np.full((1, 1, 3), 0.99, np.float32)
     raw, nearly = lens(image=Path("a.NEF")), images.Picture(grey, grey[..., 0], None)
     for encoding in ("auto", "linear"):
-        assert importing._mask(raw, nearly, PhotosConfig(encoding=encoding))[0].all()
+        settings = PhotosConfig(encoding=encoding)
+        assert importing._mask(raw, nearly, None, settings, False, None)[0].all()
     with pytest.raises(InputError, match="encoding=srgb: a.NEF is a camera raw file"):
         importing.load(raw, PhotosConfig(encoding="srgb"))
 

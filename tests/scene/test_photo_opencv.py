@@ -236,7 +236,7 @@ def test_storage_that_is_wrong(tmp_path):
         reading.read(str(tmp_path))
     (tmp_path / "b.xml").write_text(FILES["views.xml"])
     with pytest.raises(
-        InputError, match="a.yml and b.xml both hold a camera_matrix: photos.camera"
+        InputError, match="a.yml and b.xml are all files with a camera_matrix: photos.camera"
     ):
         reading.read(str(tmp_path))
     for name, text in (

@@ -100,9 +100,10 @@ def test_colours_that_are_multiplied_already_stay(ball):
         assert np.allclose(each.image, 0.3 * covered()[..., None], atol=1e-5)
 
 
-def test_what_it_may_be_is_said():
+@pytest.mark.parametrize("background", ["white", 1, 0.0, None])
+def test_what_it_may_be_is_said(background):
     with pytest.raises(InputError, match="valid: true, false, black"):
-        PhotosConfig(background="white")
+        PhotosConfig(background=background)
 
 
 def run(ball, *settings: str) -> dict:

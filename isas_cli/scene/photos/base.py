@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -122,3 +123,21 @@ def matrix(value, where: str) -> np.ndarray:
     if not np.isfinite(found).all():
         raise InputError(f"{where}: holds NaN or infinite numbers: mend or remove this view")
     return found
+
+
+def claimed(file: Path, claims: Callable[[Path], bool]) -> bool:
+    """Whether a reader ``claims`` a file; one that cannot be read is nobody's."""
+    try:
+        return claims(file)
+    except InputError:
+        return False
+
+
+def lone(folder: Path, found: list[Path], what: str) -> Path | None:
+    """The one of the files ``found``. Raises InputError for several, all of which are ``what``."""
+    if len(found) > 1:
+        raise InputError(
+            f"{folder}: {' and '.join(file.name for file in found)} are all {what}: "
+            f"photos.cameras={found[0].name} takes one"
+        )
+    return found[0] if found else None

@@ -62,16 +62,16 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
     picture = images.load(camera.image, linear=linear, turned=turned)
     image = picture.image
     camera = turns.resized(camera, image.shape[1::-1], settings)
-    part = None
+    alpha, part = images.read_alpha(camera.image, turned), None
     if settings.background == BLACK:
-        part, associated = _part(camera, settings, turned)
+        part, associated = _part(camera, alpha, settings, turned)
         image = image if associated else image * part[..., None]
         if outlines.empty(part):
             raise InputError(
                 f"{camera.image}: by its alpha or mask it shows nothing of the object: leave this "
                 "view out, or mend its mask"
             )
-    mask, lost = _mask(camera, picture, settings, turned, part)
+    mask, lost = _mask(camera, picture, alpha, settings, turned, part)
     variance = None
     if camera.image.suffix.lower() not in noise.LOSSY:
         variance = noise.of_one(image, mask if part is None else mask * (part >= _WHOLE))
@@ -110,15 +110,15 @@ def _linear(file: Path, encoding: str) -> bool | None:
 def _mask(
     camera: Camera,
     picture: images.Picture,
+    alpha: np.ndarray | None,
     settings: PhotosConfig,
-    turned: bool = False,
-    part: np.ndarray | None = None,
+    turned: bool,
+    part: np.ndarray | None,
 ) -> tuple[np.ndarray, dict[str, int]]:
     """Weights of the photograph's own pixels, and how many lack one for each reason. ``part``: how
     much of each the object fills, where what it does not fill counts as black."""
     mask = np.ones(picture.image.shape[:2], np.float32)
     lost = {}
-    alpha = images.read_alpha(camera.image, turned)
     # The only thing that says where the object ends may not also say what counts.
     if camera.mask is not None and (part is None or alpha is not None):
         given = _given_mask(camera, settings, turned)
@@ -138,10 +138,11 @@ def _mask(
     return mask, lost
 
 
-def _part(camera: Camera, settings: PhotosConfig, turned: bool) -> tuple[np.ndarray, bool]:
+def _part(
+    camera: Camera, alpha: np.ndarray | None, settings: PhotosConfig, turned: bool
+) -> tuple[np.ndarray, bool]:
     """How much of each pixel the object fills ``(H, W) float32``, by the picture's alpha or else
     its mask, and whether the picture is multiplied by it already. Raises InputError."""
-    alpha = images.read_alpha(camera.image, turned)
     if alpha is not None:
         return np.clip(alpha, 0, 1), images.multiplied(camera.image)
     if camera.mask is not None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...runtime.errors import InputError
 from . import layouts
-from .base import Asked, Capture, matrix, number, read_text, whole
+from .base import Asked, Capture, claimed, lone, matrix, number, read_text, whole
 from .camera import Camera
 from .finding import below, present
 from .lens import Lens
@@ -36,20 +36,8 @@ def claims(file: Path) -> bool:
 
 def find(folder: Path) -> Path | None:
     """Raises InputError for several."""
-    found = [file for file in sorted(folder.glob("*.xml")) if _likely(file)]
-    if len(found) > 1:
-        raise InputError(
-            f"{folder}: {' and '.join(file.name for file in found)} are both cameras of Metashape: "
-            f"photos.cameras={found[0].name} takes one"
-        )
-    return found[0] if found else None
-
-
-def _likely(file: Path) -> bool:
-    try:
-        return claims(file)
-    except InputError:
-        return False
+    found = [file for file in sorted(folder.glob("*.xml")) if claimed(file, claims)]
+    return lone(folder, found, "cameras of Metashape")
 
 
 def read(file: Path, asked: Asked) -> Capture:

@@ -12,14 +12,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import convolve
+from scipy.ndimage import minimum_filter
 
 if TYPE_CHECKING:
     from .importing import Photograph
 
 LOSSY = (".jpg", ".jpeg", ".jpe", ".heic", ".heif", ".avif", ".webp", ".jp2")
-# What is left of white noise of variance 1 has variance 1.
-_KERNEL = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]]) / 6
+# The root of the sum of squares of second differences both ways, (1, -2, 1) times (1, -2, 1).
+_GAIN = 6.0
 # Sides of blocks, how many there must be, and into how many groups by brightness they go at most,
 # as noise grows with it; the flattest of a group by share, and what such a block of white noise has
 # of its variance (tests/scene/test_photo_noise.py).
@@ -32,21 +32,20 @@ def of_one(image: np.ndarray, mask: np.ndarray) -> float | None:
     """Variance of a pixel of ``image (H, W, 3)``, the channels' mean, where ``mask (H, W)`` is
     above 0: the median over parts alike in brightness, of each by its flattest blocks; None where
     there are too few. A photograph that is nowhere flat has less than this."""
-    height, width = (size // _BLOCK * _BLOCK for size in image.shape[:2])
-    if not height or not width:
+    height, width = ((size - 2) // _BLOCK * _BLOCK for size in image.shape[:2])
+    if height <= 0 or width <= 0:
         return None
-    squares = np.zeros((height, width))
-    for channel in range(3):
-        left = convolve(image[..., channel].astype(np.float64), _KERNEL, mode="nearest")
-        squares += left[:height, :width] ** 2 / 3
-    # Second differences reach a pixel further.
-    counts = convolve((mask > 0).astype(int), np.ones((3, 3), int), mode="nearest") == 9
+    left = np.diff(np.diff(image, 2, axis=0), 2, axis=1)[:height, :width] / _GAIN
+    squares = np.square(left).mean(axis=2, dtype=np.float64)
+    # Where all that a difference is of counts.
+    inner = np.s_[1 : 1 + height, 1 : 1 + width]
+    counts = minimum_filter(mask, 3)[inner] > 0
     shape = height // _BLOCK, _BLOCK, width // _BLOCK, _BLOCK
-    whole = counts[:height, :width].reshape(shape).all(axis=(1, 3))
+    whole = counts.reshape(shape).all(axis=(1, 3))
     found = squares.reshape(shape).mean(axis=(1, 3))[whole]
     if found.size < _FEWEST:
         return None
-    bright = image[:height, :width].mean(axis=2).reshape(shape).mean(axis=(1, 3))[whole]
+    bright = image[inner].mean(axis=2).reshape(shape).mean(axis=(1, 3))[whole]
     groups = np.array_split(found[np.argsort(bright)], min(_GROUPS, found.size // _FEWEST))
     return float(np.median([np.quantile(each, _FLAT) for each in groups])) / _OF_FLAT
 

@@ -16,7 +16,7 @@ import yaml
 
 from ...runtime.errors import InputError
 from . import ours
-from .base import Asked, Capture, read_text
+from .base import Asked, Capture, claimed, lone, read_text
 
 _YAML, _XML = (".yml", ".yaml"), ".xml"
 # What tells such a file from others of its ending.
@@ -40,25 +40,17 @@ def claims(file: Path) -> bool:
 
 
 def find(folder: Path) -> Path | None:
-    """The first of those in the folder. Raises InputError for several."""
+    """Raises InputError for several."""
     found = [
         file
         for file in sorted(folder.iterdir())
-        if file.suffix.lower() in (*_YAML, _XML) and file.is_file() and _likely(file)
+        if file.suffix.lower() in (*_YAML, _XML) and file.is_file() and claimed(file, _likely)
     ]
-    if len(found) > 1:
-        raise InputError(
-            f"{folder}: {' and '.join(file.name for file in found)} both hold a camera_matrix: "
-            f"photos.cameras={found[0].name} takes one"
-        )
-    return found[0] if found else None
+    return lone(folder, found, "files with a camera_matrix")
 
 
 def _likely(file: Path) -> bool:
-    try:
-        return _WORD in read_text(file) and claims(file)
-    except InputError:
-        return False
+    return _WORD in read_text(file) and claims(file)
 
 
 def read(file: Path, asked: Asked) -> Capture:

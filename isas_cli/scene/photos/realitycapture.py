@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ...runtime.errors import InputError
-from .base import Asked, Capture, number, read_text
+from .base import Asked, Capture, claimed, number, read_text
 from .camera import Camera
 from .finding import existing, size
 from .lens import Lens
@@ -37,17 +37,10 @@ def find(folder: Path) -> Path | None:
     """The first of its files: those beside pictures before a table."""
     for ending in ("xmp", "csv"):
         for place in (folder, folder / "images"):
-            found = (file for file in sorted(place.glob(f"*.{ending}")) if _likely(file))
+            found = (file for file in sorted(place.glob(f"*.{ending}")) if claimed(file, claims))
             if (first := next(found, None)) is not None:
                 return first
     return None
-
-
-def _likely(file: Path) -> bool:
-    try:
-        return claims(file)
-    except InputError:
-        return False
 
 
 def read(file: Path, asked: Asked) -> Capture:
@@ -59,7 +52,7 @@ def read(file: Path, asked: Asked) -> Capture:
         )
     found, lost = [], []
     for each in sorted(file.parent.glob(f"*{file.suffix}")):
-        if _likely(each):
+        if claimed(each, claims):
             camera = _camera(each, asked.root)
             found.append(camera) if camera is not None else lost.append(each.name)
     if not found:
