@@ -135,7 +135,6 @@ def built(typed: Config, phases: Phases, cfgs: Iterable[DictConfig] = ()) -> "Pr
                 )
             footprint.check(problem, estimator.batch)
             instantiate(cfg.prior, "prior").on(problem.unknowns)
-            instantiate(cfg.optimizer.filter, "optimizer.filter").check(problem.unknowns)
 
     return assemble.problem(typed.scene, typed.target, phases.rendered, phases.begin, check)
 

@@ -116,7 +116,9 @@ class Stepper:
         """The filter on an unknown as coarse as ``value``, which has seen no step."""
         shape, unknown = tuple(np.shape(value)), self.unknowns[key]
         if (key, shape) not in self._filters:
-            if unknown.kind.axes and not unknown.kind.uniform:
+            kind = unknown.kind
+            passes = self.filter.layered and kind.levels > 1
+            if kind.axes and not kind.uniform and not passes:
                 layout = Layout.of(unknown, shape, bool(self.unknowns.moving))
                 β = self.settings.beta_1, self.settings.beta_2
                 made = self.filter.on(layout, β, self.settings.mask_updates)

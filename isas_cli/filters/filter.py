@@ -25,7 +25,7 @@ import numpy as np
 
 from ..runtime.errors import InputError
 from ..unknowns.parameters import own
-from ..unknowns.unknowns import Unknown, Unknowns
+from ..unknowns.unknowns import Unknown
 
 
 class Layout(NamedTuple):
@@ -106,17 +106,11 @@ class OnUnknown:
 @dataclass(frozen=True)
 class Filter:
     """Base of the filters' settings. Each raises InputError, named as on the command line, for a
-    setting that is out of range."""
+    setting that is out of range. ``layered``: whether its steps are of all resolutions, so that an
+    unknown that passes through levels of its own is left alone."""
 
     name: ClassVar[str]
-
-    def check(self, unknowns: Unknowns) -> None:
-        """Raises InputError where no unknown has what it filters over."""
-        if not any(unknown.kind.axes for unknown in unknowns):
-            raise InputError(
-                f"optimizer.filter={self.name}: no unknown has neighbouring entries, as the texels "
-                "of a texture have: say optimizer.filter=none"
-            )
+    layered: ClassVar[bool] = False
 
     def on(self, layout: Layout, β: tuple[float, float], masked: bool) -> OnUnknown:
         """The filter on one unknown that has neighbours. ``β``: Adam's, (β₁, β₂); ``masked``:

@@ -35,9 +35,10 @@ class Laplacian(Filter):
     """``rate``: c, what each level takes of the unknown's rate; ``coarsest``: entries that the
     shortest axis of the last level has at least. Raises InputError for numbers that are none."""
 
-    rate: float = 0.25
+    rate: float = 0.5
     coarsest: int = 4
     name = "laplacian"
+    layered = True
 
     def __post_init__(self) -> None:
         within("rate", self.rate, 0, math.inf)
@@ -66,11 +67,11 @@ class _Laplacian(OnUnknown):
         return {"first": size, "second": size} if size else {}
 
     def moved(self, step: Step) -> mi.Float:
-        found = step.after - step.before
-        if self.memory:
-            arguments = step.gradient, step.corrected, self.memory, self.layout.seen, self._ways
-            coarser, self.memory = self._stepped(*arguments)
-            found -= coarser
+        if not self.memory:  # too few entries for a coarser level
+            return step.after
+        arguments = step.gradient, step.corrected, self.memory, self.layout.seen, self._ways
+        coarser, self.memory = self._stepped(*arguments)
+        found = step.after - step.before - coarser
         # Opaque, because it differs from run to run and would compile anew.
         return dr.fma(found, dr.opaque(mi.Float, self.rate), step.before)
 

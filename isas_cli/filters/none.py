@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..unknowns.unknowns import Unknowns
 from .filter import Filter, Layout, OnUnknown
 
 
@@ -13,9 +12,6 @@ class Nothing(Filter):
     """Adam's step, entry by entry."""
 
     name = "none"
-
-    def check(self, unknowns: Unknowns) -> None:
-        pass
 
     def on(self, layout: Layout, β: tuple[float, float], masked: bool) -> OnUnknown:
         return OnUnknown(layout)

@@ -50,6 +50,6 @@ def test_what_was_smoothing_is_the_width_of_a_filter():
     old = {key: value for key, value in today.items() if key != "filter"}
     found = modern({"optimizer": {**old, "smoothing": 0.03}})["optimizer"]
     assert found == {**today, "filter": {**today.filter, "width": 0.03}}
-    none = compose(translate(["scene=pottery"])).optimizer
+    none = compose(translate(["scene=pottery", "optimizer.filter=none"])).optimizer
     for smoothing in ({}, {"smoothing": 0.0}):
         assert modern({"optimizer": {**old, **smoothing}})["optimizer"] == none

@@ -150,10 +150,3 @@ def test_wrong_names_are_refused_in_one_line(typed, told):
         compose(translate(["scene=pottery", *typed]))
     assert "\n" not in str(caught.value)
 
-
-@pytest.mark.parametrize("name", sorted(set(FILTERS) - {"none"}))
-def test_a_run_without_neighbours_is_refused(name):
-    p = problem({ROUGHNESS: 0.5})
-    with pytest.raises(InputError, match=rf"^optimizer\.filter={name}: no unknown has neigh"):
-        FILTERS[name]().check(p.unknowns)
-    Nothing().check(p.unknowns)
