@@ -1,9 +1,10 @@
 """Every scene's comparison: each sampler at its own best learning rate, at equal billed time.
 
-Textures 128 wide and a quarter of the default batch, so that short budgets hold hundreds of steps
-(``SCENES`` says which settings). Two races a scene: all samplers at every rate with the first seed,
-then each at its best rate, by the final parameter error, with the other seeds, which alone are
-reported. Contestants take turns.
+The default configuration, but for textures 128 wide, a quarter of the batch, so that short budgets
+hold hundreds of steps, and targets of less noise (``SCENES`` says what else). Races of a scene: all
+samplers at every rate with the first seed, and those that did best at an end of the rates at the
+next beyond it, up to three times; then each at its best rate, by the final parameter error, with
+the other seeds, which alone are reported. Contestants take turns.
 
 Writes for each scene results/<scene>.csv (a row per sampler), <scene>_rates.csv (the search for
 rates), <scene>_errors.png (error against billed time and light paths) and <scene>_gallery.png
@@ -44,11 +45,10 @@ from isas_cli.runtime.errors import IsasError
 
 RESULTS = Path(__file__).parent / "results"
 MEASURE = "parameter_rmse"
-COMMON = ["estimator.batch=16384", "target.spp=64", "evaluation.count=24"]
+COMMON = ["estimator.batch=16384", "target.noise=0.02", "evaluation.count=24"]
 COMMON += ["evaluation.pixels=32768", "frames.views=1", "frames.snapshots=0"]
-COMMON += ["optimizer.schedule=exponential"]
-COMMON += ["estimator.crossed=false"]  # the paper's estimator
 SAMPLERS = ("uniform", "relevant", "gradient", "ours", "progress")
+_BEYOND = 3  # races at most with rates beyond a comparison's
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Comparison:
     seconds: float
     settings: tuple[str, ...] = ("scene.arguments.texture=128",)
     more: tuple[str, ...] = field(default=())
-    rates: tuple[float, ...] = (0.005, 0.01, 0.02)
+    rates: tuple[float, ...] = (0.01, 0.02, 0.04)
     scene: str | None = None
 
     @property
@@ -74,14 +74,13 @@ SCENES = {
     "multires": Comparison(20, more=("multiresolution",)),
     "dodoco": Comparison(10),
     "pottery": Comparison(15, more=("balanced",)),
-    # With the rates of the others each sampler's best was the largest.
-    "earth2mars": Comparison(15, rates=(0.01, 0.02, 0.05)),
+    "earth2mars": Comparison(15),
     "jumpydumpy": Comparison(15, more=("balanced",)),
     "jumpydumpy_relative": Comparison(
         12, ("scene.arguments.texture=128", "loss=relative_l2"), scene="jumpydumpy"
     ),
     # The paper's figure 6: derivative sampling throughout, a small budget.
-    "trashcan": Comparison(5, ("estimator.derivative_sampling=true",), rates=(0.01, 0.02, 0.05)),
+    "trashcan": Comparison(5, ("estimator.derivative_sampling=true",)),
     "earth": Comparison(15),
     "dodoco_a": Comparison(12),
     "bowl": Comparison(15),
@@ -97,7 +96,6 @@ def race(
     listed = ",".join(f"{{sampler:{s},optimizer.lr:{rate}}}" for s, rate in contestants)
     arguments = [f"scene={own}", *COMMON, *SCENES[scene].settings]
     arguments += [f"frames.spp={spp}", f"budget.seconds={seconds}"]
-    arguments += ["effects=full"]  # `effects.py` compares plans
     arguments += [f"contestants=[{listed}]", f"seed=[{','.join(map(str, seeds))}]"]
     return races.planned([*arguments, f"hydra.run.dir={folder}"], f"{scene}/{folder.name}")
 
@@ -194,14 +192,25 @@ def _every(scene: str) -> list:
     return [(s, rate) for rate in SCENES[scene].rates for s in SCENES[scene].samplers]
 
 
-def _best(scene: str, folder: Path) -> list:
-    """Each sampler at its best rate in the race of all."""
-    first = runs(folder)
-    first.drop(columns=["folder", "history"]).to_csv(
-        RESULTS / f"{scene}_rates.csv", index=False, float_format="%.4g"
-    )
-    best = first.loc[first.groupby("sampler")["final"].idxmin()]
+def _tried(folder: Path) -> pandas.DataFrame:
+    """The runs of a scene's races that are for rates."""
+    return pandas.concat([runs(each) for each in folder.glob("rates*")], ignore_index=True)
+
+
+def _best(tried: pandas.DataFrame) -> list:
+    """Each sampler at its best rate."""
+    best = tried.loc[tried.groupby("sampler")["final"].idxmin()]
     return list(zip(best["sampler"], best["rate"]))
+
+
+def _further(tried: pandas.DataFrame) -> list:
+    """The samplers whose best rate lies at an end of those tried, twice or half as far."""
+    found = []
+    for sampler, rate in _best(tried):
+        own = tried.loc[tried["sampler"] == sampler, "rate"]
+        if rate in (own.min(), own.max()):
+            found.append((sampler, 2 * rate if rate == own.max() else rate / 2))
+    return found
 
 
 def kept(scene: str, folder: Path, seed: int, seconds: float) -> pandas.DataFrame:
@@ -220,7 +229,7 @@ def kept(scene: str, folder: Path, seed: int, seconds: float) -> pandas.DataFram
 
 
 def raced(scenes: list[str], root: Path, chosen: argparse.Namespace) -> bool:
-    """Both races of each scene, and what is kept of them; whether all were held."""
+    """All races of each scene, and what is kept of them; whether all were held."""
     seconds = {scene: chosen.seconds or SCENES[scene].seconds for scene in scenes}
 
     def held(name: str, contestants: dict[str, list], seeds: list[int], spp: int) -> list[str]:
@@ -233,8 +242,16 @@ def raced(scenes: list[str], root: Path, chosen: argparse.Namespace) -> bool:
             races.launch(root, list(jobs.values()), chosen.launcher)
         return [scene for scene, job in jobs.items() if job.found() == DONE]
 
-    first = held("rates", {scene: _every(scene) for scene in scenes}, chosen.seeds[:1], spp=1)
-    best = {scene: _best(scene, root / scene / "rates") for scene in first}
+    going = held("rates", {scene: _every(scene) for scene in scenes}, chosen.seeds[:1], spp=1)
+    for number in range(1, _BEYOND + 1):
+        beyond = {scene: _further(_tried(root / scene)) for scene in going}
+        there = held(f"rates-{number}", {s: b for s, b in beyond.items() if b}, chosen.seeds[:1], 1)
+        going = [scene for scene in going if scene in there or not beyond[scene]]
+    tried = {scene: _tried(root / scene) for scene in going}
+    for scene, each in tried.items():
+        shown = each.drop(columns=["folder", "history"]).sort_values(["rate", "sampler"])
+        shown.to_csv(RESULTS / f"{scene}_rates.csv", index=False, float_format="%.4g")
+    best = {scene: _best(each) for scene, each in tried.items()}
     done = held("seeds", best, chosen.seeds[1:], spp=16)
     for scene in done:
         made = kept(scene, root / scene / "seeds", chosen.seeds[1], seconds[scene])
