@@ -16,17 +16,21 @@ _ONE_NUMBER = ("dodoco", "trashcan")  # scenes whose unknown is one
 
 def facts(results: Path) -> dict:
     table = pandas.read_csv(results / "reproduce.csv")
+    if "target_noise" not in table:
+        table["target_noise"] = np.nan
     scenes = [rows for _, rows in table.groupby("scene", sort=False)]
     by = {rows["scene"].iloc[0]: rows.set_index("sampler") for rows in scenes}
     textures = [name for name in by if name not in _ONE_NUMBER]
     # Where `uniform` has its final error long before the end, a time to it says nothing.
+    before = earlier(by)
     turned = [s for s in by if by[s].loc["uniform", "time_to_uniform"] < _TURNED]
     times = {s: by[s].loc["progress", "time_to_uniform"] for s in by if s not in turned}
     variance = pandas.read_csv(results / "variance_dodoco.csv").set_index("sampler")
     looks = pandas.read_csv(results / "caustic.csv").set_index(["scene", "looks"])["distance"]
     return {
         "table": _overview.lines(scenes),
-        "short": short(by, turned),
+        "short": short(by, turned, before),
+        "earlier": before,
         "claims": _claims.lines(results),
         "ours_parameters": sides(by, "ours", "uniform", "parameter_rmse"),
         "ours_image": sides(by, "ours", "uniform", "image_rmse"),
@@ -95,14 +99,21 @@ def at_ends(results: Path, scenes: list[str]) -> dict[str, list[str]]:
     return found
 
 
-def short(by: dict[str, pandas.DataFrame], turned: list[str]) -> list[str]:
+def earlier(by: dict[str, pandas.DataFrame]) -> list[str]:
+    """Scenes that were raced with targets of 64 paths a pixel, and the settings of that time."""
+    return [s for s, rows in by.items() if not rows["target_noise"].notna().all()]
+
+
+def short(by: dict[str, pandas.DataFrame], turned: list[str], before: list[str] = ()) -> list[str]:
     """The README's table: what is left of the start's error, and the time that it took."""
     shown = ("uniform", "ours", "progress")
     head = ["scene", *(f"`{s}`" for s in shown), "time of `progress` to `uniform`'s error"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for scene, rows in by.items():
         least = min(rows.loc[s, "share_of_start"] for s in shown)
-        cells = [f"{scene.replace('_relative', ', relative L2')}, {rows['seconds'].iloc[0]:g} s"]
+        mark = r"\*" if scene in before else ""
+        name = scene.replace("_relative", ", relative L2")
+        cells = [f"{name}, {rows['seconds'].iloc[0]:g} s{mark}"]
         for sampler in shown:
             share = rows.loc[sampler, "share_of_start"]
             text = f"{100 * share:.1f} %"

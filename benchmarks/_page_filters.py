@@ -22,6 +22,7 @@ def facts(results: Path) -> dict | None:
     means["steps"] = means["iterations"].astype(int)
     over = means[means["filter"] != BASE].groupby("filter")[RATIOS]
     return {
+        "sooner": sooner(results / "sooner.csv"),
         "scenes": {scene: rows.to_dict("records") for scene, rows in means.groupby("scene")},
         "seeds": judged.groupby(["scene", "filter"]).size().min(),
         "batch": int(judged["batch"].iloc[0]),
@@ -29,4 +30,27 @@ def facts(results: Path) -> dict | None:
         "across": over.agg(lambda each: np.exp(np.log(each).mean())).to_dict("index"),
         "worst": over.max().to_dict("index"),
         "tried": choosing.groupby("filter")["factor"].agg(["min", "max"]).to_dict("index"),
+    }
+
+
+def sooner(path: Path) -> dict | None:
+    """Today's default beside an earlier commit's, medians over a scene's seeds; None before."""
+    if not path.exists():
+        return None
+    table = pandas.read_csv(path)
+    rows = table.groupby("scene", sort=False)
+    medians = rows.median(numeric_only=True).reset_index()
+    return {
+        "commit": table["commit"].iloc[0],
+        "seconds": table["seconds"].iloc[0],
+        "seeds": [int(rows.size().min()), int(rows.size().max())],
+        "rows": medians.to_dict("records"),
+        "median": medians["parameter_rmse_share"].median(),
+        "image": medians["image_rmse_share"].median(),
+        "steps": (medians["iterations_now"] / medians["iterations_then"]).median(),
+        "behind": [
+            row["scene"]
+            for row in medians.to_dict("records")
+            if row["parameter_rmse"] > row["parameter_rmse_then"]
+        ],
     }

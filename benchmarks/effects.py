@@ -32,8 +32,7 @@ from reproduce import COMMON, MEASURE, RESULTS
 from isas_cli import records
 
 SCENES = [name for name, each in reproduce.SCENES.items() if not each.scene]
-SETTINGS = COMMON
-SETTINGS += ["frames.views=0", "report=false"]
+SETTINGS = [*COMMON, "frames.views=0", "report=false"]
 SECONDS = 10.0  # billed: what pays for a probe
 FACTORS = (0.5, 1.0, 2.0)  # of the scene's rates
 FULL, AUTO, STAGED = "full", "auto", "staged"

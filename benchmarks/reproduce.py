@@ -115,6 +115,7 @@ def runs(folder: Path) -> pandas.DataFrame:
                 "history": history,
                 "final": float(history[MEASURE].iloc[-1]),
                 "image": float(history["image_rmse"].iloc[-1]),
+                "target_noise": run.config["target"].get("noise"),
                 **{
                     key: float(run.history[key].iloc[-1])
                     for key in run.history.columns
@@ -168,7 +169,7 @@ def table(scene: str, found: pandas.DataFrame, budget: float) -> pandas.DataFram
         if own.empty:
             continue
         row = {"scene": scene, "sampler": sampler, "rate": own["rate"].iloc[0], "seeds": len(own)}
-        row["seconds"] = budget
+        row |= {"seconds": budget, "target_noise": own["target_noise"].iloc[0]}
         row |= _spread("parameter_rmse", own["final"].tolist())
         start = np.median([h[MEASURE].iloc[0] for h in own["history"]])
         row["share_of_start"] = row["parameter_rmse"] / start

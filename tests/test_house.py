@@ -57,7 +57,7 @@ def test_a_room_knows_nobody_above_it(room):
 @pytest.mark.parametrize("command", ["check", "format --check"])
 def test_the_code_is_as_the_linter_wants_it(command):
     ruff = [sys.executable, "-m", "ruff", *command.split(), "--no-cache", "--quiet"]
-    ruff += ["isas_cli", "scenes", "benchmarks", "tests"]
+    ruff += ["isas_cli", "scenes", "benchmarks", "tests", "examples"]
     done = subprocess.run(ruff, cwd=ROOT.parent, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
 

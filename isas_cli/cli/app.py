@@ -13,6 +13,7 @@ import traceback
 from pathlib import Path
 
 from .. import __version__
+from ..config import searchpath
 from ..runtime import interrupt
 from ..runtime.errors import InputError, IsasError, nearest
 
@@ -30,6 +31,7 @@ Recover a scene's unknown parameters from its images and leave a record of it.
   isas run resume=DIR [budget.seconds=120]              go on with a run that ended early
   isas run -m scene=pottery sampler=uniform,ours seed=1,2      one run each, in turn
   isas run scene=pottery --cfg job                      print the configuration and stop
+  isas run --config-dir DIR scene=MINE loss=MINE        with choices of your own, DIR/loss/MINE.yaml
 
 Every setting of the printed configuration can be given as KEY=VALUE. ~scene.unknowns.KEY takes an
 unknown of the scene's out, ~scene.unknowns all, ~scene.method what the scene takes by itself.
@@ -256,7 +258,8 @@ def _dispatch(arguments: list[str]) -> int:
 def main(arguments: list[str] | None = None) -> int:
     """Entry point. Returns the exit status."""
     try:
-        return _dispatch(sys.argv[1:] if arguments is None else arguments)
+        with searchpath.asked(sys.argv[1:] if arguments is None else arguments) as rest:
+            return _dispatch(rest)
     except IsasError as error:
         print(f"isas: {' '.join(str(error).splitlines())}", file=sys.stderr)
         return error.status

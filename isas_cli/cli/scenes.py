@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from omegaconf import OmegaConf
 from rich.console import Console
 from rich.table import Column, Table
 
-from ..config import schema
-from ..config.compose import options
+from ..config import searchpath
 
 
-def _comment(path: Path) -> str:
-    first = path.read_text(encoding="utf-8").splitlines()[0]
+def _comment(text: str) -> str:
+    first = text.splitlines()[0] if text else ""
     return first.lstrip("# ").strip() if first.startswith("#") else ""
 
 
@@ -24,8 +21,8 @@ def main() -> int:
     names, keys = Column("scene", no_wrap=True), Column("unknowns", no_wrap=True)
     sizes = Column("sizes", no_wrap=True)
     table = Table(names, "problem", keys, sizes, title="isas run scene=NAME size=SIZE")
-    for name in options("scene"):
-        node = OmegaConf.load(Path(schema.folder()) / "scene" / f"{name}.yaml")
+    for name, file in searchpath.files("scene").items():
+        node = OmegaConf.create(file.read_text(encoding="utf-8"))
         unknowns = "\n".join(node.get("unknowns") or {}) or "scene.unknowns=…"
         problem = node.get("description", "")
         if method := node.get("method"):
@@ -34,7 +31,7 @@ def main() -> int:
     console.print(table)
     for group in ("sampler", "loss"):
         table = Table(group, "what it does", title=f"{group}=NAME")
-        for name in options(group):
-            table.add_row(name, _comment(Path(schema.folder()) / group / f"{name}.yaml"))
+        for name, file in searchpath.files(group).items():
+            table.add_row(name, _comment(file.read_text(encoding="utf-8")))
         console.print(table)
     return 0

@@ -7,12 +7,11 @@ instead.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from . import schema
+from . import searchpath
 from .grammar import override
 from .schema import PRESETS
 
@@ -74,15 +73,14 @@ def taken(cfg: DictConfig) -> list[str]:
 
 def options(group: str) -> list[str]:
     """Names that a configuration group offers, in alphabetical order."""
-    return sorted(p.stem for p in (Path(schema.folder()) / group).glob("*.yaml"))
+    return list(searchpath.files(group))
 
 
 def said(scene: str, group: str) -> DictConfig:
-    """What the YAML of a scene of isas's own says of ``group``; nothing of other scenes."""
-    if scene not in options("scene"):
+    """What the YAML of a scene says of ``group``; nothing of a scene that is none."""
+    if (file := searchpath.files("scene").get(scene)) is None:
         return OmegaConf.create()
-    found = OmegaConf.load(Path(schema.folder()) / "scene" / f"{scene}.yaml").get(group)
-    return found or OmegaConf.create()
+    return OmegaConf.create(file.read_text(encoding="utf-8")).get(group) or OmegaConf.create()
 
 
 def _flat(method: DictConfig) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 
 from ..runtime.errors import InputError
 from ..runtime.schedule import factor
+from . import searchpath
 from .roles import Role, setting
 
 # Dr.Jit counts the lanes of a kernel in 32 bits.
@@ -535,10 +536,11 @@ def typed(cfg: DictConfig) -> Config:
 
 
 def register() -> None:
-    """Make the schema known to Hydra as ``schema``."""
+    """Make the schema known to Hydra as ``schema``, and where choices lie."""
     ConfigStore.instance().store(name="schema", node=Config)
+    searchpath.register()
 
 
 def folder() -> str:
     """The folder of the configuration groups, in a checkout as in an installed wheel."""
-    return str(importlib.resources.files("isas_cli.configs"))
+    return str(importlib.resources.files(searchpath.OWN))

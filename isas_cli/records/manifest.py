@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import psutil
 
 from .. import __version__
+from ..runtime import guests
 from ..runtime.backend import Backend
 from . import follow
 from .files import OWN_UNIT, RELATIVE
@@ -55,6 +56,7 @@ def continuation(
         "threads": backend.threads,
         "device": backend.device,
         "packages": {p: _version(p) for p in _PACKAGES},
+        **({"guests": found} if (found := guests.installed()) else {}),
         "isas": __version__,
         "command": sys.argv,
         "folder": os.getcwd(),
@@ -92,6 +94,7 @@ def describe(
         **process(),
         "python": platform.python_version(),
         "packages": {p: _version(p) for p in _PACKAGES},
+        **({"guests": found} if (found := guests.installed()) else {}),
         "variant": backend.variant,
         "llvm": {"path": str(backend.llvm_path or ""), "version": backend.llvm_version},
         "threads": backend.threads,

@@ -6,13 +6,14 @@ tells how noisy each block of pixels is, and blocks get sequences in proportion 
 deviation, which for a given number of paths makes the mean squared error least (Neyman 1934). What
 the pilot saw is not used again: numbers of paths that hang on the paths themselves would bend the
 means. A pixel's sequences are alike and independent: their differences tell the noise of its mean.
+Where there is much to render, pilots also tell whether paths are to have several light samples.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -22,6 +23,7 @@ from ..runtime import streams
 from ..scene.problem import Problem
 from ..unknowns.parameters import own
 from . import rays
+from .integrators import Surfaces
 from .kernels import recorded
 
 # Lanes per pass: large enough to fill the cores, small enough for a few hundred MB.
@@ -42,6 +44,10 @@ _FEWEST, _DEAREST = 2, 4096
 # The share of pixels whose noise is the images': a few with rare bright paths would else be all of
 # it, and no number of paths would do.
 _SHARE = 0.99
+# Light samples at the first vertex that a path can have instead of one: what share of the paths
+# must then do, as one of these takes up to twice the time; asked where there are so many paths to
+# trace that pilots of both kinds, and a second kernel, cost next to nothing.
+_LIGHTS, _PAYS, _MANY = 4, 0.5, 1 << 26
 # Before any round: the number of the pilot's first pass, for its seed.
 _PILOT = 1 << 26
 # What strata are taken to gain, before there is a measurement.
@@ -54,7 +60,8 @@ class Sums:
     sum ``(n, 3)``, and ``second``, of their squares and all channels ``(n,)``. ``sequences``: how
     many ``(n,)``; ``counts``: how many in a round ``(n,)``. ``foretold``: rounds that the pilot
     thinks there will be; ``rounds`` that are whole, the next pass ``at`` in the one that runs;
-    ``paths``, and those ``lost``, which were not finite."""
+    ``paths``, and those ``lost``, which were not finite. ``lights``: samples of a path at its first
+    vertex, where it can have several."""
 
     first: np.ndarray
     second: np.ndarray
@@ -65,11 +72,13 @@ class Sums:
     at: int = 0
     paths: int = 0
     lost: int = 0
+    lights: int = 1
 
     @classmethod
-    def none(cls, counts: np.ndarray, foretold: int) -> "Sums":
+    def none(cls, counts: np.ndarray, foretold: int, lights: int = 1) -> "Sums":
         n = counts.size
-        return cls(np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.int64), counts, foretold)
+        zeros = np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.int64)
+        return cls(*zeros, counts, foretold, lights=lights)
 
     def arrays(self) -> dict[str, np.ndarray]:
         return {name: np.asarray(value) for name, value in vars(self).items()}
@@ -131,11 +140,17 @@ class _Rendering:
         # Of which a pilot has the paths of one, so that one kernel does for both.
         self.parts = _PARTS if self.length >= 4 * _PARTS else 1
         self.width = max(1, min(self.pixels, _LANES // self.length))
-        sizes = self.length, self.parts, self.width
-        self._kernel = recorded(_kernel(problem.integrator, *sizes), problem)
+        self._kernels = {}
+
+    def _recorded(self, lights: int):
+        if lights not in self._kernels:
+            way = _lit(self.problem.integrator, lights)
+            made = _kernel(way, self.length, self.parts, self.width)
+            self._kernels[lights] = recorded(made, self.problem)
+        return self._kernels[lights]
 
     def sums(self, kept: Sums | None) -> Sums:
-        found = Sums.none(*self._shared_out()) if kept is None else kept
+        found = self._begun() if kept is None else kept
         while found.rounds < (aim := self._rounds(found)):
             self._round(found, max(aim, found.foretold))
         self.told(found.paths, found.paths)
@@ -153,26 +168,21 @@ class _Rendering:
         most = max(_FEWEST, _DEAREST * self.pixels // int(found.counts.sum() * self.length))
         return min(most, math.ceil(found.rounds * (has / self.wanted) ** 2))
 
-    def _shared_out(self) -> tuple[np.ndarray, int]:
-        """Sequences of each pixel in a round, ``(n,) int64``, at least one; how many rounds that
-        will take, as far as pilots tell."""
+    def _begun(self) -> Sums:
+        """Without any path: with the sequences of each pixel in a round, at least one, and the
+        rounds and light samples that pilots call for."""
         if self.length == 1:
-            return np.full(self.pixels, -(-self.spp // _FEWEST)), _FEWEST
-        blocks, pilots = _blocks(self.problem.film_sizes, streams.seed(self.seed, 0, "target"))
-        sums, squares = np.zeros((2, 3, pilots.size))
-        finite = np.zeros(pilots.size)
-        width = self.width * self.parts
-        for number, first in enumerate(range(0, pilots.size, width)):
-            part = slice(first, first + width)
-            found = self._traced(pilots[part], _PILOT + number)
-            sums[:, part], squares[:, part], finite[part] = found
-        means = sums / np.maximum(finite, 1)
-        spread = np.maximum(squares / np.maximum(finite, 1) - means**2, 0).mean(0)
-        counted = np.maximum(np.bincount(blocks[pilots], minlength=blocks.max() + 1), 1)
-        deviation = np.sqrt(np.bincount(blocks[pilots], spread, counted.size) / counted)[blocks]
+            return Sums.none(np.full(self.pixels, -(-self.spp // _FEWEST)), _FEWEST)
+        where = _blocks(self.problem.film_sizes, streams.seed(self.seed, 0, "target"))
+        lights, (deviation, brightness) = 1, self._piloted(*where, 1)
         whole = float(deviation.mean())
+        many = self._needed(whole, brightness) * self.pixels >= _MANY
+        if many and _lit(self.problem.integrator, _LIGHTS) is not self.problem.integrator:
+            lit, _ = self._piloted(*where, _LIGHTS)
+            if float(lit.mean()) ** 2 < _PAYS * whole**2:
+                lights, deviation, whole = _LIGHTS, lit, float(lit.mean())
         weight = np.clip(deviation / whole, _LEAST, _MOST) if whole > 0 else np.ones(self.pixels)
-        needed = self._needed(whole, float(means.mean())) / self.length
+        needed = self._needed(whole, brightness) / self.length
         # Of a given noise no more than blocks need to share them out: there can be more rounds.
         most = 1 / _LEAST if self.spp is None else math.inf
         each = min(max(needed / _FEWEST, 1.0), most)
@@ -182,7 +192,23 @@ class _Rendering:
             few = np.maximum(np.rint(weight * middle), 1).mean() < each
             low, high = (middle, high) if few else (low, middle)
         counts = np.maximum(np.rint(weight * high), 1).astype(np.int64)
-        return counts, math.ceil(needed / counts.mean())
+        return Sums.none(counts, math.ceil(needed / counts.mean()), lights)
+
+    def _piloted(self, blocks: np.ndarray, pilots: np.ndarray, lights: int):
+        """The standard deviation of a path through each pixel, ``(n,)``, that of its block; how
+        bright the pilots are."""
+        sums, squares = np.zeros((2, 3, pilots.size))
+        finite = np.zeros(pilots.size)
+        width = self.width * self.parts
+        for number, first in enumerate(range(0, pilots.size, width)):
+            part = slice(first, first + width)
+            found = self._traced(pilots[part], _PILOT + number, lights)
+            sums[:, part], squares[:, part], finite[part] = found
+        means = sums / np.maximum(finite, 1)
+        spread = np.maximum(squares / np.maximum(finite, 1) - means**2, 0).mean(0)
+        counted = np.maximum(np.bincount(blocks[pilots], minlength=blocks.max() + 1), 1)
+        deviation = np.sqrt(np.bincount(blocks[pilots], spread, counted.size) / counted)
+        return deviation[blocks], float(means.mean())
 
     def _needed(self, deviation: float, brightness: float) -> float:
         """Paths a pixel in the mean, whose mean standard deviation is ``deviation``."""
@@ -213,7 +239,7 @@ class _Rendering:
         parts = np.repeat(chosen, self.parts)
         sums, _, finite = (
             each.reshape(*each.shape[:-1], chosen.size, self.parts).sum(-1)
-            for each in self._traced(parts, number)
+            for each in self._traced(parts, number, found.lights)
         )
         means = sums / np.maximum(finite, 1)
         first, last = chosen[0], chosen[-1] + 1  # in order
@@ -225,13 +251,13 @@ class _Rendering:
         found.paths += chosen.size * self.length
         found.lost += chosen.size * self.length - int(finite.sum())
 
-    def _traced(self, chosen: np.ndarray, number: int) -> tuple[np.ndarray, ...]:
+    def _traced(self, chosen: np.ndarray, number: int, lights: int) -> tuple[np.ndarray, ...]:
         """Of a part of a sequence through each pixel ``chosen``: sums of radiance and of its square
         ``(3, n)``, and how many paths were finite ``(n,)``, all ``float64``."""
         p = self.problem
         pixel = own(mi.UInt32, np.resize(chosen, self.width * self.parts).astype(np.uint32))
         drawn = dr.opaque(mi.UInt32, streams.seed(self.seed, number, "target"))
-        radiance, finite = self._kernel(
+        radiance, finite = self._recorded(lights)(
             p.scene, p.sensors, p.views, p.unknowns.leaves, pixel, drawn
         )
         parts = [*map(mi.Float64, radiance), *(dr.square(mi.Float64(c)) for c in radiance)]
@@ -240,6 +266,15 @@ class _Rendering:
         dr.eval(sums)
         sums = [np.array(each)[: chosen.size] for each in sums]
         return np.stack(sums[:3]), np.stack(sums[3:6]), sums[6]
+
+
+def _lit(integrator, lights: int):
+    """``integrator`` with so many light samples at the first vertex, where it can have them."""
+    if not isinstance(integrator, Surfaces):
+        return integrator
+    if (lights, lights) == integrator.paths.lights:
+        return integrator
+    return integrator.cut(replace(integrator.paths, lights=(lights, lights), directions=1))
 
 
 def _kernel(integrator, length: int, parts: int, width: int):

@@ -19,7 +19,7 @@ from . import rays, stratified
 from .stratified import Sums
 
 # Raised when what a cached target means changes.
-_FORMAT = 2
+_FORMAT = 3
 # Times the noise that is wanted: more than this is said.
 _MISSED = 1.05
 

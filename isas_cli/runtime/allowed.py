@@ -6,6 +6,7 @@ from __future__ import annotations
 import importlib
 import os
 
+from . import guests
 from .errors import InputError
 
 VARIABLE = "ISAS_ALLOW"
@@ -13,10 +14,11 @@ VARIABLE = "ISAS_ALLOW"
 
 def named(path: str, own: str, where: str):
     """The object at the dotted ``path``, defined in a module below the package ``own``, or in one
-    that the environment variable ISAS_ALLOW lists (names, with commas between). ``where``: the
-    setting. Raises InputError."""
+    that is installed as a guest of isas (``guests``), or that the environment variable ISAS_ALLOW
+    lists (names, with commas between). ``where``: the setting. Raises InputError."""
     module, _, name = str(path).rpartition(".")
     others = [each.strip() for each in os.environ.get(VARIABLE, "").split(",")]
+    others += guests.packages()
     if not _below(module, [own, *others]):
         raise InputError(
             f"{where}={path}: would import code that is not isas's own: set {VARIABLE}="

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..runtime import guests
 from . import routes
 from .direction import Direction
 from .environment import Environment
@@ -16,6 +17,7 @@ from .value import Value
 from .vertices import Vertices
 
 _KINDS: list[type[Kind]] = [
+    *guests.loaded(guests.KINDS),
     *(Pose, Vertices, Exposure, Motion, Direction, Environment, Texture, Grid),
     Value,  # whatever no other kind has taken
 ]

@@ -40,7 +40,12 @@ def test_a_scene_is_raced_at_every_rate_then_at_the_best(reproduced, tmp_path):
     assert out.startswith(told)
     assert "dodoco/rates: runs/reproduce/dodoco/rates" in err
     rates = pandas.read_csv("results/dodoco_rates.csv")
-    assert len(rates) == 6 and set(rates["seed"]) == {1}
+    assert len(rates) >= 6 and set(rates["seed"]) == {1}
+    # Beyond where the best was at an end, up to three times.
+    for _, own in rates.groupby("sampler"):
+        best = own.loc[own["final"].idxmin(), "rate"]
+        inside = own["rate"].min() < best < own["rate"].max()
+        assert len(own) == 5 or (inside and len(own) < 5)
     kept = pandas.read_csv("results/reproduce.csv")
     assert kept["sampler"].tolist() == ["uniform", "relevant", "ours"]
     assert (kept["seeds"] == 2).all()

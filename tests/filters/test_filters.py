@@ -149,4 +149,3 @@ def test_wrong_names_are_refused_in_one_line(typed, told):
     with pytest.raises(InputError, match=told) as caught:
         compose(translate(["scene=pottery", *typed]))
     assert "\n" not in str(caught.value)
-

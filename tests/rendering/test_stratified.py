@@ -18,11 +18,12 @@ SCENES = {
     "replayed": ["scene=pottery", "size=tiny", "scene.max_depth=10"],
     "media": ["scene=smoke", "size=tiny"],
 }
+OTHERS = {name: [f"scene={name}", "size=tiny"] for name in ("dodoco_a", "earth")}
 
 
 @once
 def at_truth(name: str):
-    cfg = OmegaConf.to_object(compose([*SCENES[name], "target.spp=1"]))
+    cfg = OmegaConf.to_object(compose([*{**SCENES, **OTHERS}[name], "target.spp=1"]))
     problem = assemble.problem(cfg.scene, cfg.target, lambda done, total: None)
     problem.unknowns.write(problem.unknowns.truths())
     return problem
@@ -115,6 +116,26 @@ def test_pixels_without_a_finite_path_are_left_out_of_the_noise():
     assert stratified.noise(images, variance) == pytest.approx(0.2)
     assert np.isnan(stratified.noise(images, variance * np.nan))
     assert stratified.noise(0 * images, variance) == 0
+
+
+@pytest.mark.parametrize("name, lights", [("dodoco_a", 4), ("earth", 1), ("media", 1)])
+def test_several_light_samples_are_taken_where_pilots_see_that_they_pay(name, lights, monkeypatch):
+    """A matt figure under the sky, a globe under glass, and a volume, which has no first vertex."""
+    problem = at_truth(name)
+    assert rendered(problem, 64).lights == 1  # so few paths that nobody asks
+    monkeypatch.setattr(stratified, "_MANY", 0)
+    found, spp = rendered(problem, 1024), 1024
+    assert found.lights == lights
+    if lights > 1:
+        monkeypatch.setattr(stratified, "_MANY", 1 << 40)
+        other = rendered(problem, spp, seed=1)
+        off = found.images.astype(np.float64) - other.images
+        both = found.variance + other.variance
+        # Channels of a pixel share their noise: at worst as if they were one.
+        assert abs(off.mean()) < 4 * np.sqrt(both.sum()) / both.size
+        assert found.variance.mean() < 0.7 * other.variance.mean()
+        kept = rendered(problem, spp, kept=stratified.Sums.of(found.arrays()))
+        assert kept.lights == lights and np.array_equal(kept.images, found.images)
 
 
 class _Stopped(Exception):

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from ...runtime import guests
 from ...runtime.errors import InputError, nearest
 from ...scenes.library import ASSETS
 from . import colmap, metashape, opencv, ours, polycam, realitycapture, transforms
@@ -17,7 +18,8 @@ OWN = ("chessboard",)
 # In place of names, the views that the files hold out.
 GIVEN = "given"
 # In the order in which a folder is asked: what people write themselves first.
-_FORMATS = (ours, transforms, colmap, opencv, metashape, polycam, realitycapture)
+_OURS = (ours, transforms, colmap, opencv, metashape, polycam, realitycapture)
+_FORMATS = (*_OURS, *guests.loaded(guests.CAMERAS))
 
 
 def folder_of(path: str) -> Path:

@@ -1,0 +1,1 @@
+"""Parts for isas that live outside it."""

@@ -1,0 +1,1 @@
+"""What can be chosen by name: a folder a group, a file a choice."""

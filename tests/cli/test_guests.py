@@ -1,0 +1,181 @@
+"""Parts from outside: an installed package's, and those of a folder that is named."""
+
+import json
+import os
+import shutil
+import site
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+import pytest
+import yaml
+
+from isas_cli import records
+from isas_cli.cli.app import main
+from isas_cli.config import searchpath
+from isas_cli.config.compose import compose, translate
+from isas_cli.config.method import options
+from isas_cli.runtime import allowed, guests
+from isas_cli.runtime.errors import InputError
+
+EXAMPLE = Path(__file__).parents[2] / "examples/plugin"
+TINY = ["size=tiny", "effects=full", "report=false", "budget.iterations=2", "frames.views=0"]
+TINY += ["target.spp=2", "evaluation.pixels=16", "estimator.batch=256"]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """With a loss of its own settings, and a scene that is another by its builder's arguments."""
+    made = tmp_path / "mine"
+    (made / "loss").mkdir(parents=True)
+    (made / "scene").mkdir()
+    soft = "# softer\nname: soft\n_target_: isas_cli.losses.RelativeL2\nepsilon: 0.5\n"
+    (made / "loss/soft.yaml").write_text(soft)
+    scene = yaml.safe_load((Path(searchpath.files("scene")["dodoco"])).read_text())
+    scene |= {"name": "small", "description": "small"}
+    (made / "scene/small.yaml").write_text(yaml.safe_dump(scene))
+    return made
+
+
+def test_a_folder_s_choices_are_found_by_every_command(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    flag = ["--config-dir", str(folder)]
+    chosen = ["scene=small", "sampler=uniform", "loss=soft", *TINY]
+    assert main(["run", *flag, *chosen, "hydra.run.dir=run"]) == 0
+    assert records.load(Path("run")).config["loss"]["epsilon"] == 0.5
+    # A record says all: it needs the folder no more.
+    assert main(["run", "resume=run", "budget.iterations=3"]) == 0
+    assert main(["run", "scene=small", "hydra.run.dir=other"]) == 2
+    assert "scene=small: no such scene" in capsys.readouterr().err
+    race = ["race", *chosen[:1], *chosen[2:], "samplers=[uniform,relevant]", "hydra.run.dir=race"]
+    assert main([*race, f"hydra.searchpath=[file://{folder}]"]) == 0
+    sweep = [f"--config-dir={folder}", "-m", *chosen, "seed=1,2", "hydra.sweep.dir=sweep"]
+    assert main(["run", *sweep]) == 0
+    assert len(list(Path("sweep").rglob("summary.json"))) == 2
+    capsys.readouterr()
+    assert main(["scenes", *flag]) == 0
+    told = capsys.readouterr().out
+    assert "small" in told and "softer" in told
+    assert main(["run", *flag, *chosen, "--cfg", "job"]) == 0
+    assert "epsilon: 0.5" in capsys.readouterr().out
+    assert searchpath.VARIABLE not in os.environ
+
+
+def test_names_are_asked_where_the_choices_lie(folder, monkeypatch):
+    assert "soft" not in options("loss")
+    monkeypatch.setenv(searchpath.VARIABLE, str(folder))
+    assert "soft" in options("loss")
+    assert compose(translate(["scene=small", "loss=soft"])).loss.epsilon == 0.5
+    with pytest.raises(InputError, match="loss=sofd: no such loss; did you mean 'soft'"):
+        compose(translate(["scene=small", "loss=sofd"]))
+
+
+def test_two_of_one_name_are_refused(folder, monkeypatch, capsys):
+    (folder / "loss/l2.yaml").write_text("name: l2\n")
+    assert main(["scenes", "--config-dir", str(folder)]) == 2
+    error = capsys.readouterr().err
+    assert f"loss=l2 is in isas itself and in {folder}: rename one" in error
+
+
+@pytest.mark.parametrize("flag", [["--config-dir", "nowhere"], ["--config-dir"], ["-cd", "a,b"]])
+def test_a_folder_that_is_none_is_refused_in_one_line(flag, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a,b").mkdir()
+    assert main(["scenes", *flag]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"isas: {flag[0]}=") and error.count("\n") == 1
+
+
+def test_a_folder_chooses_no_code(folder, tmp_path, capsys):
+    """Only what is installed is trusted."""
+    (folder / "loss/soft.yaml").write_text("name: soft\n_target_: os.path.join\n")
+    flag = ["--config-dir", str(folder)]
+    assert main(["run", *flag, "scene=small", "loss=soft", f"hydra.run.dir={tmp_path / 'r'}"]) == 2
+    assert "would import code that is not isas's own" in capsys.readouterr().err
+
+
+def test_an_entry_point_that_cannot_be_imported_names_its_package(tmp_path, monkeypatch):
+    info = tmp_path / "broken-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[isas.kinds]\nworse = not_there.at_all:Kind\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    guests.points.cache_clear()
+    try:
+        assert guests.installed() == {"broken": "1.0"}
+        with pytest.raises(InputError, match=r"^broken 1.0: entry point worse of isas.kinds"):
+            guests.loaded(guests.KINDS)
+        with pytest.raises(InputError, match="cannot be imported"):
+            allowed.named("not_there.Kind", "isas_cli", "loss._target_")
+    finally:
+        monkeypatch.undo()
+        guests.points.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def beside(tmp_path_factory):
+    """Runs isas in an environment of its own that has the example beside it: → what was printed."""
+    root = tmp_path_factory.mktemp("guest")
+    venv.create(root / "venv", with_pip=False)
+    python = root / "venv/bin/python"
+    lib = next((root / "venv/lib").glob("python*")) / "site-packages"
+    # What is installed here is there as well.
+    (lib / "here.pth").write_text(f"import site; site.addsitedir({site.getsitepackages()[0]!r})\n")
+    install = [sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps"]
+    subprocess.run([*install, "--no-build-isolation", str(_copied(root))], check=True)
+
+    def call(*arguments: str) -> str:
+        command = [python, "-m", "isas_cli", *arguments]
+        done = subprocess.run(command, cwd=root, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    def conforms(choice: str) -> subprocess.CompletedProcess:
+        command = [python, "-m", "pytest", "--pyargs", "isas_cli.conformance"]
+        chosen = {**os.environ, "ISAS_CHOICE": choice}
+        return subprocess.run(command, cwd=root, env=chosen, capture_output=True, text=True)
+
+    call.root, call.conforms = root, conforms
+    return call
+
+
+def _copied(root: Path) -> Path:
+    """The example, so that building leaves nothing in it."""
+    return Path(shutil.copytree(EXAMPLE, root / "source"))
+
+
+def test_the_example_is_found_by_every_command(beside):
+    told = beside("scenes")
+    assert "dark" in told and "huber" in told
+    chosen = ["scene=dodoco", "sampler=dark", "loss=huber", *TINY]
+    beside("run", *chosen, "hydra.run.dir=run")
+    manifest = json.loads((beside.root / "run/manifest.json").read_text())
+    assert manifest["guests"] == {"isas-example": "0.1"}
+    beside("run", "resume=run", "budget.iterations=3")
+    assert records.load(beside.root / "run").summary["iterations"] == 3
+    beside("race", "scene=dodoco", *TINY, "samplers=[dark,uniform]", "hydra.run.dir=race")
+    beside("run", "-m", *chosen, "sampler.power=1,2", "hydra.sweep.dir=sweep")
+    assert len(list((beside.root / "sweep").rglob("summary.json"))) == 2
+
+
+def test_the_example_s_kind_finds_what_it_stands_for(beside):
+    key = "log:mirror.bsdf.roughness.value"
+    unknown = f'scene.unknowns={{"{key}": {{"start": -0.7}}}}'
+    chosen = ["scene=dodoco", "~scene.unknowns", unknown, *TINY[:-1], "estimator.batch=4096"]
+    beside("run", *chosen, "budget.iterations=30", "target.spp=64", "hydra.run.dir=log")
+    history = records.load(beside.root / "log").history
+    assert history["parameter_rmse"].iloc[-1] < 0.7 * history["parameter_rmse"].iloc[0]
+
+
+@pytest.mark.parametrize("choice", ["sampler=dark", "loss=huber loss.width=0.2"])
+def test_the_example_keeps_what_isas_relies_on(choice, beside):
+    done = beside.conforms(choice)
+    assert done.returncode == 0, done.stdout
+
+
+def test_what_is_not_kept_is_noticed(beside):
+    """Without a floor the paper's sampler leaves out pixels that no derivative meets."""
+    done = beside.conforms("sampler=ours sampler.floor=0")
+    assert done.returncode == 1 and "a pixel that is never drawn" in done.stdout
