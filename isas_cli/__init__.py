@@ -33,8 +33,10 @@ def run(*settings: str) -> Run:
     estimates are mostly non-finite (the record holds the last good state).
     """
     from .cli.run import folder_of
+    from .config import searchpath
 
-    return load(folder_of(list(settings)))
+    with searchpath.asked(list(settings)) as rest:
+        return load(folder_of(rest))
 
 
 def load(folder: str | Path) -> Run:

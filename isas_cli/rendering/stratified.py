@@ -6,7 +6,7 @@ tells how noisy each block of pixels is, and blocks get sequences in proportion 
 deviation, which for a given number of paths makes the mean squared error least (Neyman 1934). What
 the pilot saw is not used again: numbers of paths that hang on the paths themselves would bend the
 means. A pixel's sequences are alike and independent: their differences tell the noise of its mean.
-Where there is much to render, pilots also tell whether paths are to have several light samples.
+Where there is much to render, a few pixels tell whether paths are to have several light samples.
 """
 
 from __future__ import annotations
@@ -44,10 +44,12 @@ _FEWEST, _DEAREST = 2, 4096
 # The share of pixels whose noise is the images': a few with rare bright paths would else be all of
 # it, and no number of paths would do.
 _SHARE = 0.99
-# Light samples at the first vertex that a path can have instead of one: what share of the paths
-# must then do, as one of these takes up to twice the time; asked where there are so many paths to
-# trace that pilots of both kinds, and a second kernel, cost next to nothing.
-_LIGHTS, _PAYS, _MANY = 4, 0.5, 1 << 26
+# Light samples at the first vertex that a path can have instead of one: the share of the variance
+# of a sequence's mean that must be left, as such a path takes up to twice the time; asked where
+# there are so many paths to trace that whole sequences of both kinds, through one in so many of the
+# pilots' pixels, and a second kernel, cost next to nothing. (Single paths do not tell: strata take
+# from one sample much of what several would.)
+_LIGHTS, _PAYS, _MANY, _ONE_IN = 4, 0.55, 1 << 24, 16
 # Before any round: the number of the pilot's first pass, for its seed.
 _PILOT = 1 << 26
 # What strata are taken to gain, before there is a measurement.
@@ -177,10 +179,9 @@ class _Rendering:
         lights, (deviation, brightness) = 1, self._piloted(*where, 1)
         whole = float(deviation.mean())
         many = self._needed(whole, brightness) * self.pixels >= _MANY
-        if many and _lit(self.problem.integrator, _LIGHTS) is not self.problem.integrator:
-            lit, _ = self._piloted(*where, _LIGHTS)
-            if float(lit.mean()) ** 2 < _PAYS * whole**2:
-                lights, deviation, whole = _LIGHTS, lit, float(lit.mean())
+        if many and self._several_pay(where[1][::_ONE_IN]):
+            lights, (deviation, _) = _LIGHTS, self._piloted(*where, _LIGHTS)
+            whole = float(deviation.mean())
         weight = np.clip(deviation / whole, _LEAST, _MOST) if whole > 0 else np.ones(self.pixels)
         needed = self._needed(whole, brightness) / self.length
         # Of a given noise no more than blocks need to share them out: there can be more rounds.
@@ -193,6 +194,26 @@ class _Rendering:
             low, high = (middle, high) if few else (low, middle)
         counts = np.maximum(np.rint(weight * high), 1).astype(np.int64)
         return Sums.none(counts, math.ceil(needed / counts.mean()), lights)
+
+    def _several_pay(self, pixels: np.ndarray) -> bool:
+        """Whether several light samples leave so little of the variance of a sequence's mean, by
+        two sequences of both kinds through each of ``pixels``."""
+        if _lit(self.problem.integrator, _LIGHTS) is self.problem.integrator:
+            return False
+        left = []
+        for lights in (1, _LIGHTS):
+            spread, number = [], _PILOT + (1 << 20)
+            for first in range(0, pixels.size, self.width // 2):
+                part = np.repeat(pixels[first : first + self.width // 2], 2 * self.parts)
+                sums, _, finite = self._traced(part, number, lights)
+                pairs = (each.reshape(-1, self.parts).sum(1) for each in (*sums, finite))
+                *sums, finite = (each.reshape(-1, 2) for each in pairs)
+                apart = [np.diff(each / np.maximum(finite, 1), axis=1)[:, 0] for each in sums]
+                spread.append(np.mean(np.square(apart), axis=0))
+                number += 1
+            spread = np.sort(np.concatenate(spread))
+            left.append(spread[: math.ceil(_SHARE * spread.size)].mean())
+        return left[1] < _PAYS * left[0]
 
     def _piloted(self, blocks: np.ndarray, pilots: np.ndarray, lights: int):
         """The standard deviation of a path through each pixel, ``(n,)``, that of its block; how

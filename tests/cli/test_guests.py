@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+import isas_cli
 from isas_cli import records
 from isas_cli.cli.app import main
 from isas_cli.config import searchpath
@@ -60,6 +61,8 @@ def test_a_folder_s_choices_are_found_by_every_command(folder, tmp_path, capsys,
     assert "small" in told and "softer" in told
     assert main(["run", *flag, *chosen, "--cfg", "job"]) == 0
     assert "epsilon: 0.5" in capsys.readouterr().out
+    found = isas_cli.run(f"hydra.searchpath=[{folder}]", *chosen, "hydra.run.dir=python")
+    assert found.config["loss"]["epsilon"] == 0.5
     assert searchpath.VARIABLE not in os.environ
 
 
