@@ -193,9 +193,10 @@ def _every(scene: str) -> list:
     return [(s, rate) for rate in SCENES[scene].rates for s in SCENES[scene].samplers]
 
 
-def _tried(folder: Path) -> pandas.DataFrame:
-    """The runs of a scene's races that are for rates."""
-    return pandas.concat([runs(each) for each in folder.glob("rates*")], ignore_index=True)
+def _tried(folder: Path, races: int = _BEYOND + 1) -> pandas.DataFrame:
+    """The runs of a scene's first ``races`` that are for rates."""
+    found = [folder / "rates", *(folder / f"rates-{n}" for n in range(1, races))]
+    return pandas.concat([runs(each) for each in found if each.exists()], ignore_index=True)
 
 
 def _best(tried: pandas.DataFrame) -> list:
@@ -245,7 +246,7 @@ def raced(scenes: list[str], root: Path, chosen: argparse.Namespace) -> bool:
 
     going = held("rates", {scene: _every(scene) for scene in scenes}, chosen.seeds[:1], spp=1)
     for number in range(1, _BEYOND + 1):
-        beyond = {scene: _further(_tried(root / scene)) for scene in going}
+        beyond = {scene: _further(_tried(root / scene, number)) for scene in going}
         there = held(f"rates-{number}", {s: b for s, b in beyond.items() if b}, chosen.seeds[:1], 1)
         going = [scene for scene in going if scene in there or not beyond[scene]]
     tried = {scene: _tried(root / scene) for scene in going}
