@@ -3,7 +3,8 @@
 On scenes with an unknown texture, `isas run` as each version has it by default, with the same
 targets, in turn, a process each. Writes results/sooner.csv, a row for each scene and seed: final
 errors, and `share`, that of the budget at which today's parameter error was for good at or below
-the earlier one's last, infinite where it never was. The goal of the median is 0.5.
+the earlier one's last, infinite where it never was. The goal of the median is 0.5. sooner.png: the
+first seed's parameter errors against time, those of runs that are still in runs/sooner.
 
     .venv/bin/python benchmarks/sooner.py [SCENE …] [--commit 4bc2580] [--seeds 1 2 3]
 
@@ -18,7 +19,10 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import matplotlib.pyplot as plt
+import pages
 import pandas
+from matplotlib.ticker import NullFormatter
 from reproduce import RESULTS, reached
 from steps_or_paths import TEXTURES
 
@@ -63,6 +67,29 @@ def measured(scene: str, seed: int, old: Path, chosen: argparse.Namespace) -> di
     return row | {f"iterations_{s}": int(h["iteration"].iloc[-1]) for s, h in found.items()}
 
 
+def draw(path: Path, seed: int) -> None:
+    """A small plot for each scene."""
+    scenes = [s for s in TEXTURES if (ROOT / f"{s}-{seed}-then" / "history.csv").exists()]
+    figure, axes = plt.subplots(3, 3, figsize=(9, 6), layout="constrained", sharex=True)
+    for ax, scene in zip(axes.flat, scenes):
+        for side, label, colour in (
+            ("then", "every texel by itself", "0.6"),
+            ("now", "all resolutions at once", "C3"),
+        ):
+            history = pandas.read_csv(ROOT / f"{scene}-{seed}-{side}" / "history.csv")
+            ax.plot(history["seconds"], history["parameter_rmse"], color=colour, label=label)
+        end = history["parameter_rmse"].iloc[-1]
+        ax.set(title=scene, yscale="log", ylim=(0.8 * end, None))
+        ax.yaxis.set_minor_formatter(NullFormatter())
+    for ax in axes.flat[len(scenes) :]:
+        ax.set_visible(False)
+    figure.supxlabel("billed seconds")
+    figure.supylabel("error of the texture")
+    axes.flat[0].legend(fontsize=8, frameon=False)
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenes", nargs="*", metavar="SCENE")
@@ -82,6 +109,8 @@ def main() -> None:
             known = pandas.concat([known, row], ignore_index=True)
             known.to_csv(path, index=False, float_format="%.4g")
             print(row.to_string(index=False), flush=True)
+    draw(RESULTS / "sooner.png", chosen.seeds[0])
+    pages.write()
     known = pandas.read_csv(path)
     medians = known.groupby("scene")[[f"{name}_share" for name in MEASURES]].median()
     print(medians.to_string(), "median over scenes", medians.median().to_string(), sep="\n")
