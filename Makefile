@@ -19,7 +19,7 @@ help: ## list the targets
 setup: $(STAMP) ## make .venv with pinned packages and .venv/bin/isas
 
 demo: setup ## recover a pottery texture in about three minutes and write a report
-	@$(VENV)/bin/isas run scene=pottery sampler=ours size=default budget.seconds=60
+	@$(VENV)/bin/isas run scene=pottery size=default budget.seconds=60
 
 test: setup ## run the tests, a worker a core: about twenty minutes on two
 	@$(VENV)/bin/python -m pytest $(WORKERS)

@@ -4,7 +4,7 @@ From Python, as from the command line:
 
     import isas_cli
 
-    run = isas_cli.run("scene=pottery", "sampler=ours", "budget.seconds=20")
+    run = isas_cli.run("scene=pottery", "budget.seconds=20")
     run.history.plot("seconds", "image_rmse")       # a pandas DataFrame, a row per evaluation
     texture = run.parameters()["jar.bsdf.base_color.data"]
     earlier = isas_cli.load("runs/pottery/uniform/…")
