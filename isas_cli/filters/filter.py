@@ -7,9 +7,10 @@ filter sees the gradient before Adam does, and Adam's step before it is taken:
 
 Entries that no view sees (``Unknown.seen``) say nothing: a bitmap is laid out in charts, and the
 texels between them belong to no surface. They have no weight in any mean over neighbours, and what
-is found for the seen ones does not reach them. Charts that touch in the bitmap are neighbours all
-the same, wherever they lie on the surface, and both sides of a seam are none. What is seen is known
-from the truth where entries hide each other and where objects move; there all entries count.
+is found for the seen ones reaches them only by `laplacian`'s coarse levels. Charts that touch in
+the bitmap are neighbours all the same, wherever they lie on the surface, and both sides of a seam
+are none. What is seen is known from the truth where entries hide each other and where objects move;
+there all entries count.
 
 Unknowns without neighbours (``Kind.axes``: numbers, vertices, values at vertices) are left alone.
 """

@@ -49,7 +49,7 @@ _SHARE = 0.99
 # there are so many paths to trace that whole sequences of both kinds, through one in so many of the
 # pilots' pixels, and a second kernel, cost next to nothing. (Single paths do not tell: strata take
 # from one sample much of what several would.)
-_LIGHTS, _PAYS, _MANY, _ONE_IN = 4, 0.55, 1 << 24, 16
+_LIGHTS, _PAYS, _MANY, _ONE_IN = 4, 0.55, 1 << 22, 16
 # Before any round: the number of the pilot's first pass, for its seed.
 _PILOT = 1 << 26
 # What strata are taken to gain, before there is a measurement.
