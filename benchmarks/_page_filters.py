@@ -23,6 +23,7 @@ def facts(results: Path) -> dict | None:
     over = means[means["filter"] != BASE].groupby("filter")[RATIOS]
     return {
         "sooner": sooner(results / "sooner.csv"),
+        "ways": ways(results / "choosing.csv"),
         "scenes": {scene: rows.to_dict("records") for scene, rows in means.groupby("scene")},
         "seeds": judged.groupby(["scene", "filter"]).size().min(),
         "batch": int(judged["batch"].iloc[0]),
@@ -54,3 +55,21 @@ def sooner(path: Path) -> dict | None:
             if row["parameter_rmse"] > row["parameter_rmse_then"]
         ],
     }
+
+
+def ways(path: Path) -> list[dict]:
+    """A row for each way to take steps, errors over those of ``BASE`` by scene, with as many
+    seconds; empty before."""
+    if not path.exists():
+        return []
+    table = pandas.read_csv(path)
+    errors = [name.removesuffix("_ratio") for name in RATIOS]
+    means = table.groupby(["filter", "rate", "half", "scene"], dropna=False)[errors].mean()
+    means = means.reset_index().replace({np.nan: None})
+    plain = means[means["filter"] == BASE].set_index("scene")
+    rows = []
+    for key, own in means.groupby(["filter", "rate", "half"], dropna=False, sort=True):
+        over = own.set_index("scene")[errors] / plain[errors]
+        row = dict(zip(("filter", "rate", "half"), key))
+        rows.append(row | {name: over[name].to_dict() for name in errors})
+    return rows

@@ -4,7 +4,7 @@ On scenes with an unknown texture, `isas run` as each version has it by default,
 targets, in turn, a process each. Writes results/sooner.csv, a row for each scene and seed: final
 errors, and `share`, that of the budget at which today's parameter error was for good at or below
 the earlier one's last, infinite where it never was. The goal of the median is 0.5. sooner.png: the
-first seed's parameter errors against time, those of runs that are still in runs/sooner.
+first seed's parameter errors against time, once the runs of all scenes are in runs/sooner.
 
     .venv/bin/python benchmarks/sooner.py [SCENE …] [--commit 4bc2580] [--seeds 1 2 3]
 
@@ -69,9 +69,10 @@ def measured(scene: str, seed: int, old: Path, chosen: argparse.Namespace) -> di
 
 def draw(path: Path, seed: int) -> None:
     """A small plot for each scene."""
-    scenes = [s for s in TEXTURES if (ROOT / f"{s}-{seed}-then" / "history.csv").exists()]
+    if not all((ROOT / f"{s}-{seed}-then" / "history.csv").exists() for s in TEXTURES):
+        return
     figure, axes = plt.subplots(3, 3, figsize=(9, 6), layout="constrained", sharex=True)
-    for ax, scene in zip(axes.flat, scenes):
+    for ax, scene in zip(axes.flat, TEXTURES):
         for side, label, colour in (
             ("then", "every texel by itself", "0.6"),
             ("now", "all resolutions at once", "C3"),
@@ -81,8 +82,6 @@ def draw(path: Path, seed: int) -> None:
         end = history["parameter_rmse"].iloc[-1]
         ax.set(title=scene, yscale="log", ylim=(0.8 * end, None))
         ax.yaxis.set_minor_formatter(NullFormatter())
-    for ax in axes.flat[len(scenes) :]:
-        ax.set_visible(False)
     figure.supxlabel("billed seconds")
     figure.supylabel("error of the texture")
     axes.flat[0].legend(fontsize=8, frameon=False)

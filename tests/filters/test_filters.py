@@ -94,6 +94,15 @@ def test_what_is_seen_counts_where_nothing_of_the_truth_tells_it():
     assert Layout.of(unknown, (4, 4, 3), False).seen is None
 
 
+def test_what_has_levels_of_its_own_takes_no_steps_of_all_resolutions():
+    """Else coarse to fine would be done twice."""
+    p = problem({TEXTURE: 0.5}, size=16)
+    assert Stepper(p.unknowns, OptimizerConfig(), Laplacian()).filtered[TEXTURE].moves
+    p.unknowns[TEXTURE].kind.levels = 2
+    assert not Stepper(p.unknowns, OptimizerConfig(), Laplacian()).filtered[TEXTURE].moves
+    assert compose(translate(["scene=pottery"])).optimizer.filter.name == Laplacian.name
+
+
 @pytest.mark.parametrize("name", FILTERS)
 def test_a_run_with_each(name, tmp_path):
     settings = ["scene=dodoco_a", f"optimizer.filter={name}", *TINY, "budget.iterations=6"]

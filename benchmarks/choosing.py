@@ -1,0 +1,79 @@
+"""How large `laplacian`'s steps are and how they fall, on scenes that do not judge the default.
+
+`isas race` of ``WAYS`` with everything else as it is by default, 20 billed seconds each, on the
+scenes of `_choosing.py`. Writes results/choosing.csv, a row for each scene, way and seed.
+
+    .venv/bin/python benchmarks/choosing.py [SCENE …] [--seconds 20] [--seeds 1]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pages
+import pandas
+from _choosing import SCENES
+
+from isas_cli import records
+
+RESULTS, HERE = Path(__file__).parent / "results", Path(__file__).parent.resolve()
+MEASURES = ["parameter_rmse", "image_rmse"]
+KEYS = ["filter", "rate", "half"]
+# Filter, the share of the rate that each of its resolutions takes, steps to half of the rates.
+WAYS = [("none", None, 40), ("gaussian", None, 40), ("laplacian", 0.25, 40)]
+WAYS += [("laplacian", 0.5, half) for half in (20, 40, 80)]
+SETTINGS = ["evaluation.count=10", "frames.views=0", "frames.snapshots=0", "report=false"]
+
+
+def raced(scene: str, seconds: float, seeds: list[int], folder: Path) -> None:
+    """The runs, in ``folder``."""
+    ways = []
+    for name, rate, half in WAYS:
+        own = f"optimizer.filter.rate:{rate}," if rate else ""
+        ways.append(f"{{optimizer.filter:{name},{own}optimizer.half:{half}}}")
+    command = [sys.executable, "-m", "isas_cli", "race", "scene=jumpydumpy", *SETTINGS]
+    command += [f"scene.builder=_choosing.{scene}", f"scene.name={scene}"]
+    command += [f"contestants=[{','.join(ways)}]", f"seed=[{','.join(map(str, seeds))}]"]
+    command += [f"budget.seconds={seconds}", f"hydra.run.dir={folder}"]
+    named = {**os.environ, "ISAS_ALLOW": "_choosing", "PYTHONPATH": str(HERE)}
+    subprocess.run(command, check=True, env=named)
+
+
+def rows(scene: str, folder: Path) -> pandas.DataFrame:
+    found = []
+    for path in sorted(folder.rglob("summary.json")):
+        run = records.load(path.parent)
+        optimizer, last = run.config["optimizer"], run.history.iloc[-1]
+        own = optimizer["filter"]["name"], optimizer["filter"].get("rate"), optimizer["half"]
+        row = {"scene": scene, **dict(zip(KEYS, own)), "seed": run.config["seed"]}
+        row |= {"seconds": run.config["budget"]["seconds"], "iterations": int(last["iteration"])}
+        found.append(row | {name: last[name] for name in MEASURES})
+    return pandas.DataFrame(found)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}")
+    parser.add_argument("--seconds", type=float, default=20)
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1])
+    chosen = parser.parse_args()
+    path = RESULTS / "choosing.csv"
+    for scene in chosen.scenes or SCENES:
+        with tempfile.TemporaryDirectory(prefix="isas-choosing-") as folder:
+            raced(scene, chosen.seconds, chosen.seeds, Path(folder) / "race")
+            made = rows(scene, Path(folder))
+        if path.exists():
+            known = pandas.read_csv(path)
+            made = pandas.concat([known[known["scene"] != scene], made])
+        made.to_csv(path, index=False, float_format="%.4g")
+        pages.write()
+        print(made.to_string(index=False), flush=True)
+
+
+if __name__ == "__main__":
+    main()
