@@ -155,7 +155,7 @@ _SUMMARIES = {
     "replay": "one iteration of a run again: what is not finite in it, and where",
     "landscape": "the loss along a run's unknowns, hard and blurred, and the way it took",
     "report": "write a run's plots and page anew",
-    "export": "write a run's result as a scene that Mitsuba renders by itself",
+    "export": "write a run's result as a scene that Mitsuba renders by itself, and as glTF",
 }
 
 

@@ -1,4 +1,4 @@
-"""`isas export`: a run's result as a scene that Mitsuba renders by itself."""
+"""`isas export`: a run's result as a scene that Mitsuba renders by itself, and as glTF."""
 
 from __future__ import annotations
 
@@ -22,5 +22,6 @@ def main(folder: Path, output: Path | None) -> int:
         from ..scene import export
 
         path, told = export.write(typed.scene, arrays, output or folder / "result")
-    print(f"result: {path}", *told, sep="\n")
+    glb = path.with_suffix(".glb")
+    print(f"result: {path}", *[f"glTF: {glb}"] * glb.exists(), *told, sep="\n")
     return 0

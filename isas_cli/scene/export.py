@@ -27,7 +27,8 @@ from ..unknowns.parameters import as_numpy
 from ..unknowns.specs import parse
 from ..unknowns.unknowns import Unknowns
 from ..unknowns.vertices import POSITIONS
-from . import built, instances, mesh_files, scene_file
+from . import built, gltf, instances, mesh_files, scene_file
+from .gltf_maps import Said
 from .photos import building, photographs
 from .photos.photographs import Photographs
 from .places import TAKE, Place, channels
@@ -51,9 +52,9 @@ def write(
     scene: SceneConfig, arrays: dict[str, np.ndarray], folder: Path
 ) -> tuple[Path, list[str]]:
     """Writes ``scene.xml`` and the files that it names into ``folder``: textures, grids and meshes
-    that were found as EXR, ``.vol`` and PLY, and copies of all others; and into ``painted`` below
-    it meshes with pictures on them, as OBJ, MTL and PNG. Returns the path of the scene, and lines
-    about what such a file cannot hold.
+    that were found as EXR, ``.vol`` and PLY, and copies of all others; ``scene.glb``, its surfaces
+    as glTF; and into ``painted`` below it meshes with pictures on them, as OBJ, MTL and PNG.
+    Returns the path of the scene, and lines about what such files cannot hold.
 
     ``arrays``: the unknowns' values by key. Raises InputError where ``folder`` cannot be written,
     and for what Mitsuba's format cannot hold.
@@ -110,6 +111,7 @@ def _write(
     mi.parser.write_file(written, str(path))
     _keep_ids(path, written)
     _check(path)
+    told += gltf.write(loaded, path.with_suffix(".glb"), Said(made_from, written))
     return path, list(dict.fromkeys(told))
 
 

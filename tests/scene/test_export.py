@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import drjit as dr
+import glb
 import mitsuba as mi
 import numpy as np
 import photo_sets
@@ -79,6 +80,11 @@ def folder(tmp_path, rng):
     return tmp_path
 
 
+def of_xml(told: list[str]) -> list[str]:
+    """What is said of Mitsuba's file, not of glTF's."""
+    return [line for line in told if "scene.glb" not in line]
+
+
 def scene(path, keys, poses=None) -> SceneConfig:
     unknowns = {key: UnknownConfig(start=0.5) for key in keys}
     return SceneConfig(name="file", path=str(path), unknowns=unknowns, poses=poses or {})
@@ -133,7 +139,8 @@ def test_a_moved_mesh_and_a_turned_ball_are_where_they_were_found(folder):
 def test_a_grid_is_written_in_mitsubas_format(folder, rng):
     key = "box.interior_medium.sigma_t.data"
     arrays = {key: rng.uniform(0.1, 2, (2, 3, 4, 1)).astype(np.float32)}
-    path, _ = export.write(scene(folder / "cloud.xml", arrays), arrays, folder / "result")
+    path, told = export.write(scene(folder / "cloud.xml", arrays), arrays, folder / "result")
+    assert told == ["no scene.glb: nothing in it has a surface that glTF could hold"]
     (folder / "grid.vol").unlink()
     assert np.allclose(found(path, {key: (2, 3, 4, 1)})[key], arrays[key])
 
@@ -200,6 +207,7 @@ BUILDERS = sorted(
 OURS = {"lego": "emission"} | dict.fromkeys(
     ("room_joint", "object_joint", "object_joint_shape"), "phong"
 )
+SURFACELESS = ("lego", "smoke")
 # Lamps come in another order, and with other random numbers.
 NOISY = ("global_illumination",)
 # Each of these is rendered, by kernels of its own; of the others the parameters are compared.
@@ -226,13 +234,15 @@ def test_what_a_program_described_is_a_file(tmp_path, rng, name):
         noise = 0.01 * rng.normal(size=each.truth.shape)
         arrays[each.key] = np.clip(each.truth + noise, low, high).astype(np.float32)
     path, said = export.write(config, arrays, tmp_path / "result")
-    assert [line.partition(" is isas's own")[0] for line in said] == (
+    assert [line.partition(" is isas's own")[0] for line in of_xml(said)] == (
         [f"'{OURS[name]}'"] if name in OURS else []
     )
     # Beside it lies what it names alone: no picture of the truth.
     text = path.read_text(encoding="utf-8")
-    beside = {each.name for each in path.parent.iterdir()} - {"scene.xml", "painted"}
+    beside = {each.name for each in path.parent.iterdir()} - {"scene.xml", "scene.glb", "painted"}
     assert all(f'"{file}"' in text for file in beside)
+    surfaces = path.with_suffix(".glb")
+    assert glb.problems(surfaces) == [] if surfaces.exists() else name in SURFACELESS
     unknowns.write(unknowns.values_of(arrays))
     if OURS.get(name) == "emission":
         assert isinstance(mi.load_file(str(path)).integrator(), Emission)
@@ -249,7 +259,8 @@ def test_the_command_writes_what_a_run_found(tmp_path, capsys):
     assert main(["run", *settings, "report=false", f"hydra.run.dir={folder}"]) == 0
     assert main(["export", str(folder)]) == 0
     path = folder / "result" / "scene.xml"
-    assert f"result: {path}\n" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert f"result: {path}\nglTF: {path.with_suffix('.glb')}\nscene.glb leaves out: " in out
     _, loaded, unknowns = described("materials_joint")
     ends = records.load(folder).parameters()
     assert not any(np.array_equal(ends[each.key], each.start) for each in unknowns)
@@ -288,7 +299,7 @@ def test_photographs_are_exported_with_their_cameras_where_they_were_found(tmp_p
     }
     arrays = {key: array.astype(np.float32) for key, array in arrays.items()}
     path, told = export.write(cfg, arrays, tmp_path / "result")
-    assert told == ["exposures are not in the file: multiply the views by 1, 2, 0.5"]
+    assert of_xml(told) == ["exposures are not in the file: multiply the views by 1, 2, 0.5"]
     made = assemble.problem(cfg, TargetConfig(spp=1), lambda done, total: None)
     made.unknowns.write(made.unknowns.values_of(arrays))
     same(path, made.scene)
@@ -413,7 +424,7 @@ def test_each_plugin_is_told_in_its_own_words(folder, rng, name):
     array = rng.uniform(0.2, 0.9, shape) if value is None else np.array(value)
     arrays = {key: array.astype(np.float32)}
     path, told = export.write(scene(folder / "ball.xml", arrays), arrays, folder / "result")
-    assert told == []
+    assert of_xml(told) == []
     unknowns = Unknowns(params, parse(mi.traverse(own), {key: UnknownConfig(start=0.5)}, True))
     unknowns.write(unknowns.values_of(arrays))
     same(path, own)
@@ -425,7 +436,7 @@ def test_a_length_of_paths_that_was_asked_for_is_in_the_file(folder):
     config = scene(folder / "scene.xml", arrays)
     config.max_depth = 2
     path, told = export.write(config, arrays, folder / "result")
-    assert told == [] and "max_depth = 2" in str(mi.load_file(str(path)).integrator())
+    assert of_xml(told) == [] and "max_depth = 2" in str(mi.load_file(str(path)).integrator())
     (folder / "scene.xml").write_text(
         SCENE.replace('type="path"', 'type="direct"').replace(
             '<integer name="max_depth" value="3"/>', ""
