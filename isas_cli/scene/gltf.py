@@ -168,13 +168,8 @@ def _mesh(shape: mi.Shape, front: Front, painted: _Painted) -> trimesh.Trimesh:
         attributes["NORMAL"] = surface.normals
     if painted.normals is not None:
         attributes["TANGENT"] = gltf_surfaces.tangents(surface, painted.turned)
-    if (name := painted.material.attribute) is not None:
-        values = np.array(mi.traverse(shape)[name])
-        colours = values.reshape(shape.vertex_count(), -1)[front.origin]
-        colours = np.broadcast_to(colours, (len(colours), 3))
-        if colours.min() < 0 or colours.max() > 1:
-            painted.material.leave(f"what lies outside 0 to 1 in '{name}'")
-        attributes["COLOR_0"] = np.clip(colours, 0, 1).astype(np.float32)
+    if (colours := _colours(shape, painted.material)) is not None:
+        attributes["COLOR_0"] = colours[front.origin]
     for number, turn in enumerate(painted.turns or [_UNTURNED]):
         if len(surface.texcoords):
             matrix = np.reshape(turn, (3, 3))
@@ -184,6 +179,20 @@ def _mesh(shape: mi.Shape, front: Front, painted: _Painted) -> trimesh.Trimesh:
     return trimesh.Trimesh(
         surface.vertices, surface.faces, vertex_attributes=attributes, visual=visual, process=False
     )
+
+
+def _colours(shape: mi.Shape, material: Material) -> np.ndarray | None:
+    """Of the shape's vertices, ``(V, 3)``, where its material shows them."""
+    name, values = material.attribute, mi.traverse(shape)
+    if name is None or name not in values:
+        return None
+    found = np.array(values[name]).reshape(shape.vertex_count(), -1)
+    if found.shape[1] not in (1, 3):
+        material.leave(f"'{name}', which holds {found.shape[1]} numbers each,")
+        return None
+    if found.min() < 0 or found.max() > 1:
+        material.leave(f"what lies outside 0 to 1 in '{name}'")
+    return np.broadcast_to(np.clip(found, 0, 1), (len(found), 3)).astype(np.float32)
 
 
 def _material(painted: _Painted) -> trimesh.visual.material.PBRMaterial:

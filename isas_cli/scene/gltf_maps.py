@@ -17,6 +17,7 @@ Leave = Callable[[str], None]
 _LUMINANCE = np.array([0.212671, 0.715160, 0.072169])  # of Rec. 709
 # Pictures of unlike size become one that holds all texels, up to so many times the larger one.
 _LARGER = 4
+_UNTOLD = 0.5
 
 
 @dataclass(frozen=True)
@@ -104,8 +105,13 @@ def read(texture: mi.Texture, what: str, leave: Leave, said: Said) -> Map:
         colours = [constant(*as_numpy(values[f"color{n}.value"]).ravel()).of(3) for n in (0, 1)]
         even, odd = (each.texels[0, 0] for each in colours)
         return Map(np.array([[even, odd], [odd, even]]), _turn(values["to_uv"]), filter="nearest")
+    try:
+        mean = float(as_numpy(texture.mean()).mean())
+    except RuntimeError:  # some tell none
+        leave(f"the '{said.kind(texture)}' of the {what}, which is {_UNTOLD} there,")
+        return constant(_UNTOLD)
     leave(f"the '{said.kind(texture)}' of the {what}, but for its mean,")
-    return constant(float(as_numpy(texture.mean()).mean()))
+    return constant(mean)
 
 
 _MODES = {"wrap_mode": "wrap", "filter_type": "filter"}

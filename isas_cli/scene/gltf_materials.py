@@ -4,7 +4,7 @@ normal map. What these cannot say is collected in words."""
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mitsuba as mi
 import numpy as np
@@ -116,6 +116,23 @@ def _principled(bsdf: mi.BSDF, found: Material, said: Said) -> None:
         found.extensions["KHR_materials_ior"] = {"ior": ior}
 
 
+def _metal(bsdf: mi.BSDF, found: Material, said: Said) -> None:
+    """In the colour that it reflects at a right angle."""
+    parts = {
+        name: read_map(texture, name, found.leave, said)
+        for name, texture in held(bsdf)
+        if isinstance(texture, mi.Texture)
+    }
+    η, k = (parts[name].mean().of(3).texels for name in ("eta", "k"))
+    reflected = ((η - 1) ** 2 + k**2) / ((η + 1) ** 2 + k**2)
+    tint = parts.get("specular_reflectance", constant(1.0)).of(3)
+    found.colour = replace(tint, texels=tint.texels * reflected)
+    # glTF's roughness is the root of the lobe's width.
+    width = parts.get("alpha", parts.get("alpha_u", constant(0.0))).of(1)
+    found.roughness, found.metallic = replace(width, texels=np.sqrt(width.texels)), constant(1.0)
+    found.leave(f"all but colour and roughness of the '{said.kind(bsdf)}'")
+
+
 def _other(bsdf: mi.BSDF, found: Material, said: Said) -> None:
     """Matt, in what is its colour or, of several together, the first one's."""
     parts = dict(held(bsdf))
@@ -143,6 +160,8 @@ _KINDS = {
     "BumpMap": _bumps,
     "SmoothDiffuse": _diffuse,
     "Principled": _principled,
+    "SmoothConductor": _metal,
+    "RoughConductor": _metal,
 }
 
 

@@ -388,6 +388,7 @@ OTHERS = """
     </bsdf></shape>
   <shape type="cube" id="toy"><bsdf type="plastic"><rgb name="diffuse_reflectance"
     value="0.1,0.5,0.2"/></bsdf></shape>
+  <shape type="cube" id="glass"><bsdf type="dielectric"/></shape>
   <shape type="cube" id="silk"><bsdf type="principled"><float name="sheen" value="0.5"/>
     <float name="clearcoat" value="0"/></bsdf></shape>
   <shape type="cube" id="lit"><emitter type="area"><rgb name="radiance" value="3"/></emitter>
@@ -404,17 +405,24 @@ OTHERS = """
 
 
 def test_what_gltf_cannot_say_is_named_in_one_line(folder):
-    file, _, told = exported(folder, OTHERS)
+    file, scene, told = exported(folder, OTHERS)
     assert told == [
         "scene.glb leaves out: the environment 'sky', the light 'lamp', the light of 'lit', "
-        "the volume in 'mist', the shape 'copy', the 'roughconductor', which is matt and grey "
-        "there, of 'gold', all but the colour of the 'plastic' of 'toy', 'sheen' of 'silk', "
-        "the back of 'lit', the bump map of 'bumpy'"
+        "the volume in 'mist', the shape 'copy', all but colour and roughness of the "
+        "'roughconductor' of 'gold', all but the colour of the 'plastic' of 'toy', the "
+        "'dielectric', which is matt and grey there, of 'glass', 'sheen' of 'silk', the back of "
+        "'lit', the bump map of 'bumpy'"
     ]
-    assert set(file.parts) == {"gold", "toy", "silk", "lit", "bumpy"}
+    assert set(file.parts) == {"gold", "toy", "glass", "silk", "lit", "bumpy"}
     toy = file.parts["toy"].material["pbrMetallicRoughness"]
     assert np.allclose(toy["baseColorFactor"], [0.1, 0.5, 0.2, 1])
     assert toy["roughnessFactor"] == 1 and toy["metallicFactor"] == 0
+    gold, params = file.parts["gold"].material["pbrMetallicRoughness"], mi.traverse(scene)
+    η, k = (np.ravel(params[f"gold.bsdf.{name}.value"]) for name in ("eta", "k"))
+    index = [mi.Complex2f(float(a), float(b)) for a, b in zip(η, k)]
+    reflected = [mi.fresnel_conductor(1.0, each)[0] for each in index]
+    assert np.allclose(gold["baseColorFactor"], [*reflected, 1], atol=1e-4)
+    assert gold["metallicFactor"] == 1 and gold["roughnessFactor"] == pytest.approx(0.1**0.5)
 
 
 def test_a_flipped_shape_is_seen_from_within(folder):
@@ -469,3 +477,10 @@ def test_vertices_have_the_colours_that_they_had(folder, rng):
     part = file.parts["ball"]
     assert np.allclose(part.attributes["COLOR_0"], colours)
     assert part.material["pbrMetallicRoughness"]["baseColorFactor"] == [1, 1, 1, 1]
+    mesh.add_attribute("face_tint", 3, rng.random(3 * len(ball.faces)).astype(np.float32))
+    mesh.write_ply(str(folder / "tinted.ply"))
+    file, _, told = exported(folder, inside.replace("vertex_tint", "face_tint"))
+    part = file.parts["ball"]
+    assert "the 'mesh_attribute' of the colour, which is 0.5 there, of 'ball'" in told[0]
+    assert "COLOR_0" not in part.attributes
+    assert np.allclose(part.material["pbrMetallicRoughness"]["baseColorFactor"], [0.5] * 3 + [1])
