@@ -1,0 +1,173 @@
+"""Scores of relighting and of what a surface was taken apart into, as Stanford-ORB's evaluation
+counts them (Kuang et al. 2023), so that numbers compare with its tables.
+
+Pictures are linear, ``(H, W, 3)``; ``mask (H, W)`` counts where it is above a half, without a rim
+of two pixels. A factor for each channel is fitted by least squares first: light and colour trade
+brightness. What the names do not tell:
+
+- squares are averaged over all pixels, those outside the mask as black ones, so that a small object
+  scores higher;
+- the peak is 1, also where values are cut at 4; before that, pictures are brightened by how much
+  brighter sRGB shows the target in the mean;
+- no PSNR is below that of a picture of 0.5;
+- ``normals`` is the mean of 1 − cos, 0 to 2. ``degrees``, the mean angle, is ours;
+- chamfer is of squared distances. Points lie evenly on both surfaces; the benchmark takes the
+  vertices of its scans for those of the truth.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import binary_erosion, convolve1d
+from scipy.spatial import cKDTree
+
+from ..runtime import images
+from ..runtime.errors import InputError
+from ..scene.photos import finding
+from ..scene.photos.base import load_json
+from ..scene.shape_error import Sampled
+
+_RIM = np.ones((5, 5), bool)
+_BRIGHTEST, _WHITE, _GREY = 4.0, 1.0, 0.5
+# A window of 3 pixels, and the constants of Wang et al. 2004.
+_WINDOW = np.exp(-(np.array([-1.0, 0.0, 1.0]) ** 2) / (2 * 1.5**2))
+_C1, _C2 = 0.01**2, 0.03**2
+_ENDINGS = (".exr", ".hdr", ".png")
+
+
+def pictures(image: np.ndarray, target: np.ndarray, mask: np.ndarray) -> dict[str, float]:
+    """``psnr_h``, ``psnr_l`` (dB) and ``ssim`` of a rendering under another light."""
+    chosen = _inside(mask)
+    image, target = _fitted(image, target, chosen)
+    shown = np.clip(target, 0, _WHITE)
+    brighter = 1.0 if shown.mean() <= 1e-8 else images.srgb_encode(shown).mean() / shown.mean()
+    both = (np.clip(each * brighter, 0, _BRIGHTEST) for each in (image, target))
+    encoded = [images.srgb_encode(np.clip(each, 0, _WHITE)) for each in (image, target)]
+    return {
+        "psnr_h": _psnr(*both, chosen),
+        "psnr_l": _psnr(*encoded, chosen),
+        "ssim": _ssim(*encoded),
+    }
+
+
+def albedo(image: np.ndarray, target: np.ndarray, mask: np.ndarray) -> dict[str, float]:
+    """``psnr`` (dB) and ``ssim`` of base colours, linear."""
+    chosen = _inside(mask)
+    both = [np.clip(each, 0, _WHITE) for each in _fitted(image, target, chosen)]
+    return {"psnr": _psnr(*both, chosen), "ssim": _ssim(*both)}
+
+
+def normals(image: np.ndarray, target: np.ndarray, mask: np.ndarray) -> dict[str, float]:
+    """``normals`` and ``degrees`` of normals ``(H, W, 3)``, of any length, in one frame."""
+    a, b = (
+        each / (np.linalg.norm(each, axis=2, keepdims=True) + 1e-6)
+        for each in (np.float64(image), np.float64(target))
+    )
+    cosine = np.einsum("hwk,hwk->hw", a, b)[_inside(mask)]
+    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    return {"normals": float(np.mean(1 - cosine)), "degrees": float(angle.mean())}
+
+
+def chamfer(surface: Sampled, truth: Sampled) -> float:
+    """The mean of both ways' mean squared distances between points of the surfaces."""
+    ways = (surface, truth), (truth, surface)
+    return sum(np.mean(cKDTree(a.points).query(b.points)[0] ** 2) for a, b in ways) / 2
+
+
+def of_set(file: Path | str, folder: Path | str) -> dict[str, dict]:
+    """``views``: ``pictures`` of every frame of ``file``, such as `transforms_novel.json`, by its
+    name; ``mean``: of them. A frame with a ``scene_name`` is of the set of that name beside this
+    one, and called after both. Renderings lie below ``folder`` under the frames' names, or the last
+    part of them, as EXR, HDR or PNG. Pictures that are so many times as large are averaged. Masks
+    are those that frames name, those of a folder that is called as the pictures' and ``_mask``, or
+    the pictures' alpha.
+
+    Raises InputError, naming the frame, for what is missing or of another size.
+    """
+    file, folder, views = Path(file), Path(folder), {}
+    frames = load_json(file).get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise InputError(f"{file}: has no list of frames")
+    for number, frame in enumerate(frames):
+        where = f"{file}: frame {number}"
+        if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+            raise InputError(f"{where} has no file_path")
+        scene, name = frame.get("scene_name"), frame["file_path"].removeprefix("./")
+        root = file.parent if scene is None else file.absolute().parent.parent / str(scene)
+        name = name if scene is None else f"{scene}/{name}"
+        path = finding.picture(root, frame["file_path"], where)
+        image = images.read(_rendering(folder, name))
+        target, mask = images.read(path), _mask(root, path, frame, where)
+        views[name] = pictures(image, *(_as_large(x, image, where) for x in (target, mask)))
+    names = next(iter(views.values()))
+    return {"views": views, "mean": {n: np.mean([v[n] for v in views.values()]) for n in names}}
+
+
+def _rendering(folder: Path, name: str) -> Path:
+    for where in (folder / name, folder / Path(name).name):
+        for ending in _ENDINGS:
+            for found in (where.with_suffix(ending), where.with_name(f"{where.name}{ending}")):
+                if found.is_file():
+                    return found
+    raise InputError(f"{folder}: no rendering of {name}, such as {Path(name).stem}.exr")
+
+
+def _mask(root: Path, picture: Path, frame: dict, where: str) -> np.ndarray:
+    found = finding.listed_mask(root, frame.get("mask_path"), f"{where}: mask_path")
+    beside = picture.parent.with_name(f"{picture.parent.name}_mask") / f"{picture.stem}.png"
+    if found is not None or beside.is_file():
+        return images.read_mask(found or beside)
+    alpha = images.read_alpha(picture)
+    if alpha is None:
+        raise InputError(f"{where}: no mask, nor alpha: what is not the object would count")
+    return alpha
+
+
+def _as_large(pixels: np.ndarray, image: np.ndarray, where: str) -> np.ndarray:
+    """Averaged to the size of ``image``. Raises InputError."""
+    (height, width), (h, w) = pixels.shape[:2], image.shape[:2]
+    if height % h or width % w:
+        raise InputError(
+            f"{where}: {w} × {h} rendered, which does not go into its {width} × {height}"
+        )
+    blocks = pixels.reshape(h, height // h, w, width // w, *pixels.shape[2:])
+    return blocks.mean(axis=(1, 3))
+
+
+def _inside(mask: np.ndarray) -> np.ndarray:
+    found = binary_erosion(mask > 0.5, _RIM, border_value=1)
+    if not found.any():
+        raise InputError("relighting: nothing is left of a mask without its rim of two pixels")
+    return found
+
+
+def _fitted(image: np.ndarray, target: np.ndarray, chosen: np.ndarray) -> list[np.ndarray]:
+    """Both, black where not ``chosen``; the first by the factors that bring it nearest."""
+    image, target = (
+        np.where(chosen[..., None], np.maximum(each, 0), 0).astype(np.float64)
+        for each in (image, target)
+    )
+    # A channel of nothing is fitted as if it were white, and stays black.
+    white = np.where((image**2).sum(axis=(0, 1)) > 1e-6, image, chosen[..., None])
+    return [image * (white * target).sum(axis=(0, 1)) / (white**2).sum(axis=(0, 1)), target]
+
+
+def _psnr(image: np.ndarray, target: np.ndarray, chosen: np.ndarray) -> float:
+    worst = np.mean((_GREY * chosen[..., None] - target) ** 2)
+    error = min(np.mean((image - target) ** 2), worst)
+    return float("inf") if error == 0 else float(-10 * np.log10(error))
+
+
+def _ssim(a: np.ndarray, b: np.ndarray) -> float:
+    def mean(x: np.ndarray) -> np.ndarray:
+        weights = _WINDOW / _WINDOW.sum()
+        return convolve1d(convolve1d(x, weights, axis=0, mode="mirror"), weights, 1, mode="mirror")
+
+    ma, mb = mean(a), mean(b)
+    va, vb, vab = mean(a * a) - ma * ma, mean(b * b) - mb * mb, mean(a * b) - ma * mb
+    found = (2 * ma * mb + _C1) * (2 * vab + _C2)
+    found /= (ma * ma + mb * mb + _C1) * (va + vb + _C2)
+    # Of 1 − SSIM no value beyond 2 or below 0 is counted.
+    return float(np.mean(np.clip(found, -1, 1)))
