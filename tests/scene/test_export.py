@@ -300,6 +300,7 @@ def test_photographs_are_exported_with_their_cameras_where_they_were_found(tmp_p
     arrays = {key: array.astype(np.float32) for key, array in arrays.items()}
     path, told = export.write(cfg, arrays, tmp_path / "result")
     assert of_xml(told) == ["exposures are not in the file: multiply the views by 1, 2, 0.5"]
+    assert glb.problems(path.with_suffix(".glb")) == []
     made = assemble.problem(cfg, TargetConfig(spp=1), lambda done, total: None)
     made.unknowns.write(made.unknowns.values_of(arrays))
     same(path, made.scene)

@@ -51,6 +51,7 @@ CABINET = """
       <float name="roughness" value="0.35"/><float name="metallic" value="0.8"/>
       <float name="specular" value="0.3"/></bsdf></shape>
 """
+# One shape is called as other libraries call the root of a scene.
 SHOWCASE = """
   <shape type="disk" id="coin"><bsdf type="twosided"><bsdf type="diffuse">
     <texture type="checkerboard" name="reflectance"><rgb name="color0" value="0.8,0.1,0.1"/>
@@ -77,7 +78,7 @@ SHOWCASE = """
       <texture type="bitmap" name="metallic"><string name="filename" value="small.exr"/>
         <boolean name="raw" value="true"/>
         <transform name="to_uv"><scale x="3" y="2"/></transform></texture></bsdf></shape>
-  <shape type="cube" id="inward"><boolean name="flip_normals" value="true"/>
+  <shape type="cube" id="world"><boolean name="flip_normals" value="true"/>
     <transform name="to_world"><translate x="6"/></transform>
     <bsdf type="diffuse"><rgb name="reflectance" value="0.2"/></bsdf></shape>
 """
@@ -182,10 +183,10 @@ def fronts(part: glb.Part, chosen) -> np.ndarray:
 SHAPES = {
     "sheet": (CABINET, 0.005),
     "floor": (CABINET, 0.005),
-    "ball": (CABINET, 0.02),
+    "ball": (CABINET, 0.006),
     "box": (CABINET, 1e-6),
     "coin": (SHOWCASE, 0.005),
-    "can": (SHOWCASE, 0.02),
+    "can": (SHOWCASE, 0.004),
     "bare": (SHOWCASE, 0.005),
     "two": (SHOWCASE, 0.005),
 }
@@ -328,7 +329,7 @@ def test_it_is_rendered_as_mitsubas_file_is(folder):
         for each in (scene, rebuilt(file, scene), rebuilt(file, scene, turned=True))
     )
     apart = np.abs(got - wanted).mean() / wanted.mean()
-    assert apart < 0.01 < 0.1 < np.abs(turned - wanted).mean() / wanted.mean(), apart
+    assert apart < 0.004 < 0.1 < np.abs(turned - wanted).mean() / wanted.mean(), apart
 
 
 BUMPS = """<shape type="obj" id="sheet"><string name="filename" value="{sheet}.obj"/>
@@ -379,7 +380,7 @@ def test_a_normal_map_turns_normals_as_mitsuba_does(folder, rng, name):
     got = np.linalg.solve(matrix, np.stack(cosines, axis=1)[..., None] * np.pi / 0.5)[..., 0]
     apart = np.linalg.norm(got - wanted, axis=1)[valid]
     assert valid.mean() > 0.98
-    assert np.quantile(apart, 0.97) < 0.02, np.quantile(apart, [0.5, 0.9, 0.97, 1])
+    assert np.quantile(apart, 0.97) < 0.008, np.quantile(apart, [0.5, 0.9, 0.97, 1])
     assert np.linalg.norm(wanted - n, axis=1).mean() > 0.1
 
 
@@ -426,8 +427,8 @@ def test_what_gltf_cannot_say_is_named_in_one_line(folder):
 
 
 def test_a_flipped_shape_is_seen_from_within(folder):
-    file, scene, _ = exported(folder, SHOWCASE)
-    part = file.parts["inward"]
+    file, _, _ = exported(folder, SHOWCASE)
+    part = file.parts["world"]
     every = np.arange(len(part.faces))
     middle = part.attributes["POSITION"][part.faces].mean(axis=1) - [6, 0, 0]
     assert ((fronts(part, every) * middle).sum(axis=1) < 0).all()
