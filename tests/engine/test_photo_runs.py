@@ -454,8 +454,8 @@ def test_a_mesh_elsewhere_is_told(photographed, tmp_path):
 
 
 def test_a_width_at_which_it_fills_no_pixel_is_named(photographed):
-    with pytest.raises(InputError, match="they are 1 pixels wide at most: .*photos.width"):
-        problem(*photographed, "photos.width=1")
+    with pytest.raises(InputError, match="they are 4 pixels wide at most: .*photos.width"):
+        problem(*photographed, "photos.width=4")
 
 
 def test_one_view_alone_ends_well(photographed, tmp_path):
