@@ -66,9 +66,10 @@ def check(settings: PhotosConfig, parts: dict[str, Surface]) -> list[str]:
             one = setting in _WORDS
             number = f", or take photos.{setting}=true, one number for all of it" if one else ""
             which = "" if len(parts) == 1 else f" ({name})"
+            mesh = settings.mesh or "the object"
             raise InputError(
-                f"photos.{setting}={value}: {settings.mesh}{which} has no texture coordinates, by "
-                f"which a picture lies on it: unwrap it{number}"
+                f"photos.{setting}={value}: {mesh}{which} has no texture coordinates, by which a "
+                f"picture lies on it: unwrap it{number}"
             )
     if settings.colour is None or len(parts) == 1:
         return []

@@ -59,12 +59,12 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     parts = None
     if not shapeless or shape.described(settings, capture):
         parts = shape.parts(settings, capture)
-        doubts += material.check(settings, parts)
     made = [
         [importing.load(camera, settings, camera.name in over) for camera in part]
         for part in (shown, held)
     ]
     told += [*_left_out(sources), *more, *_doubts([*made[0], *made[1]]), *doubts]
+    told += [] if parts is None else material.check(settings, parts)
     found = Photographs(*made, capture, parts, settings, told, colour)
     told += outlines.doubts(found.all, found.surface)
     return found
