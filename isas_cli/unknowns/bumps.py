@@ -22,6 +22,7 @@ class Bumps(Texture):
     """
 
     name = "normal map"
+    colours = False
 
     @classmethod
     def matches(cls, params: mi.SceneParameters, key: str) -> bool:

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import plates
 import pytest
+from PIL import Image
 
 import isas_cli
 from isas_cli.runtime import images
@@ -103,6 +104,9 @@ def test_a_bump_is_found(tmp_path):
         *("budget.iterations=500", f"hydra.run.dir={tmp_path / 'run'}"),
     )
     texels = run.parameters()[f"{BRDF}.normalmap.data"]
+    # For other programs the numbers as they are, not through a colour's curve.
+    with Image.open(tmp_path / f"run/frames/result_{BRDF}.normalmap.data.png") as shown:
+        np.testing.assert_allclose(np.asarray(shown) / 255, texels, atol=0.003)
     found = 2 * texels - 1
     np.testing.assert_allclose(np.linalg.norm(found, axis=2), 1, atol=1e-4)
     inner = np.s_[1:-1, 1:-1]

@@ -3,6 +3,7 @@ lies, what cannot be."""
 
 import mitsuba as mi
 import numpy as np
+import OpenImageIO as oiio
 import photo_sets
 import plates
 import pytest
@@ -203,6 +204,8 @@ def test_maps_leave_as_mitsubas_scene(shown, tmp_path, rng):
     colour = np.array(params[f"{BRDF}.nested_bsdf.base_color.data"])
     np.testing.assert_allclose(colour, images.srgb_decode(FOUR / 255), atol=1e-6)
     assert (tmp_path / "result/painted/object.png").is_file()
+    spec = oiio.ImageInput.open(str(tmp_path / f"result/{BRDF}.normalmap.data.exr")).spec()
+    assert spec.get_string_attribute("oiio:ColorSpace") == "data"
 
 
 def test_a_file_is_found_from_elsewhere(shown, tmp_path):
