@@ -131,7 +131,7 @@ def test_what_is_unknown(shown, settings, wanted):
         (["photos.normals=map", "photos.mesh={}/bare.obj"], "unwrap it$"),
         (
             ["photos.texture={}/four.png", "photos.environment={}/sky.exr"],
-            "four.png and photos.environment=.* nothing else is unknown: photos.roughness,",
+            "four.png and photos.environment=.* nothing else is unknown: photos",
         ),
         (["photos.texels=4"], "photos.texels=4: of maps, and none is asked for"),
         (["photos.texture=0"], "photos.texture=0: at least 1"),
