@@ -16,16 +16,14 @@ from ...scenes import library
 from ...scenes.meshes import Surface
 from ..mesh_checks import LARGEST_OVERLAP, overlap
 
-# What an unknown base colour, roughness, metallic start at. Where metallic is 0 its derivative is
-# hardly any; where it is known it is 0.
+# What an unknown base colour, roughness, metallic start at. A metallic that is known is 0.
 _GREY, _ROUGHNESS, _METALLIC = 0.5, 0.5, 0.2
 # A normal map's texel that bends nothing; and its rate: a step of it turns a normal by less than a
 # degree, of more the noise of small pictures is fitted.
 _FLAT, _LEAN = (0.5, 0.5, 1.0), 0.005
-# By setting: the words of a key, and of it as a number and as a texture.
-_WORDS = {"roughness": ("roughness", "value"), "metallic": ("metallic", "value")}
-_TEXELS = "data"
-_MAPS = "roughness", "metallic", "normals"
+# Settings, words of keys as well, of what may be a number or a texture.
+_EITHER = {"roughness": _ROUGHNESS, "metallic": _METALLIC}
+_MAPS = *_EITHER, "normals"
 
 
 def colour(settings: PhotosConfig) -> tuple[np.ndarray | None, list[str]]:
@@ -63,8 +61,8 @@ def check(settings: PhotosConfig, parts: dict[str, Surface]) -> list[str]:
     for name, part in parts.items() if asked else ():
         if not len(part.texcoords):
             setting, value = next(iter(asked.items()))
-            one = setting in _WORDS
-            number = f", or take photos.{setting}=true, one number for all of it" if one else ""
+            number = f", or take photos.{setting}=true, one number for all of it"
+            number = number if setting in _EITHER else ""
             which = "" if len(parts) == 1 else f" ({name})"
             mesh = settings.mesh or "the object"
             raise InputError(
@@ -119,7 +117,7 @@ def unknown(settings: PhotosConfig, name: str, surface: Surface) -> dict[str, Un
     """Of the part ``name``, where nothing else is said: its base colour, unless it is known."""
     if settings.colour is not None:
         return {}
-    word = _TEXELS if len(surface.texcoords) else "value"
+    word = "data" if len(surface.texcoords) else "value"
     spec = UnknownConfig(start=_GREY, range=[0.0, 1.0])
     return {f"{_inside(settings, name)}.base_color.{word}": spec}
 
@@ -127,13 +125,13 @@ def unknown(settings: PhotosConfig, name: str, surface: Surface) -> dict[str, Un
 def asked(settings: PhotosConfig, name: str) -> dict[str, UnknownConfig]:
     """Of the part ``name``, what the settings say is unknown besides."""
     found = {}
-    for setting, start in (("roughness", _ROUGHNESS), ("metallic", _METALLIC)):
+    for setting, start in _EITHER.items():
         if value := getattr(settings, setting):
-            word = _TEXELS if value == MAP else "value"
+            word = "data" if value == MAP else "value"
             found[f"{_inside(settings, name)}.{setting}.{word}"] = UnknownConfig(start=start)
     if settings.normals == MAP:
         spec = UnknownConfig(start=list(_FLAT), lr=_LEAN)
-        found[f"{_outside(name)}.normalmap.{_TEXELS}"] = spec
+        found[f"{_outside(name)}.normalmap.data"] = spec
     return found
 
 
@@ -142,8 +140,7 @@ def traded(settings: PhotosConfig, keys: Iterable[str], light: str) -> list[str]
     begins the environment's. It says what stays as it is."""
     words = [key.split(".") for key in keys]
     lit = any(each[0] == light for each in words)
-    has = {word: any(word in each for each in words) for word in ("base_color", "normalmap")}
-    has |= {word: any(word in each for each in words) for word in _WORDS}
+    has = {w: any(w in each for each in words) for w in ("base_color", "normalmap", *_EITHER)}
     pairs = [
         told
         for told, both in (
