@@ -12,6 +12,11 @@ from ..scene.photos.photographs import Photographs
 # More views than that are told by their ranges, but for those that stand out.
 _MOST = 40
 _LOW, _SMALL, _OFF = 0.1, 0.01, 2  # shares of a view; pixels
+_OF_PICTURES = "view", "pixels", "focal length", "count", "lost"
+_OF_OBJECT = "distance", "object seen", "spans"
+_OF_POINTS = "points", "off by"
+# Columns of words, and to how many letters these may be folded.
+_FOLDABLE, _FOLDED = ("view", "lost"), 16
 
 
 def cameras(checked: list[checks.View], taken: Photographs) -> Table:
@@ -57,30 +62,48 @@ def exposures(taken: Photographs) -> float:
     return max(found) / min(found)
 
 
-def views(checked: list[checks.View], taken: Photographs) -> Table:
-    """What was seen of each; of many, those that stand out and the ranges of the others."""
+def views(checked: list[checks.View], taken: Photographs, width: int) -> list[Table]:
+    """What was seen of each; of many, those that stand out and the ranges of the others. In two
+    tables, the second of the object, where one is wider than ``width`` columns of text."""
     held = f"{len(taken.held)} held out: {taken.capture.kind}"
-    table = Table(title=f"{len(taken.shown)} views to learn from, {held}")
-    table.add_column("view", no_wrap=True)
-    for name in ("pixels", "focal length", "count", "lost"):
-        table.add_column(name, justify="right")
+    title = f"{len(taken.shown)} views to learn from, {held}"
     own = taken.surface is not None
-    for name in ("distance", "object seen", "spans") if own else ():
-        table.add_column(name, justify="right")
     known = any(view.apart is not None for view in checked)
-    for name in ("points", "off by") if known else ():
-        table.add_column(name, justify="right")
     bright = any(view.photograph.camera.exposure != (1, 1, 1) for view in checked)
-    if bright:
-        table.add_column("exposure", justify="right")
+    heads = [*_OF_PICTURES, *(["exposure"] if bright else [])]
+    pictured = len(heads)
+    heads += [*(_OF_OBJECT if own else ()), *(_OF_POINTS if known else ())]
     few = len(checked) <= _MOST
     single = checked if few else [view for view in checked if _stands_out(view)][:_MOST]
-    for view in single:
-        table.add_row(*_row([view], own, known, bright))
     told = set(map(id, single))
     rest = [view for view in checked if id(view) not in told]
-    if rest:
-        table.add_row(*_row(rest, own, known, bright))
+    groups = [[view] for view in single] + ([rest] if rest else [])
+    cells = [heads, *(_row(group, own, known, bright) for group in groups)]
+    if _wide(cells) <= width or pictured == len(heads):
+        return [_table(title, cells)]
+    seen = [[row[0], *row[pictured:]] for row in cells]
+    return [_table(title, [row[:pictured] for row in cells]), _table("what they see", seen)]
+
+
+def _wide(cells: list[list[str]]) -> int:
+    """Columns of text that a table takes at least whose first row are its heads: names, and why
+    pixels are lost, may be folded, numbers not."""
+    found = 1
+    for head, *column in zip(*cells):
+        most = max(map(len, column), default=0)
+        found += 3 + max(min(most, _FOLDED) if head in _FOLDABLE else most, *map(len, head.split()))
+    return found
+
+
+def _table(title: str, cells: list[list[str]]) -> Table:
+    table = Table(title=title)
+    for name in cells[0]:
+        # Of heads of two words each may have a line; a number keeps to one.
+        whole = name not in _FOLDABLE and " " not in name
+        just = "left" if name == "view" else "right"
+        table.add_column(name, justify=just, overflow="fold", no_wrap=whole)
+    for row in cells[1:]:
+        table.add_row(*row)
     return table
 
 
@@ -112,6 +135,10 @@ def _row(group: list[checks.View], own: bool, known: bool, bright: bool) -> list
         _range([(each.mask > 0).mean() for each in seen], ".0%"),
         ", ".join(f"{_range(counts, 'd')} {why}" for why, counts in lost.items()) or "–",
     ]
+    if bright:
+        told = [e for camera in cameras for e in dict.fromkeys(camera.exposure)]
+        single = "/".join(f"{e:.4g}" for e in told)
+        row.append(single if len(group) == 1 else _range(told, ".4g"))
     if own:
         row.append(_range([view.distance for view in group], ".4g"))
         row += [_range([getattr(view, n) for view in group], ".0%") for n in ("inside", "spanned")]
@@ -119,10 +146,6 @@ def _row(group: list[checks.View], own: bool, known: bool, bright: bool) -> list
         found = [view for view in group if view.apart is not None]
         row.append(_range([len(view.points[0]) for view in found], "d"))
         row.append(f"{_range([view.apart for view in found], '.2f')} px" if found else "")
-    if bright:
-        told = [e for camera in cameras for e in dict.fromkeys(camera.exposure)]
-        single = "/".join(f"{e:.4g}" for e in told)
-        row.append(single if len(group) == 1 else _range(told, ".4g"))
     return row
 
 

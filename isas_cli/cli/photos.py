@@ -10,7 +10,7 @@ from rich.console import Console
 from ..config import schema
 from ..config.compose import compose, translate
 from ..runtime.errors import InputError
-from ..scene.photos import checks, photographs, sheet
+from ..scene.photos import brightness, checks, photographs, reading, sheet
 from . import photo_tables
 
 _OUTPUT = "output="
@@ -41,13 +41,15 @@ def main(arguments: list[str]) -> int:
     checked = checks.views(taken)
     console = Console()
     console.print(photo_tables.cameras(checked, taken))
-    console.print(photo_tables.views(checked, taken))
+    for table in photo_tables.views(checked, taken, console.width):
+        console.print(table)
     for note in taken.capture.notes:
         console.print(f"note: {note}", highlight=False, markup=False)
     for warning in [*checks.warnings(checked, taken), *_unlike(taken)]:
         console.print(f"warning: {warning}", highlight=False, markup=False)
-    output = output or Path(f"photos-{Path(folders[0]).resolve().name}.png")
-    shown = sheet.write(checked, taken, output)
+    folder = reading.folder_of(folders[0])
+    output = output or _place(folder)
+    shown = sheet.write(checked, taken, output, folder)
     told = "" if shown == len(checked) else f" ({shown} of {len(checked)} views)"
     print(f"sheet: {output}{told}")
     print(_command(folders[0], settings, taken.surface is not None))
@@ -56,13 +58,35 @@ def main(arguments: list[str]) -> int:
 
 def _unlike(taken: photographs.Photographs) -> list[str]:
     """Whether pictures were exposed unlike, which nothing accounts for."""
-    ratio = photo_tables.exposures(taken)
-    if taken.settings.exposure != "fixed" or ratio < _ALIKE:
+    if taken.settings.exposure != "fixed":
         return []
+    ratio = photo_tables.exposures(taken)
+    if ratio >= _ALIKE:
+        return [
+            f"by their EXIF, pictures were exposed unlike, up to {ratio:.3g} times: "
+            "photos.exposure=scale finds a factor each"
+        ]
+    seen = None if taken.surface is None else brightness.unlike(taken.all, taken.surface)
+    if seen is None:
+        return []
+    factor, bright, dark = seen
     return [
-        f"by their EXIF, pictures were exposed unlike, up to {ratio:.3g} times: "
-        "photos.exposure=scale finds a factor each"
+        f"the same places of the object are up to {factor:.3g} times as bright in {bright} as in "
+        f"{dark}: exposed unlike (photos.exposure=scale finds a factor each), or the light moved, "
+        "or the surface is glossy"
     ]
+
+
+def _place(folder: Path) -> Path:
+    """Where the sheet goes, where nothing else is said: called as the folder is, with a number
+    where another set's sheet, or any other file, has that name."""
+    number = 1
+    while True:
+        more = "" if number == 1 else f"-{number}"
+        path = Path(f"photos-{folder.resolve().name}{more}.png")
+        if not path.exists() or sheet.shows(path, folder):
+            return path
+        number += 1
 
 
 def _command(folder: str, settings: list[str], described: bool) -> str:

@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 _FILES = (
     *("scene.path", "scene.targets", "scene.masks"),
     *(f"scene.photos.{name}" for name in ("path", "mesh", "environment", "images", "masks")),
+    "scene.photos.texture",  # or a number
 )
 
 
@@ -27,7 +28,7 @@ def locate(cfg: DictConfig, started_in: str | None) -> None:
 
     for key in _FILES:
         named = OmegaConf.select(cfg, key)
-        if named is not None:
+        if named is not None and not isinstance(named, (int, float)):
             OmegaConf.update(cfg, key, _each(named, found))
     for unknown in cfg.scene.unknowns.values():
         # Without an ending it is a word, such as 'sphere'.

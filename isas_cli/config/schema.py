@@ -181,6 +181,9 @@ def _is_vector(value) -> bool:
 
 
 _UPS = ("x", "y", "z", "-x", "-y", "-z")
+# In place of whether something of a surface is unknown: it is, as a texture.
+MAP = "map"
+SIDE = 256  # texels, where nothing is said
 
 
 @dataclass
@@ -194,7 +197,10 @@ class PhotosConfig:
     the cameras' world, or instead ``plane``: [x0, y0, x1, y1] of z = 0, or ``sphere``: [x, y, z,
     radius]; ``environment``: a picture of the light from all sides (None: unknown), whose up is the
     world's axis ``up``; ``width``: pixels, to which views are shrunk (None: as they are);
-    ``texture``: texels a side of the base colour; ``roughness``: whether that is unknown, too;
+    ``texture``: texels a side of the base colour, or the picture file of one that is known;
+    ``roughness``, ``metallic``: whether that is unknown, too, as one number or, ``map``, as a
+    texture; ``normals``: whether a normal map is, false or ``map``; ``texels``: a side of these
+    maps (None: as many as the base colour has, or 256 where that is known);
     ``sky``: rows of an unknown environment; ``test``: views held out, [names], n for every n-th, or
     ``given``: those that the files hold out; ``exposure``: of the views, besides what their file
     says, ``fixed``: all alike, or unknown, ``scale``: a factor each, ``channels``: three each;
@@ -221,8 +227,11 @@ class PhotosConfig:
     environment: Optional[str] = None
     up: str = "y"
     width: Optional[int] = None
-    texture: int = 256
-    roughness: bool = False
+    texture: Any = SIDE  # an int, or a file's name
+    roughness: Any = False  # a bool, or "map"
+    metallic: Any = False
+    normals: Any = False
+    texels: Optional[int] = None
     sky: int = 8
     test: Any = None
     exposure: str = "fixed"
@@ -237,9 +246,15 @@ class PhotosConfig:
     orientation: str = "auto"
     materials: str = "each"
 
+    @property
+    def colour(self) -> Optional[str]:
+        """The file of a base colour that is known."""
+        return self.texture if isinstance(self.texture, str) else None
+
     def __post_init__(self) -> None:
-        _at_least(1, photos__width=self.width, photos__texture=self.texture)
+        _at_least(1, photos__width=self.width, photos__texels=self.texels)
         _at_least(2, photos__sky=self.sky)
+        self._check_maps()
         for name, valid in (
             ("exposure", ("fixed", "scale", "channels")),
             ("encoding", ("auto", "srgb", "linear")),
@@ -272,6 +287,30 @@ class PhotosConfig:
             )
         if self.saturated is not None and not 0 < self.saturated <= 1:
             raise InputError(f"photos.saturated={self.saturated}: in (0, 1], or null")
+
+    def _check_maps(self) -> None:
+        count = isinstance(self.texture, int) and not isinstance(self.texture, bool)
+        if not count and not (isinstance(self.texture, str) and self.texture):
+            raise InputError(
+                f"photos.texture={self.texture}: texels a side, such as {SIDE}, or the picture "
+                "file of a base colour that is known"
+            )
+        if count:
+            _at_least(1, photos__texture=self.texture)
+        for name, valid in (
+            ("roughness", (False, True, MAP)),
+            ("metallic", (False, True, MAP)),
+            ("normals", (False, MAP)),
+        ):
+            value = getattr(self, name)
+            if not isinstance(value, (bool, str)) or value not in valid:
+                told = ", ".join(str(each).lower() for each in valid)
+                raise InputError(f"photos.{name}={value}: valid: {told}")
+        if self.texels is not None and MAP not in (self.roughness, self.metallic, self.normals):
+            raise InputError(
+                f"photos.texels={self.texels}: of maps, and none is asked for: say which, such as "
+                "photos.roughness=map; the base colour's are photos.texture"
+            )
 
 
 @dataclass

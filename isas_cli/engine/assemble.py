@@ -93,6 +93,7 @@ def bare(
             *_wrong(params, found),
             *_flat_densities(found, adapted),
             *_traded(unknowns, truth_known),
+            *(building.traded(taken.settings, unknowns.keys) if taken is not None else ()),
         ],
         flat=single,
     )

@@ -45,9 +45,11 @@ class Pictures:
         channels: list[str],
         what: str,
         exposure: float | None = None,
+        data: bool = False,
         **more,
     ) -> None:
-        self.writer.frame(name, image, channels, {**self.tags, "what": what, **more}, exposure)
+        tags = {**self.tags, "what": what, **more}
+        self.writer.frame(name, image, channels, tags, exposure, data)
 
     def values(self, kind: str, values: dict, iteration: int) -> None:
         """Every view at ``values``, and pictures of the unknowns. ``kind``: start or result."""
@@ -132,4 +134,5 @@ class Pictures:
                 key = f"{unknown.key}.{name}" if name else unknown.key
                 channels = _RGB if picture.shape[2] == 3 else ["Y"]
                 tags = {"key": unknown.key, "iteration": iteration}
+                tags["data"] = not unknown.kind.colours
                 self._write(f"{what}_{safe_name(key)}", picture, channels, what, 1.0, **tags)

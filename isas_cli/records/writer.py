@@ -175,6 +175,7 @@ class RunWriter:
         channels: list[str],
         metadata: dict[str, Any],
         exposure: float | None = None,
+        data: bool = False,
     ) -> None:
         """frames/<name>.exr, the arguments those of `images.write_exr`; with an ``exposure`` also
         frames/<name>.png, as `images.write_preview` shows it."""
@@ -182,9 +183,9 @@ class RunWriter:
         from ..runtime.images import write_exr, write_preview
 
         path = self.folder / "frames" / f"{name}.exr"
-        write_exr(path, image, channels, metadata)
+        write_exr(path, image, channels, metadata, data)
         if exposure is not None:
-            write_preview(path.with_suffix(".png"), image, exposure, metadata)
+            write_preview(path.with_suffix(".png"), image, exposure, metadata, data)
 
     def mesh(self, name: str, content: bytes) -> None:
         """meshes/<name>: a shape for other programs."""

@@ -22,6 +22,8 @@ from .stratified import Sums
 _FORMAT = 3
 # Times the noise that is wanted: more than this is said.
 _MISSED = 1.05
+# Pixels: of photographs no wider than this an object may well fill none.
+_COARSE = 16
 
 
 def render(
@@ -80,6 +82,11 @@ def given(
     ends = np.cumsum([width * height for width, height in problem.film_sizes])[:-1]
     empty = [n for n, part in zip(problem.names, np.split(mask, ends)) if not part.any()]
     if len(empty) == len(problem.names):
+        if (width := max(width for width, _ in problem.film_sizes)) <= _COARSE:
+            raise InputError(
+                f"no photograph shows the object in a pixel that it fills: they are {width} pixels "
+                "wide at most: take a larger photos.width"
+            )
         raise InputError(
             "no photograph shows the object where a pixel counts: its place or scale is not the "
             "cameras', or masks are inverted (white counts): look at `isas photos DIR "

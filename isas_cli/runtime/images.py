@@ -164,6 +164,7 @@ def write_exr(
     image: np.ndarray,
     channels: list[str],
     metadata: dict[str, str | float | int],
+    data: bool = False,
 ) -> None:
     """Writes a 32-bit float EXR, whole or not at all.
 
@@ -172,8 +173,8 @@ def write_exr(
     metadata  each entry becomes the attribute `isas:<key>`; `what` is the ImageDescription as well
 
     With R, G and B the file says that it is scene-linear with Rec. 709 primaries, by name
-    (colorInteropID) and by numbers (chromaticities); without them, that it holds data, which no
-    viewer should convert. Date and time are UTC.
+    (colorInteropID) and by numbers (chromaticities); without them, or with `data`, that it holds
+    data, which no viewer should convert. Date and time are UTC.
 
     Raises IsasError naming the file when it cannot be written.
     """
@@ -184,7 +185,7 @@ def write_exr(
     height, width, count = pixels.shape
     spec = oiio.ImageSpec(width, height, count, oiio.FLOAT)
     spec.channelnames = tuple(channels)
-    if set("RGB") <= set(channels):
+    if set("RGB") <= set(channels) and not data:
         spec.attribute("oiio:ColorSpace", "lin_rec709_scene")
         spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), _REC709)
     else:
@@ -238,15 +239,21 @@ def write_preview(
     image: np.ndarray,
     exposure: float = 1.0,
     metadata: dict[str, str | float | int] | None = None,
+    data: bool = False,
 ) -> None:
-    """Writes a PNG of a linear picture, (H, W, 1 or 3), shown through `to_display`.
+    """Writes a PNG of a linear picture, (H, W, 1 or 3), shown through `to_display`; of `data`, the
+    numbers as they are.
 
     Its text chunks state the curve and the exposure besides `metadata` (see `write_png`). Raises
     IsasError naming the file when it cannot be written.
     """
     curve = "clip(exposure * linear, 0, 1), then sRGB (IEC 61966-2-1), 8 bits"
+    shown = None if data else to_display(image, exposure)
+    if shown is None:
+        curve, exposure = "none: clip(numbers, 0, 1), 8 bits", 1.0
+        shown = np.rint(np.clip(np.nan_to_num(image), 0, 1) * 255).astype(np.uint8)
     stated = {**(metadata or {}), "curve": curve, "exposure": float(exposure)}
-    write_png(path, to_display(image, exposure), stated)
+    write_png(path, shown, stated)
 
 
 def _describe(spec: oiio.ImageSpec, metadata: dict[str, str | float | int]) -> None:

@@ -50,11 +50,14 @@ def said(path: Path, spec: oiio.ImageSpec) -> Said:
     if icc is not None:
         name = spec.get_string_attribute("ICCProfile:profile_description")
         return Said(icc=bytes(bytearray(icc)), name=f"colour profile '{name or 'of no name'}'")
+    if {"icc_profile"} == {"icc_profile", "srgb"} & set(_of_png(path)):
+        # The reader throws profiles away that are damaged, or not of this kind of picture.
+        return Said(lost=True, name="a colour profile that is damaged or not of such a picture")
     if spec.get_int_attribute("Exif:ColorSpace", 1) == 0xFFFF:
         return _uncalibrated(path)
     primaries = spec.getattribute("chromaticities")
     if primaries is None and spec.getattribute("CICP") is None:
-        primaries = _of_png(path)
+        primaries = _primaries(_of_png(path))
     if primaries is not None and not np.allclose(primaries, _PRIMARIES, atol=_CLOSE):
         return Said(None, space or None, tuple(primaries), "the primaries that it names")
     return Said(space=space or None, name=f"colour space {space}")
@@ -164,16 +167,20 @@ def _has(space: str, primaries: tuple[float, ...]) -> bool:
     return np.allclose(own, primaries, atol=_CLOSE)
 
 
-def _of_png(path: Path) -> tuple[float, ...] | None:
-    """Primaries and white, as OpenImageIO has them of other files, which it does not read of a
-    PNG; None where nothing says them, or something else does."""
+def _of_png(path: Path) -> dict:
+    """What a PNG says of itself, by Pillow's names; nothing of another file."""
     if path.suffix.lower() != ".png":
-        return None
+        return {}
     try:
         with PngImagePlugin.PngImageFile(path) as picture:
-            found = picture.info
+            return picture.info
     except (OSError, SyntaxError, ValueError):
-        return None
+        return {}
+
+
+def _primaries(found: dict) -> tuple[float, ...] | None:
+    """Primaries and white, as OpenImageIO has them of other files, which it does not read of a
+    PNG; None where nothing says them, or something else does."""
     if "srgb" in found or len(found.get("chromaticity", ())) != 8:
         return None
     return (*found["chromaticity"][2:], *found["chromaticity"][:2])

@@ -136,7 +136,16 @@ def check_scene(scene: mi.Scene, textures: dict[str, mi.Texture]) -> list[str]:
                 )
             matrix = np.array(values[f"{place}.to_uv"].matrix, np.float64)
             charts[key][name] = (texcoords @ matrix[:2, :2].T + matrix[:2, 2])[faces]
-    return warnings + [text for key in charts for text in _shared(charts[key], key)]
+    return warnings + [text for keys, own in _alike(charts) for text in _shared(own, keys)]
+
+
+def _alike(charts: dict[str, dict]) -> list[tuple[list[str], dict[str, np.ndarray]]]:
+    """Keys whose textures lie on the same meshes in the same way, and how."""
+    found: dict[tuple, tuple[list[str], dict]] = {}
+    for key, own in charts.items():
+        same = tuple((name, corners.tobytes()) for name, corners in own.items())
+        found.setdefault(same, ([], own))[0].append(key)
+    return list(found.values())
 
 
 def _textures_of(values: mi.SceneParameters, textures: dict) -> list[tuple[str, str]]:
@@ -150,15 +159,17 @@ def _textures_of(values: mi.SceneParameters, textures: dict) -> list[tuple[str, 
     ]
 
 
-def _shared(charts: dict[str, np.ndarray], key: str) -> list[str]:
-    """A warning where places of the surface share texels. ``charts``: mesh → ``(F, 3, 2)``."""
+def _shared(charts: dict[str, np.ndarray], keys: list[str]) -> list[str]:
+    """A warning where places of the surface share texels of the unknowns ``keys``. ``charts``: mesh
+    → ``(F, 3, 2)``."""
     share = overlap(np.concatenate(list(charts.values()))) if charts else 0.0
     if share < LARGEST_OVERLAP:
         return []
     mesh, it = ("mesh", "it uses") if len(charts) == 1 else ("meshes", "they use")
+    told = ", ".join(f"'{key}'" for key in keys) + (" is" if len(keys) == 1 else " are")
     return [
         f"{mesh} {', '.join(charts)}: {share:.0%} of the texels that {it} belong to two or more "
-        f"places of the surface: '{key}' is a compromise there"
+        f"places of the surface: {told} a compromise there"
     ]
 
 

@@ -137,7 +137,8 @@ class Place:
         pixels = as_numpy(self.value)
         # An environment map repeats its first column and its last.
         pixels = pixels[:, 1:-1] if isinstance(self.owner, mi.Emitter) else pixels
-        images.write_exr(path, pixels, channels(pixels), {"what": self.key})
+        data = "normalmap" in self.key.split(".")
+        images.write_exr(path, pixels, channels(pixels), {"what": self.key}, data)
         return self._file(path)
 
     def _grid(self, path: Path) -> Path:

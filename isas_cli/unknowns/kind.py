@@ -84,8 +84,9 @@ class Kind:
     why it is not, where estimators take differences of renderings instead, or nothing.
     ``uniform``: whether Adam divides the steps of all entries by one number, and steps go along
     ``smoothed``. ``texture``: whose texels, laid out on meshes, are the unknown; the meshes are
-    checked for it. ``role``: ``light``, ``colour`` or nothing, see ``Unknowns.traded``.
-    ``doubtful``: whether ``doubt`` may have something to say.
+    checked for it. ``colours``: whether its pictures of three channels show any. ``role``:
+    ``light``, ``colour`` or nothing, see ``Unknowns.traded``. ``doubtful``: whether ``doubt`` may
+    have something to say.
     """
 
     name: ClassVar[str] = "parameter"
@@ -100,6 +101,7 @@ class Kind:
     order: tuple[int, int] = (0, 0)
     settings: str = ""
     texture: mi.Texture | None = None
+    colours: bool = True
     uniform: bool = False
     doubtful: bool = False
     doublings: int = 0

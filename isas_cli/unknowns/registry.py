@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ..runtime import guests
 from . import routes
+from .bumps import Bumps
 from .direction import Direction
 from .environment import Environment
 from .exposure import Exposure
@@ -18,7 +19,7 @@ from .vertices import Vertices
 
 _KINDS: list[type[Kind]] = [
     *guests.loaded(guests.KINDS),
-    *(Pose, Vertices, Exposure, Motion, Direction, Environment, Texture, Grid),
+    *(Pose, Vertices, Exposure, Motion, Direction, Environment, Bumps, Texture, Grid),
     Value,  # whatever no other kind has taken
 ]
 

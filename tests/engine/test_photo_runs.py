@@ -453,6 +453,11 @@ def test_a_mesh_elsewhere_is_told(photographed, tmp_path):
         problem(photographed[0], f"photos.mesh={tmp_path / 'far.ply'}")
 
 
+def test_a_width_at_which_it_fills_no_pixel_is_named(photographed):
+    with pytest.raises(InputError, match="they are 4 pixels wide at most: .*photos.width"):
+        problem(*photographed, "photos.width=4")
+
+
 def test_one_view_alone_ends_well(photographed, tmp_path):
     run = isas_cli.run(
         *SMALL,

@@ -2,6 +2,7 @@
 
 import struct
 import sys
+import zlib
 
 import icc
 import numpy as np
@@ -134,6 +135,31 @@ def test_what_cannot_be_heeded_is_said(tmp_path):
         assert "colour profile" in found.doubt
         wanted = np.atleast_3d(images.srgb_decode(np.asarray(own) / 255))
         np.testing.assert_allclose(found.image, np.broadcast_to(wanted, (6, 7, 3)), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        b"this is no profile" * 20,
+        b"x",
+        profile(P3)[:400],
+        profile(P3, space=b"CMYK"),
+        ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB")).tobytes(),
+    ],
+    ids=["garbage", "short", "cut", "CMYK", "LAB"],
+)
+def test_a_pngs_profile_that_its_reader_throws_away_is_said(tmp_path, made):
+    picture = Image.fromarray(NUMBERS)
+    picture.save(tmp_path / "a.png", icc_profile=made)
+    found = images.load(tmp_path / "a.png")
+    assert "colour profile that is damaged or not of such a picture" in found.doubt
+    np.testing.assert_allclose(found.image, OF_SRGB, atol=1e-6)
+    # Beside the word that its colours are sRGB's nothing is in doubt.
+    whole, says = (tmp_path / "a.png").read_bytes(), b"sRGB\0"
+    says = struct.pack(">I", 1) + says + struct.pack(">I", zlib.crc32(says))
+    (tmp_path / "b.png").write_bytes(whole[:33] + says + whole[33:])  # after its header
+    assert images.load(tmp_path / "b.png").doubt is None
+    assert images.load(tmp_path / "a.png", linear=False).doubt is None
 
 
 def test_heic(tmp_path):

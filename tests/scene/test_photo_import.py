@@ -183,3 +183,20 @@ def test_what_was_resampled_is_kept_by_what_it_holds(tmp_path, monkeypatch):
     photo_sets.transforms(Files(tmp_path, POSES, brighter), k1=0.1)
     with pytest.raises(pytest.fail.Exception):
         loaded(tmp_path)
+
+
+def test_a_width_of_which_no_pixel_counts_is_named(tmp_path):
+    """Pixels that masks take a bit of do not count; of one alone that is all."""
+    content = photo_sets.transforms(Files(tmp_path, POSES))
+    mask = np.full((SIZE[1], SIZE[0], 1), 255, np.uint8)
+    mask[:2] = 0
+    images.write_png(tmp_path / "mask.png", mask)
+    for frame in content["frames"]:
+        frame["mask_path"] = "mask.png"
+    photo_sets.write(tmp_path / "transforms.json", content)
+    with pytest.raises(InputError, match="photos.width=1: .*view_0.exr has no pixel .* 40 pixels"):
+        loaded(tmp_path, width=1)
+    mask[:] = 0
+    images.write_png(tmp_path / "mask.png", mask)
+    with pytest.raises(InputError, match="no pixel counts .1200 masked by its file"):
+        loaded(tmp_path, width=1)

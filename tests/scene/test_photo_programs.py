@@ -11,8 +11,9 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from test_photo_cameras import POINTS, expected
 
+from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime.errors import InputError
-from isas_cli.scene.photos import reading
+from isas_cli.scene.photos import photographs, reading
 
 FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -233,14 +234,55 @@ def test_realitycapture_counts_in_the_longer_side(tmp_path):
     np.testing.assert_allclose((camera.cx, camera.cy), np.array(CENTRE) - (5, -5))
 
 
+def test_realitycaptures_tangential_lens(tmp_path):
+    """By Brown's formula, written out; its t1 goes with y, as OpenCV's p1 does with what it calls
+    t2."""
+    k1, k2, k3, k4, t1, t2 = 0.1, -0.05, 0.02, 0.01, 0.004, -0.003
+    for model, last in (("brown4t2", k4), ("brown3t2", 0.0)):
+        numbers = f"{k1} {k2} {k3} {last} {t1} {t2}"
+        xmp(tmp_path, DistortionModel=model, DistortionCoeficients=numbers)
+        (camera, *_) = reading.read(str(tmp_path)).cameras
+        homogeneous = np.column_stack([POINTS, np.ones(len(POINTS))]).T
+        x, y, z = (np.linalg.inv(POSES[0]) @ homogeneous)[:3]
+        x, y = x / z, y / z
+        r2 = x * x + y * y
+        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3 + last * r2**4
+        bent_x = x * radial + t1 * (r2 + 2 * x * x) + 2 * t2 * x * y
+        bent_y = y * radial + t2 * (r2 + 2 * y * y) + 2 * t1 * x * y
+        wanted = np.stack([bent_x * FOCAL + CENTRE[0], bent_y * FOCAL + CENTRE[1]], 1)
+        np.testing.assert_allclose(camera.project(POINTS)[0], wanted, atol=1e-9)
+    # The model without it has none, whatever else the file holds.
+    xmp(tmp_path, DistortionModel="brown3", DistortionCoeficients="0.1 0 0 0 0 0")
+    assert reading.read(str(tmp_path)).cameras[0].lens.tangential == (0, 0)
+
+
+@pytest.mark.parametrize("lost", [1, 3])
+def test_pictures_that_realitycaptures_files_lack(tmp_path, lost):
+    xmp(tmp_path)
+    for number in range(lost):
+        (tmp_path / f"view_{number}.png").unlink()
+    refused(tmp_path, "view_0.xmp: its picture .*view_0 does not exist.*photos.missing=skip")
+    settings = PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.5], missing="skip")
+    if lost == 3:
+        with pytest.raises(InputError, match="missing=skip: none of 3 pictures exists, first view"):
+            photographs.load(settings)
+        return
+    taken = photographs.load(settings)
+    assert [each.camera.name for each in taken.shown] == ["view_1.png", "view_2.png"]
+    assert any("1 of the views are left out" in each for each in taken.warnings)
+    (tmp_path / "elsewhere").mkdir()
+    Files(tmp_path / "elsewhere", POSES).names(".png")
+    settings = PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.5], images="elsewhere")
+    assert len(photographs.load(settings).shown) == 3
+
+
 @pytest.mark.parametrize(
     "more, told",
     [
         (
-            dict(DistortionModel="brown3t2", DistortionCoeficients="0.1 0 0 0 0.01 0"),
-            "view_0.xmp: DistortionModel brown3t2; valid: .*COLMAP",
+            dict(DistortionModel="division", DistortionCoeficients="-0.1 0 0 0 0 0"),
+            "view_0.xmp: DistortionModel division; valid: .*brown4t2: choose one in.*COLMAP",
         ),
-        (dict(DistortionModel="division", DistortionCoeficients="-0.1 0 0 0 0 0"), "division"),
         (dict(Skew=0.1), "Skew is not 0"),
         (dict(FocalLength35mm=None), "has no FocalLength35mm"),
         (dict(Rotation="1 0 0"), "Rotation has 3 numbers, not 9"),
@@ -256,4 +298,5 @@ def test_realitycaptures_table_is_refused(tmp_path):
     Files(tmp_path, POSES).names(".png")
     head = "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2\n"
     (tmp_path / "registration.csv").write_text(head)
-    refused(tmp_path, "registration.csv: RealityCapture's table of angles is not read.*COLMAP")
+    told = "registration.csv: RealityCapture's table of angles is not read.*export XMP.*COLMAP"
+    refused(tmp_path, told)

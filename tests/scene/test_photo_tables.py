@@ -7,7 +7,7 @@ import numpy as np
 import photo_sets
 import pytest
 import trimesh
-from photo_sets import POSES, SIZE, Files
+from photo_sets import CENTRE, FOCAL, POSES, SIZE, Files
 from PIL import Image
 
 from isas_cli.cli import photo_tables
@@ -138,3 +138,86 @@ def test_numbers_of_a_lens_as_ranges():
     assert photo_tables._lens(cameras) == "k1 0.1 to 0.15"
     assert photo_tables._lens(cameras[:1] * 2) == str(cameras[0].lens) == "k1 0.1"
     assert Lens().terms == {}
+
+
+def test_a_sheet_loses_no_other(called, tmp_path):
+    """Of two sets in folders of one name, and of a file that is none; its own is made anew."""
+    for place in ("a", "b"):
+        (tmp_path / place / "scan").mkdir(parents=True)
+        photo_sets.transforms(Files(tmp_path / place / "scan", POSES))
+
+    def sheet(folder: str) -> str:
+        (line,) = [each for each in called(folder) if each.startswith("sheet: ")]
+        return line.removeprefix("sheet: ")
+
+    assert sheet("a/scan") == "photos-scan.png"
+    first = (tmp_path / "photos-scan.png").read_bytes()
+    assert sheet("b/scan") == "photos-scan-2.png"
+    assert (tmp_path / "photos-scan.png").read_bytes() == first
+    assert sheet("a/scan") == "photos-scan.png" and sheet("b/scan") == "photos-scan-2.png"
+    (tmp_path / "photos-scan.png").write_text("mine")
+    assert sheet("a/scan") == "photos-scan-3.png"
+    assert (tmp_path / "photos-scan.png").read_text() == "mine"
+    assert str(tmp_path).encode() not in first  # a picture that is given away tells no folder
+
+
+def test_tables_fit_into_eighty_columns(tmp_path, monkeypatch, capfd):
+    """With all columns that there are, and names of any length; numbers stay whole."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    content = photo_sets.transforms(Files(tmp_path, POSES))
+    (tmp_path / "a_folder_of_pictures/the_second_camera").mkdir(parents=True)
+    mask = np.full(SIZE[::-1], 255, np.uint8)
+    mask[:3] = 0
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    for number, frame in enumerate(content["frames"]):
+        name = f"a_folder_of_pictures/the_second_camera/picture_{number:06d}.jpg"
+        jpeg(tmp_path / name, 1 / 125)
+        frame.update(file_path=name, exposure=[1.25, 0.75, 1.5], mask_path="mask.png")
+        focal = 1055.25 + number
+        frame.update(fl_x=focal, fl_y=focal, k1=0.0123, k2=-0.0456, p1=0.00012)
+    photo_sets.write(tmp_path / "transforms.json", content)
+    assert main(["photos", ".", "photos.sphere=[0,0,0,0.4]"]) == 0
+    out = capfd.readouterr().out
+    table = [line for line in out.splitlines() if line[:1] in "┏┃┡│└├"]
+    print(out)
+    assert table and max(map(len, table)) <= 80
+    for told in ("1055.2", "1056.2", "40×30", "120 masked by"):
+        assert told in out
+
+
+def test_pictures_of_unlike_brightness_are_told(called, tmp_path):
+    """Of a ball with patches, seen by three cameras, one of which exposed less; EXIF says nothing
+    of it."""
+    from test_photo_checks import ball
+
+    def patches(pose: np.ndarray, exposure: float) -> np.ndarray:
+        """What a camera sees of a ball of 0.4 around the origin that is lit alike."""
+        rows, columns = np.indices(SIZE[::-1]) + 0.5
+        rays = np.stack(
+            [(columns - CENTRE[0]) / FOCAL, (rows - CENTRE[1]) / FOCAL, np.ones(SIZE[::-1])], -1
+        )
+        rays = rays @ pose[:3, :3].T
+        rays /= np.linalg.norm(rays, axis=2, keepdims=True)
+        along = rays @ pose[:3, 3]
+        inside = along**2 - (pose[:3, 3] @ pose[:3, 3] - 0.4**2)
+        far = -along - np.sqrt(np.maximum(inside, 0))
+        place = pose[:3, 3] + far[..., None] * rays
+        colour = 0.3 + 0.15 * np.sin(9 * place)
+        return (exposure * np.where(inside[..., None] > 0, colour, 0.05)).astype(np.float32)
+
+    mesh = f"photos.mesh={ball(tmp_path)}"
+    eyes = [(2.0, 1.0, 2.5), (2.4, 0.2, 2.0), (1.4, 1.6, 2.3)]
+    poses = [photo_sets.look_at(eye, (0.0, 0.0, 0.0)) for eye in eyes]
+    for exposures, found in (((1, 1, 1), False), ((1, 0.5, 1.1), True)):
+        pictures = [patches(pose, e) for pose, e in zip(poses, exposures)]
+        content = photo_sets.transforms(Files(tmp_path, poses, pictures))
+        lines = " ".join(called(".", mesh))
+        told = "times as bright in view_2.exr as in view_1.exr"
+        assert (told in lines) == found, lines
+        assert not found or abs(float(lines.partition("are up to ")[2].split()[0]) - 2.2) < 0.1
+        assert "times as bright in" not in " ".join(called(".", mesh, "photos.exposure=scale"))
+    for frame, exposure in zip(content["frames"], exposures):
+        frame["exposure"] = exposure
+    photo_sets.write(tmp_path / "transforms.json", content)
+    assert "times as bright in" not in " ".join(called(".", mesh))

@@ -11,9 +11,10 @@ import numpy as np
 from ...config.schema import PhotosConfig, UnknownConfig
 from ...runtime import images
 from ...runtime.errors import InputError
-from ...scenes import library, meshes
+from ...scenes import meshes
 from ...unknowns.parameters import own
 from ..views import Views
+from . import material
 from .camera import Camera
 from .importing import BLACK, Photograph
 from .photographs import Photographs
@@ -21,9 +22,7 @@ from .shape import OBJECT
 
 SKY = "sky"
 EXPOSURE, CAMERAS = "exposure", "cameras"  # the keys of what is the views' own
-# What an unknown base colour and an unknown environment start at.
-_GREY, _LIGHT = 0.5, 1.0
-_ROUGHNESS = 0.5
+_LIGHT = 1.0  # what an unknown environment starts at
 _DEPTH = 3
 # From Mitsuba's environments, whose up is y, to another axis: axis and angle of a rotation.
 _TURNS = {
@@ -54,7 +53,7 @@ def description(photographs: Photographs, max_depth: int | None) -> dict[str, An
         },
         SKY: _light(settings),
         **{
-            name: meshes.shape(name, part, _material(settings, part))
+            name: meshes.shape(name, part, material.described(settings, photographs.colour, part))
             for name, part in photographs.parts.items()
         },
         **sensors,
@@ -96,25 +95,29 @@ def straightened(camera: Camera) -> np.ndarray:
 
 
 def unknowns(settings: PhotosConfig, parts: dict[str, meshes.Surface], own: dict) -> dict[str, Any]:
-    """What is unknown: ``own``, or the base colour, the roughness where that is asked for, of each
-    part, and the light where none is given; always the exposures and poses, where they are not
-    fixed. Raises InputError for keys that speak of one part where there are several."""
+    """What is unknown: ``own``, or the base colour of each part and the light, where they are not
+    given; always what the settings ask for besides: roughness, metallic, normals, exposures, poses.
+    Raises InputError for keys that speak of one part where there are several, and for nothing."""
     found = dict(own)
     if len(parts) > 1:
         _check_parts(settings, list(parts), found)
-    if not found:
-        for name, part in parts.items():
-            colour = "data" if len(part.texcoords) else "value"
-            key = f"{name}.bsdf.brdf_0.base_color.{colour}"
-            found[key] = UnknownConfig(start=_GREY, range=[0.0, 1.0])
-            if settings.roughness:
-                found[f"{name}.bsdf.brdf_0.roughness.value"] = UnknownConfig(start=_ROUGHNESS)
-        if settings.environment is None:
-            found[f"{SKY}.data"] = UnknownConfig(start=_LIGHT)
+    for name, part in parts.items():
+        usual = {} if own else material.unknown(settings, name, part)
+        for key, spec in (usual | material.asked(settings, name)).items():
+            found.setdefault(key, spec)
+    if not own and settings.environment is None:
+        found[f"{SKY}.data"] = UnknownConfig(start=_LIGHT)
     if settings.exposure != "fixed":
         found.setdefault(EXPOSURE, UnknownConfig(start=1.0, lr=0.05))
     if settings.refine:
         found.setdefault(CAMERAS, UnknownConfig(start=0.0))
+    if not found:
+        raise InputError(
+            f"photos.texture={settings.texture} and photos.environment={settings.environment} are "
+            "known, and nothing else is unknown: photos.roughness, photos.metallic (true, map), "
+            "photos.normals=map, photos.exposure=scale or photos.refine=true says what to find, or "
+            "scene.unknowns, poses by scene.poses too"
+        )
     return found
 
 
@@ -125,6 +128,11 @@ def _check_parts(settings: PhotosConfig, names: list[str], own: dict) -> None:
                 f"scene.unknowns: '{key}': {settings.mesh} has several materials, a shape each: "
                 f"{', '.join(names)}; photos.materials=one makes one shape '{OBJECT}' of them"
             )
+
+
+def traded(settings: PhotosConfig, keys: list[str]) -> list[str]:
+    """That images hardly tell some of the unknowns ``keys`` apart."""
+    return material.traded(settings, keys, SKY)
 
 
 def of_views(taken: Photographs, views: Views) -> dict:
@@ -172,15 +180,3 @@ def _light(settings: PhotosConfig) -> dict[str, Any]:
         "bitmap": mi.Bitmap(np.ascontiguousarray(pixels)),
         "to_world": mi.ScalarTransform4f().rotate(axis, angle),
     }
-
-
-def _material(settings: PhotosConfig, surface: meshes.Surface) -> dict[str, Any]:
-    """Seen from both sides: scanned meshes often do not know which is out."""
-    colour: dict[str, Any] = {"type": "rgb", "value": [_GREY] * 3}
-    if len(surface.texcoords):
-        side = settings.texture
-        colour = library.texture(np.full((side, side, 3), _GREY, np.float32))
-        if surface.texcoords.min() < 0 or surface.texcoords.max() > 1:
-            colour["wrap_mode"] = "repeat"
-    inner = {"type": "principled", "base_color": colour, "roughness": _ROUGHNESS}
-    return {"type": "twosided", "bsdf": inner}

@@ -75,7 +75,7 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
     variance = None
     if camera.image.suffix.lower() not in noise.LOSSY:
         variance = noise.of_one(image, mask if part is None else mask * (part >= _WHOLE))
-    target = camera.pinhole(settings.width)
+    target, counted = camera.pinhole(settings.width), mask.any()
     same = camera.ideal and (target.width, target.height) == (camera.width, camera.height)
     if not same:
         made = cached(
@@ -88,6 +88,11 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
             grey = np.repeat(part[..., None], 3, axis=2)
             part = resample(camera, target, grey, np.ones_like(part))[0][..., 0]
     if not mask.any():
+        if counted and target.width < camera.width:
+            raise InputError(
+                f"photos.width={settings.width}: {camera.image} has no pixel of that size that "
+                f"counts as a whole: take more; it is {camera.width} pixels wide"
+            )
         told = ", ".join(f"{number} {why}" for why, number in lost.items() if number)
         raise InputError(
             f"{camera.image}: no pixel counts ({told or 'all outside after undistortion'}): "

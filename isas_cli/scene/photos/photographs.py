@@ -6,10 +6,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+
 from ...config.schema import PhotosConfig
 from ...runtime.errors import InputError
 from ...scenes.meshes import Surface
-from . import finding, importing, outlines, reading, shape, turns
+from . import finding, importing, material, outlines, reading, shape, turns
 from .base import Capture
 from .importing import Photograph
 
@@ -20,7 +22,8 @@ _NAMED = 5  # of pictures that are missing
 class Photographs:
     """``shown``: views to learn from, at least one; ``held``: views held out; ``capture``: all that
     their file says; ``parts``: of the object, by shape (``shape.parts``), or None; ``settings``:
-    what was asked for; ``warnings``: what should be said of the files."""
+    what was asked for; ``warnings``: what should be said of the files; ``colour``: the object's,
+    where it is known (``material.colour``), or None."""
 
     shown: list[Photograph]
     held: list[Photograph]
@@ -28,6 +31,7 @@ class Photographs:
     parts: dict[str, Surface] | None
     settings: PhotosConfig
     warnings: list[str] = field(default_factory=list)
+    colour: np.ndarray | None = None
 
     @cached_property
     def surface(self) -> Surface | None:
@@ -45,6 +49,7 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     root = reading.folder_of(settings.path)
     if settings.environment is not None and not Path(settings.environment).is_file():
         raise InputError(f"photos.environment={settings.environment}: no such picture file")
+    colour, doubts = material.colour(settings)
     with finding.looking(settings, root) as sources:
         capture = reading.read(settings.path, settings.test, settings.cameras, settings.world)
     _check(capture, sources)
@@ -58,8 +63,9 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
         [importing.load(camera, settings, camera.name in over) for camera in part]
         for part in (shown, held)
     ]
-    told += [*_left_out(sources), *more, *_doubts([*made[0], *made[1]])]
-    found = Photographs(*made, capture, parts, settings, told)
+    told += [*_left_out(sources), *more, *_doubts([*made[0], *made[1]]), *doubts]
+    told += [] if parts is None else material.check(settings, parts)
+    found = Photographs(*made, capture, parts, settings, told, colour)
     told += outlines.doubts(found.all, found.surface)
     return found
 

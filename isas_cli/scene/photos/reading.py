@@ -57,9 +57,9 @@ def read(path: str, test=None, cameras: str | None = None, world: str = "mesh") 
             f"photos.test={test}: {file} gives no views to hold out: looked for test_filenames in "
             f"{one}, and for {transforms.TEST} beside {train}"
         )
-    name, times = Counter(camera.name for camera in capture.cameras).most_common(1)[0]
-    if times > 1:
-        raise InputError(f"{file}: {name} is listed {times} times: once a picture")
+    for name, times in Counter(camera.name for camera in capture.cameras).most_common(1):
+        if times > 1:
+            raise InputError(f"{file}: {name} is listed {times} times: once a picture")
     return capture
 
 

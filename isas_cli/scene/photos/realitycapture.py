@@ -3,8 +3,10 @@
 As "RealityCapture XMP Camera Math" has it: ``Rotation``, row after row, goes from world to camera
 (x right, y down, z forward), ``Position`` is where the camera stands; ``FocalLength35mm`` is of a
 film 36 mm long, and it and the principal point are in lengths of the picture's longer side. Of its
-lenses those are read of which the formula is sure: ``perspective``, ``brown3``, ``brown4``. The
-mesh has to be exported with "Same as XMP" as coordinate system. Its CSV, of angles, is not read.
+lenses those are read of which the formula is sure: ``perspective``, ``brown3``, ``brown4``, and
+these with ``t2``, whose t1 and t2 are OpenCV's p2 and p1, as its own table "OpenCV-compliant
+Internal/External Camera Parameters" orders them. The mesh has to be exported with "Same as XMP" as
+coordinate system. Its CSV, of angles, is not read.
 """
 
 from __future__ import annotations
@@ -17,12 +19,13 @@ import numpy as np
 from ...runtime.errors import InputError
 from .base import Asked, Capture, claimed, number, read_text
 from .camera import Camera
-from .finding import existing, size
+from .finding import picture, present, size
 from .lens import Lens
 
 _SPACE = "{http://www.capturingreality.com/ns/xcr/1.1#}"
 _FILM = 36.0  # mm
-_LENSES = ("perspective", "brown3", "brown4")
+_LENSES = ("perspective", "brown3", "brown4", "brown3t2", "brown4t2")
+_POSE = {"Rotation", "Position"}
 _WAY_OUT = "export the registration for COLMAP, or undistorted pictures with XMP"
 
 
@@ -48,21 +51,22 @@ def read(file: Path, asked: Asked) -> Capture:
     if file.suffix.lower() == ".csv":
         raise InputError(
             f"{file}: RealityCapture's table of angles is not read, as nobody says exactly what "
-            f"they mean: {_WAY_OUT}"
+            f"they mean: export XMP beside the pictures, or {_WAY_OUT}"
         )
-    found, lost = [], []
-    for each in sorted(file.parent.glob(f"*{file.suffix}")):
-        if claimed(each, claims):
-            camera = _camera(each, asked.root)
-            found.append(camera) if camera is not None else lost.append(each.name)
-    if not found:
+    files = [each for each in sorted(file.parent.glob(f"*{file.suffix}")) if claimed(each, claims)]
+    told = {each: _told(each) for each in files}
+    posed = [each for each in files if set(told[each]) >= _POSE]
+    lost = [each.name for each in files if each not in posed]
+    if not posed:
         raise InputError(f"{file}: no XMP file there holds Rotation and Position of a camera")
+    cameras = [present(_camera, each, told[each], asked.root) for each in posed]
+    found = [camera for camera in cameras if camera is not None]
     notes = [f"{file.parent}: {len(lost)} XMP files hold no pose, first {lost[0]}"] if lost else []
     return Capture(found, "RealityCapture", notes=notes)
 
 
-def _camera(file: Path, root: Path) -> Camera | None:
-    """None where the file holds no pose."""
+def _told(file: Path) -> dict[str, str]:
+    """What a file says of its picture's camera, by name. Raises InputError."""
     try:
         tree = ElementTree.fromstring(read_text(file).encode())
     except (ElementTree.ParseError, ValueError) as error:
@@ -74,18 +78,17 @@ def _camera(file: Path, root: Path) -> Camera | None:
         for name, value in element.attrib.items():
             if name.startswith(_SPACE):
                 told[name.removeprefix(_SPACE)] = value
-    if not {"Rotation", "Position"} <= set(told):
-        return None
+    return told
 
+
+def _camera(file: Path, told: dict[str, str], root: Path) -> Camera:
     def of(name: str, count: int = 1, otherwise: str = "0") -> list[float]:
         words = told.get(name, otherwise).split()
         if len(words) != count:
             raise InputError(f"{file}: {name} has {len(words)} numbers, not {count}")
         return [number(word, f"{file}: {name}") for word in words]
 
-    image = existing(file.parent, file.stem)
-    if image is None:
-        raise InputError(f"{file}: no picture of that name lies beside it")
+    image = picture(file.parent, file.stem, str(file))
     width, height = size(image)
     side = max(width, height)
     if "FocalLength35mm" not in told:
@@ -114,10 +117,12 @@ def _lens(file: Path, told: dict[str, str], of) -> Lens:
     numbers = of("DistortionCoeficients", 6, "0 0 0 0 0 0")
     if model == "perspective" or not any(numbers):
         numbers = [0.0] * 6
-    elif model not in _LENSES and not (model in ("brown3t2", "brown4t2") and not any(numbers[4:])):
+    elif model not in _LENSES:
         raise InputError(
-            f"{file}: DistortionModel {model}; valid: {', '.join(_LENSES)}; {_WAY_OUT}"
+            f"{file}: DistortionModel {model}; valid: {', '.join(_LENSES)}: choose one in "
+            f"RealityCapture (Alignment Settings > Advanced), align and export anew, or {_WAY_OUT}"
         )
     if of("Skew")[0] != 0 or of("AspectRatio", 1, "1")[0] != 1:
         raise InputError(f"{file}: Skew is not 0 or AspectRatio not 1: {_WAY_OUT}")
-    return Lens(radial=tuple(numbers[:4]))
+    first, second = numbers[4:] if model.endswith("t2") else (0.0, 0.0)
+    return Lens(radial=tuple(numbers[:4]), tangential=(second, first))

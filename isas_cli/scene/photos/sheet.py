@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, PngImagePlugin
 
 from ...runtime import images
+from ...runtime.cache import digest
 from ...runtime.files import write_atomically
 from ...scenes.meshes import Surface
 from .camera import Camera
@@ -18,10 +19,11 @@ from .photographs import Photographs
 _WIDE, _GAP, _TEXT, _MOST = 320, 6, 16, 60
 _LINE, _POINT, _FOUND = (0, 230, 80), (255, 60, 40), (60, 160, 255)
 _DIMMED = 0.35  # what does not count
+_OF = "isas:photographs"  # a PNG's word for whose sheet it is
 
 
-def write(checked: list[View], photographs: Photographs, path: Path) -> int:
-    """Writes the sheet as PNG; returns how many views are on it."""
+def write(checked: list[View], photographs: Photographs, path: Path, folder: Path) -> int:
+    """Writes the sheet of the set in ``folder`` as PNG; returns how many views are on it."""
     chosen = np.unique(np.linspace(0, len(checked) - 1, min(_MOST, len(checked))).round())
     surface = photographs.surface
     edges = None if surface is None else _Edges(surface)
@@ -35,8 +37,24 @@ def write(checked: list[View], photographs: Photographs, path: Path) -> int:
         for column, cell in enumerate(row):
             sheet.paste(cell, (_GAP + column * (_WIDE + _GAP), top))
         top += height
-    write_atomically(path, lambda temporary: sheet.save(temporary, format="PNG"))
+    of = PngImagePlugin.PngInfo()
+    of.add_text(_OF, _mark(folder))
+    write_atomically(path, lambda temporary: sheet.save(temporary, format="PNG", pnginfo=of))
     return len(cells)
+
+
+def shows(path: Path, folder: Path) -> bool:
+    """Whether a file is a sheet of the set in ``folder``."""
+    try:
+        with Image.open(path) as opened:
+            return opened.info.get(_OF) == _mark(folder)
+    except (OSError, SyntaxError, ValueError):
+        return False
+
+
+def _mark(folder: Path) -> str:
+    """Of a folder, which a file that may be given away does not tell."""
+    return digest(str(folder.resolve()))
 
 
 def _cell(view: View, photographs: Photographs, edges: "_Edges | None") -> Image.Image:
