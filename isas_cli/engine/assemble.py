@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import SceneConfig, TargetConfig
-from ..rendering import coverage, integrators, light, targets, trial
+from ..rendering import coverage, integrators, light, picture_edges, targets, trial
 from ..runtime import backend
 from ..runtime.errors import InputError
 from ..scene import built, flat, lenses, mesh_checks, scene_file, stand_ins
@@ -21,7 +21,7 @@ from ..scene.photos import building, importing, noise, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
 from ..unknowns import verdicts
-from ..unknowns.parameters import owner, read
+from ..unknowns.parameters import own, owner, read
 from ..unknowns.specs import narrow_blurs, parse
 from ..unknowns.unknowns import Unknown, Unknowns
 
@@ -54,12 +54,13 @@ def bare(
         raise InputError(f"{pixels} pixels in all views together: fewer than 2^32 can be indexed")
     params = mi.traverse(loaded)
     content = _content_hash(loaded, integrator, params, description)
-    views, of_views, wanted = Views.of(sizes), None, scene.unknowns
+    views, of_views, wanted, poses = Views.of(sizes), None, scene.unknowns, scene.poses
     if taken is not None:
-        wanted = building.unknowns(scene.photos, taken.parts, scene.unknowns)
+        poses = building.poses(taken, scene.poses)
+        wanted = building.unknowns(taken, scene.unknowns, poses)
         of_views = building.of_views(taken, views)
     truth_known = taken is None and scene.targets is None
-    found = parsed(params, wanted, truth_known, scene.poses, of_views)
+    found = parsed(params, wanted, truth_known, poses, of_views)
     if taken is not None and len(taken.parts) > 1:
         for each in (each for each in found if each.kind.deforms):
             raise InputError(
@@ -146,6 +147,10 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
     problem.names = tuple(each.camera.name for each in taken.shown)
     pictures, masks = ([getattr(p, n) for p in taken.shown] for n in ("image", "mask"))
     targets.given(problem, pictures, masks, filled)
+    if taken.settings.background == importing.BLACK:
+        problem.part = own(mi.Float, np.concatenate([p.part.ravel() for p in taken.shown]))
+    if taken.settings.edges:
+        problem.edges = picture_edges.of(pictures, masks)
     problem.photographed = noise.of_all(taken.shown)
     ends = np.cumsum([width * height for width, height in problem.film_sizes])[:-1]
     counts = np.array([part.sum() for part in np.split(np.array(problem.mask), ends)])
@@ -156,6 +161,8 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
         return
     held = replace(
         problem,
+        part=None,
+        edges=None,
         sensors=lenses.of(problem.scene, range(count, count + len(taken.held))),
         film_sizes=sizes[count:],
         views=replace(Views.of(sizes[count:]), given=building.given(taken.held)),
@@ -181,13 +188,13 @@ def _untold(taken: photographs.Photographs, unknowns: Unknowns) -> list[str]:
     filled, found = not taken.settings.background, []
     hidden = {"masked by its file", "transparent"}
     masked = any(each.lost.get(why) for each in taken.shown for why in hidden)
-    if shapes and masked:
-        found.append(
-            f"'{shapes[0]}': pixels that masks hide or that are transparent do not count, so "
+    if masked and not taken.settings.edges:
+        return [
+            f"'{moving[0].key}': pixels that masks hide or that are transparent do not count, so "
             "nothing tells its outline there: take photos.background=black, by which alpha or "
             "masks say where the object ends"
-        )
-    elif shapes and filled:
+        ]
+    if shapes and filled:
         found.append(
             f"'{shapes[0]}': with photos.background=false pixels that the start does not fill do "
             "not count, so nothing lets the shape grow: photos.background=true, but only where the "
@@ -196,15 +203,17 @@ def _untold(taken: photographs.Photographs, unknowns: Unknowns) -> list[str]:
         )
     painted = [u.key for u in unknowns if u.kind.role == "colour" and u.start.ndim == 3]
     posed = [unknown.key for unknown in moving if not unknown.kind.deforms]
-    if posed and painted and len(taken.shown) == 1:
+    if posed and painted and len(taken.shown) == 1 and not taken.settings.edges:
         found.append(
             f"'{posed[0]}' and '{painted[0]}' are unknown together, and from any pose some texture "
-            "shows a single view: take a texture that is known, or more views"
+            "shows a single view: photos.edges=true follows edges in it; or take alpha or masks "
+            "and photos.background=black, a texture that is known, or more views"
         )
     elif posed and not filled:
         found.append(
             f"'{posed[0]}': with photos.background=true what stands behind the object counts, and "
             "where the scene does not show it the object runs away to hide it: take "
+            "photos.background=black where alpha or masks end the object, else "
             "photos.background=false, unless photos.environment shows it"
         )
     return found

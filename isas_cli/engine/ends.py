@@ -1,14 +1,17 @@
-"""Unknowns whose result lies at an end of its range, which is more often a way lost than found."""
+"""Results that are more often a way lost than found: at an end of a range, or off the outline."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..unknowns.unknowns import Unknowns
+from .evaluate import OUTLINE
 
 # Numbers of an unknown at most, of which this is said: of a texture some texels are black.
 _FEW = 16
 _NEAR = 1e-6
+# Of an outline's distance from alpha or masks, as a share of their area: what is said.
+_OFF = 0.05
 
 
 def reached(unknowns: Unknowns, values: dict) -> list[str]:
@@ -38,6 +41,18 @@ def reached(unknowns: Unknowns, values: dict) -> list[str]:
                 f"{more if stayed else ''}"
             )
     return said
+
+
+def astray(first: dict, last: dict) -> list[str]:
+    """What is to be said of the rows of the start and the end, where alpha or masks are known."""
+    before, after = (row.get(OUTLINE, 0.0) for row in (first, last))
+    if not after > max(_OFF, 0.5 * before):
+        return []
+    return [
+        f"the object's outline is off alpha or masks by {after:.0%} of their area ({before:.0%} "
+        "at the start): shape or pose went astray, or took too small steps; or poses of views, or "
+        "masks, are wrong"
+    ]
 
 
 def _at(numbers: np.ndarray, end: float) -> np.ndarray:

@@ -10,12 +10,15 @@ import mitsuba as mi
 import numpy as np
 
 from ..records import KEY_PREFIX, VALUE_PREFIX
-from ..rendering import rays
+from ..rendering import contours, rays
 from ..rendering.renderer import Renderer
 from ..runtime import streams
 from ..scene.problem import Problem
 from . import floor
 from .floor import Floor
+
+# How far the outline is from alpha or masks, where shapes or poses are unknown.
+OUTLINE = f"{VALUE_PREFIX}outlines/apart"
 
 
 class Evaluator:
@@ -117,8 +120,10 @@ class Evaluator:
 
     def _outlines(self) -> dict[str, float]:
         """``value/outlines/overlap``, where objects move and the truth is known: of the pixels
-        whose middles show what moves, now or in truth, the share that do both. At the present
-        values."""
+        whose middles show what moves, now or in truth, the share that do both; or ``OUTLINE``,
+        where alpha or masks are known (``contours.apart``). At the present values."""
+        if self.problem.part is not None and self.problem.unknowns.moving:
+            return {OUTLINE: contours.apart(self.problem)}
         if self._moved_in_truth is None:
             return {}
         now, truth = self._shown(), self._moved_in_truth

@@ -166,10 +166,12 @@ class Loop:
         # Other unknowns move then, and other kernels take the step.
         for share in {s for u in self.problem.unknowns for s in u.during if 0 < s < 1}:
             self.stepper.step(gradients[-1], share)
-        for share in getattr(self.estimator, "stages", ())[1:]:
-            for i in range(_REHEARSAL_STEPS):
-                self._estimate(_REHEARSAL_BASE + i, share)
-        self.stepper.calibrate(gradients)
+        later = [
+            self._estimate(_REHEARSAL_BASE + i, share)
+            for share in getattr(self.estimator, "stages", ())[1:]
+            for i in range(_REHEARSAL_STEPS)
+        ]
+        self.stepper.calibrate(gradients, later)
 
     def run(self, hooks: Hooks) -> str:
         """Go on until the budget is spent. Returns 'done' or 'interrupted'.

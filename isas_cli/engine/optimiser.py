@@ -256,21 +256,29 @@ class Stepper:
                 entries = np.clip(entries, -most, most)
         return entries.astype(np.float32)
 
-    def calibrate(self, gradients: list[dict]) -> None:
+    def calibrate(self, gradients: list[dict], later: list[dict] = ()) -> None:
         """Fix ``scale`` as 1 / (root mean square of the non-zero finite entries), per unknown; of
-        one that is no finer than at the level before, whose moments go on, as it was there."""
+        one that is no finer than at the level before, whose moments go on, as it was there.
+        ``later``: estimates of later stages, for unknowns of which the first know nothing."""
         shapes, gradients = self.unknowns.shapes, [self._directed(g) for g in gradients]
         for key in self.unknowns.keys:
             if self.level and shapes(self.level)[key] == shapes(self.level - 1)[key]:
                 self.scale[key] = self.scales[self.level - 1][key]
                 continue
-            squares, count = 0.0, 0
-            for gradient in gradients:  # one by one: large grids side by side fill a memory
-                entries = self._along(key, gradient[key])
-                entries = entries[np.isfinite(entries) & (entries != 0)]
-                squares, count = squares + float(np.sum(entries**2)), count + entries.size
+            squares, count = self._squares(key, gradients)
+            if not count:
+                squares, count = self._squares(key, [self._directed(g) for g in later])
             size = math.sqrt(squares / count) if count else 0.0
             self.scale[key] = 1.0 / size if size > 0 else 1.0
+
+    def _squares(self, key: str, gradients: list[dict]) -> tuple[float, int]:
+        """Of entries that are finite and not zero, the sum of their squares, and how many."""
+        squares, count = 0.0, 0
+        for gradient in gradients:  # one by one: large grids side by side fill a memory
+            entries = self._along(key, gradient[key])
+            entries = entries[np.isfinite(entries) & (entries != 0)]
+            squares, count = squares + float(np.sum(entries**2)), count + entries.size
+        return squares, count
 
     def noise(self, gradients: dict) -> float:
         """How far the gradient lies from its running mean: PBDR Eq. (9) of one iteration t,

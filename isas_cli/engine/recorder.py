@@ -262,6 +262,7 @@ class Recorder:
                     kept = f"meshes/good_{safe_name(key)}.*"
                     doubt += f"; {kept} is as of iteration {self._good[key][0]['iteration']}"
                 warnings.append(doubt)
+            warnings += ends.astray(*self.ends)
         if not self.loop.evaluator.loss.linear:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
         for entry in self._resumed:

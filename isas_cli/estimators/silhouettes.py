@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
@@ -9,7 +10,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..rendering.border import Border
+from ..rendering.contours import Contours
 from ..rendering.light import shapes_with
+from ..rendering.picture_edges import PictureEdges
 from ..rendering.pixels import PixelDistribution
 from ..rendering.projective import Attached
 from ..rendering.reflections import Reflections
@@ -28,8 +32,10 @@ if TYPE_CHECKING:
     from ..scene.problem import Problem
 
 
+_CONTOUR = "edge", "edge_residual"
 _EDGE = "edge", "edge_step", "edge_residual"
 _REFLECTED = "reflected_edge", "reflected"
+_BY_OUTLINE = Contours, PictureEdges
 _SHADOW = "lamp", "shadow_edge", "shadow_residual"
 
 
@@ -42,6 +48,8 @@ class Settings(Estimator):
     many again for its shadows); ``reflections``: samples of silhouettes that other surfaces show,
     in reflections and scattered light (and as many again of meshes that stand still); ``lamps``:
     points of lamps that shadows are found for; ``paths``: of each sample's pixel, for its residual;
+    ``outline``: the weight of what the outline says by itself, 0 for nothing: by alpha or masks
+    (``Contours``), by edges in the pictures (``PictureEdges``);
     ``freeze``: record kernels once instead of tracing every iteration."""
 
     name: ClassVar[str] = "silhouettes"
@@ -54,11 +62,14 @@ class Settings(Estimator):
     reflections: int = 0
     lamps: int = 16
     paths: int = 4
+    outline: float = 1.0
     freeze: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
         at_least_one(self, "edges", "paths", "lamps")
+        if not 0 <= self.outline < math.inf:
+            raise InputError(f"estimator.outline={self.outline}: a finite weight, at least 0")
         if self.shadows is not None and self.shadows < 0:
             raise InputError(f"estimator.shadows must be 0 or more, not {self.shadows}")
         if self.reflections < 0:
@@ -115,6 +126,9 @@ class Settings(Estimator):
                 told += " and as many of what stands still"
         if mirrors := shapes_with(problem.scene, "Delta"):
             told += f"; silhouettes that are seen by way of {', '.join(mirrors)} are left out"
+        for found, what in ((problem.part, "alpha or masks"), (problem.edges, "edges in pictures")):
+            if self.outline and found is not None:
+                told += f"; outlines by {what}, of weight {self.outline:g}"
         return told
 
 
@@ -132,6 +146,11 @@ class ByShape:
     way of one, from ``reflections`` samples (``Reflections``), and as many again of meshes that
     stand still, as what moves shows them. Bias: that of all parts. Traced once and frozen, but for
     ``params.update()``.
+
+    Where alpha or masks are known, their coverage term is added (``Contours``), and where edges in
+    pictures count, theirs (``PictureEdges``). As long as nothing moves but shapes and poses, at the
+    beginning of a budget, they follow these alone: what colours and lights would make of images is
+    not known yet, and a step costs no light path.
     """
 
     def __init__(self, problem: "Problem", loss, chosen: Settings):
@@ -141,7 +160,8 @@ class ByShape:
         self.inside = TwoPath(problem, loss, chosen.batch, chosen.freeze)
         meshes, shadows = _meshes(problem), chosen.shadowed(problem)
         # By the key of its mesh's positions; those of what stands still are ``_still``.
-        self.borders: list[tuple[str, tuple, Silhouettes | Shadows | Reflections]] = []
+        self.borders: list[tuple[str, tuple, Border]] = []
+        self.until, self.alone = 0.0, False
 
         def throws(key: str, topologies: dict[int, Topology], samples: int) -> None:
             each = max(1, samples), chosen.paths, chosen.lamps, chosen.freeze
@@ -152,11 +172,19 @@ class ByShape:
             where = problem, loss, key.rpartition(".")[0], topologies
             edges = max(1, chosen.edges // len(meshes)), chosen.paths, chosen.adaptive
             self.borders.append((key, _EDGE, Silhouettes(*where, *edges, chosen.freeze)))
+            given = problem, topologies, chosen.outline
+            if chosen.outline and problem.part is not None:
+                self.borders.append((key, _CONTOUR, Contours(*given, *edges, chosen.freeze)))
+            if chosen.outline and problem.edges is not None:
+                followed = PictureEdges(*given, edges[0], chosen.freeze)
+                self.borders.append((key, _CONTOUR[:1], followed))
             if shadows:
                 throws(key, topologies, shadows // len(meshes))
             if reflections:
                 each = max(1, reflections // len(meshes)), chosen.paths, not shadows, chosen.freeze
                 self.borders.append((key, _REFLECTED, Reflections(*where, *each)))
+        if any(isinstance(each, _BY_OUTLINE) for _, _, each in self.borders):
+            self.until = _geometry_alone(problem)
         self._still: dict[str, mi.Float] = {}
         if shadows and (found := others(problem)):
             self._still[""], topology = found
@@ -171,10 +199,16 @@ class ByShape:
             self.borders.append((key, _REFLECTED, Reflections(*where, *each)))
 
     @property
+    def stages(self) -> tuple[float, ...]:
+        """Shares of the budget at which kernels differ, for a rehearsal."""
+        return (0.0, self.until) if self.until else (0.0,)
+
+    @property
     def paths_per_step(self) -> int:
-        """Light paths of one estimate."""
-        borders = sum(each.paths_per_step for _, _, each in self.borders)
-        return self.inside.paths_per_step + borders
+        """Light paths of the latest estimate; rays that only ask for coverage count as paths."""
+        of = _BY_OUTLINE if self.alone else object
+        borders = sum(each.paths_per_step for _, _, each in self.borders if isinstance(each, of))
+        return borders + (0 if self.alone else self.inside.paths_per_step)
 
     @property
     def memory(self) -> list[mi.Float]:
@@ -189,7 +223,7 @@ class ByShape:
             met[:] = [mi.Float(next(rest)) for _ in met]
 
     def _met(self) -> list[list[mi.Float]]:
-        return [each.met for _, _, each in self.borders if isinstance(each, Silhouettes)]
+        return [b.met for _, _, b in self.borders if isinstance(b, (Silhouettes, Contours))]
 
     @property
     def nonfinite(self) -> int:
@@ -204,11 +238,20 @@ class ByShape:
         iteration: int,
         spent: float,
     ) -> dict:
-        """The gradient at ``values``, by key; the same at all the share ``spent`` of the budget."""
-        unknowns = self.problem.unknowns
-        total = self.inside.gradients(values, distribution, seed, iteration)
+        """The gradient at ``values``, by key; up to the share ``until`` of the budget, that of
+        outlines alone."""
+        unknowns, self.alone = self.problem.unknowns, spent < self.until
+        if self.alone:
+            unknowns.attach(values)
+            total = {key: dr.zeros(type(value), value.shape) for key, value in values.items()}
+        else:
+            total = self.inside.gradients(values, distribution, seed, iteration)
         unknowns.taken()  # what follows begins anew
         for number, (key, purposes, border) in enumerate(self.borders):
+            if self.alone and not isinstance(border, _BY_OUTLINE):
+                continue
+            if isinstance(border, PictureEdges):
+                border.narrow(spent / self.until if self.until else 1.0)
             place = iteration * len(self.borders) + number
             seeds = [
                 dr.opaque(mi.UInt32, streams.seed(seed, place, purpose)) for purpose in purposes
@@ -221,6 +264,12 @@ class ByShape:
                 if not unknowns[name].kind.aside:
                     total[name] += gradient
         return total
+
+
+def _geometry_alone(problem: "Problem") -> float:
+    """The share of the budget up to which nothing but shapes and poses moves."""
+    others = [u for u in problem.unknowns if not u.kind.moves_geometry]
+    return min((share for u in others for share in u.during[:1]), default=0.0)
 
 
 def _meshes(problem: "Problem") -> dict[str, dict[int, Topology]]:

@@ -62,15 +62,14 @@ class Silhouettes(Border):
         (shape,) = [each for each in problem.scene.shapes() if each.id() == id]
         integrator, differences = problem.integrator, without_film(problem.integrator)
         views = len(problem.film_sizes)
-        # Of each cell, the sum of the squares of ∂ℒ/∂I met there, and their number.
-        self.met = [dr.opaque(mi.Float, 0, views * _CELLS**2) for _ in range(2)]
+        self.met = met_by(views)
 
         def kernel(
             scene, sensors, films, positions, outline, cameras, targets, mask, seeds, share, met
         ):
             with dr.suspend_grad():
                 now = dr.detach(positions)
-                weights = _lengths(now, outline, cameras, films, views, met if adaptive else None)
+                weights = lengths(now, outline, cameras, films, views, met if adaptive else None)
                 drawn = draw(weights, outline, samples, seeds[0])
                 start, end = at(now, drawn.a), at(now, drawn.b)
                 point = dr.lerp(start, end, drawn.t)
@@ -96,7 +95,7 @@ class Silhouettes(Border):
                 weight = dr.select(seen, weight, 0)
                 dr.eval(weight, adjoint)
                 if adaptive:
-                    _meet(met, crossing, films, adjoint)
+                    meet(met, crossing, films, adjoint)
                 with dr.resume_grad():
                     moved = dr.lerp(at(positions, drawn.a), at(positions, drawn.b), drawn.t)
                     place = cameras.project(drawn.eye, moved)
@@ -105,13 +104,18 @@ class Silhouettes(Border):
         self._made(kernel, freeze, self.met)
 
 
+def met_by(views: int) -> list[mi.Float]:
+    """Of each cell, the sum of the squares of ∂ℒ/∂I met there, and their number: none so far."""
+    return [dr.opaque(mi.Float, 0, views * _CELLS**2) for _ in range(2)]
+
+
 def _cell(view: mi.UInt32, x: mi.Float, y: mi.Float) -> mi.UInt32:
     """``x``, ``y`` in [0, 1]: shares of a film's sides. Traced."""
     column, row = (mi.UInt32(dr.clip(each * _CELLS, 0, _CELLS - 1)) for each in (x, y))
     return (view * _CELLS + row) * _CELLS + column
 
 
-def _meet(met: list, crossing: Crossing, films: Views, adjoint: mi.Color3f) -> None:
+def meet(met: list, crossing: Crossing, films: Views, adjoint: mi.Color3f) -> None:
     """Put ``adjoint`` into the cells where it was met. Traced."""
     width = mi.Float(dr.gather(mi.UInt32, films.width, crossing.view))
     height = mi.Float(dr.gather(mi.UInt32, films.height, crossing.view))
@@ -125,7 +129,7 @@ def _meet(met: list, crossing: Crossing, films: Views, adjoint: mi.Color3f) -> N
     dr.eval(met)
 
 
-def _lengths(
+def lengths(
     positions: mi.Float, outline: Outline, cameras: Cameras, films: Views, views: int, met
 ) -> mi.Float:
     """Of each edge in each view, its length in pixels if it is a silhouette and may lie in the

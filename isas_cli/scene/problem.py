@@ -34,7 +34,9 @@ class Problem:
     ``names``: of the views, where they have any; ``held_out``: the same with views of which nothing
     is learnt, or None; ``freezes``: whether Dr.Jit can record kernels that trace the scene;
     ``photographed``: of photographs, the standard deviation of a pixel's noise in units of radiance
-    and how it was found, or None and why it is not known.
+    and how it was found, or None and why it is not known; ``part``: ``(n,) float32``, how much of
+    each pixel the object fills by alpha or masks, -1 where these say nothing; None without any;
+    ``edges``: distances of edges in photographs (``rendering.picture_edges``), where they count.
     """
 
     name: str
@@ -57,6 +59,8 @@ class Problem:
     held_out: "Problem | None" = None
     freezes: bool = True
     photographed: tuple[float | None, str] | None = None
+    part: mi.Float | None = None
+    edges: mi.Float | None = None
 
     @property
     def truth_known(self) -> bool:
@@ -102,8 +106,16 @@ class Problem:
             targets=dr.ravel(dr.gather(mi.Color3f, self.targets, pixels)),
             variance=None if self.variance is None else self.variance[np.array(pixels)],
             mask=None if self.mask is None else dr.gather(mi.Float, self.mask, pixels),
+            part=None if self.part is None else dr.gather(mi.Float, self.part, pixels),
+            edges=None if self.edges is None else self._edges(pixels),
             kept=tuple(views),
         )
+
+    def _edges(self, pixels: mi.UInt32) -> mi.Float:
+        each = dr.width(self.edges) // self.views.total
+        count = dr.width(pixels)
+        index = dr.repeat(pixels * each, each) + dr.arange(mi.UInt32, count * each) % each
+        return dr.gather(mi.Float, self.edges, index)
 
     def target_image(self, view: int) -> np.ndarray:
         """Target of one view, ``(H, W, 3) float32``, linear."""

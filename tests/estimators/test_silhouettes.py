@@ -79,7 +79,7 @@ def right(found: dict, exact: dict, names=("right", "up", "scale")) -> list[bool
 
 def test_of_edges_drawn_otherwise_and_1_over_p_left_out_is_noticed(plain, monkeypatch):
     """The mean does not depend on the probabilities."""
-    lengths, draw = silhouettes._lengths, silhouettes.draw
+    lengths, draw = silhouettes.lengths, silhouettes.draw
 
     def uneven(*given):
         """Four times as often in the first of three views."""
@@ -94,7 +94,7 @@ def test_of_edges_drawn_otherwise_and_1_over_p_left_out_is_noticed(plain, monkey
         found.probability = dr.select(found.probability > 0, 1 / number, 0)
         return found
 
-    monkeypatch.setattr(silhouettes, "_lengths", uneven)
+    monkeypatch.setattr(silhouettes, "lengths", uneven)
     assert all(right(estimates(plain["problem"], COUNT), plain["exact"]))
     monkeypatch.setattr(silhouettes, "draw", alike)
     assert not all(right(estimates(plain["problem"], 4, freeze=False), plain["exact"]))

@@ -1,0 +1,171 @@
+"""Edges in photographs, and what the edges of a moving mesh say against them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from scipy.ndimage import distance_transform_edt, gaussian_filter, sobel
+
+from ..scene.problem import Problem
+from ..scene.topology import Topology
+from ..scene.views import Views
+from ..unknowns.parameters import own
+from .border import Border
+from .outline import Cameras, Crossing, Outline, at, draw, pair, silhouettes
+
+# Directions of edges that are told apart, of half a turn; distances beyond which an edge in the
+# picture is another one, at first and in the end, and the blur before they are found, in pixels.
+_WAYS, _FAR, _NEAR, _BLUR = 8, 12.0, 3.0, 1.0
+# Of a mesh: between the normals of two triangles that meet, from where on a picture shows an edge.
+_CREASE = np.cos(np.radians(25.0))
+
+
+def distances(pictures: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> np.ndarray:
+    """Of each pixel of all views and each direction of an edge's normal, how far the nearest edge
+    of about that direction is, pixels, at most ``_FAR``: ``(n _WAYS,) float32``.
+
+    ``pictures (H, W, 3)``: linear; ``masks (H, W)``: 0 where a pixel says nothing. Edges as Canny
+    (1986) finds them.
+    """
+    return np.concatenate([_distances(*each).ravel() for each in zip(pictures, masks)])
+
+
+def _distances(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    from skimage.feature import canny
+
+    grey = np.sqrt(np.clip(picture, 0, None).mean(axis=2))  # about as the eye sees it
+    grey /= max(float(grey[mask > 0].max(initial=0)), 1e-12)
+    found = canny(grey, sigma=_BLUR, mask=mask > 0)
+    smooth = gaussian_filter(grey, _BLUR)
+    angle = np.arctan2(sobel(smooth, axis=0), sobel(smooth, axis=1)) / np.pi * _WAYS
+    result = np.full((*grey.shape, _WAYS), _FAR, np.float32)
+    for way in range(_WAYS):
+        apart = np.abs((angle - way + _WAYS / 2) % _WAYS - _WAYS / 2)
+        like = found & (apart <= 1.5)
+        if like.any():
+            result[..., way] = np.minimum(distance_transform_edt(~like), _FAR)
+    return result
+
+
+class PictureEdges(Border):
+    """Adds to the gradient of one mesh's vertices that of ``weight`` times
+
+        E = 1/L ∫ min(d(q), D)² / D² dl(q)    over the visible silhouettes and creases of all views,
+
+    q in pixels, L their length, d(q) the distance of the nearest edge in the photograph whose
+    direction is about the same (``distances``), D its largest: the model-based tracking of Drummond
+    and Cipolla (2002), by distances as in chamfer matching (Barrow et al. 1977), at points drawn
+    anew in every step. It asks for no light, material or background.
+
+    Bias: the places on the mesh and L are held still, as is usual.
+    """
+
+    def __init__(
+        self, problem: Problem, topologies: dict[int, Topology], weight: float, samples: int,
+        freeze: bool = True,
+    ):  # fmt: skip
+        super().__init__(problem, topologies, samples, 1)
+        views, self._weight = len(problem.film_sizes), weight
+        self._reach = [dr.opaque(mi.Float, 0), dr.opaque(mi.Float, 0)]
+        self.narrow(0.0)
+
+        def kernel(
+            scene, sensors, films, positions, outline, cameras, targets, mask, seeds, _, maps, reach
+        ):
+            with dr.suspend_grad():
+                now = dr.detach(positions)
+                weights = _lengths(now, outline, cameras, films, views)
+                drawn = draw(weights, outline, samples, seeds[0])
+                start, end = at(now, drawn.a), at(now, drawn.b)
+                point = dr.lerp(start, end, drawn.t)
+                # Of a crease no side is the object's.
+                crossing = Crossing.of(
+                    *(cameras, films, drawn.eye, point, end - start, end - start),
+                    drawn.probability > 0,
+                )
+                eye = dr.gather(mi.Vector3f, cameras.eyes.place, drawn.eye)
+                ray = mi.Ray3f(mi.Point3f(eye), mi.Vector3f(point) - eye)
+                ray.maxt = 1 - 1e-3
+                valid = crossing.valid & ~scene.ray_test(ray, crossing.valid)
+                turned = dr.atan2(crossing.away.y, crossing.away.x) * (_WAYS / dr.pi)
+                way = mi.UInt32(turned + (2 * _WAYS + 0.5)) % _WAYS
+                place = cameras.project(drawn.eye, point)
+
+                def apart(x: float, y: float) -> mi.Float:
+                    return _looked_up(maps, films, drawn.eye, place + mi.Point2f(x, y), way, valid)
+
+                d = apart(0, 0)
+                slope = mi.Vector2f(apart(0.5, 0) - apart(-0.5, 0), apart(0, 0.5) - apart(0, -0.5))
+                # Drawn by length: each point stands for as much.
+                far, share = reach
+                weight = dr.select(valid & (d < far), 2 * d * share / samples, 0)
+                dr.eval(weight, slope)
+                with dr.resume_grad():
+                    moved = dr.lerp(at(positions, drawn.a), at(positions, drawn.b), drawn.t)
+                    there = cameras.project(drawn.eye, moved)
+                    dr.backward_from(weight * dr.dot(there, slope))
+
+        self._made(kernel, freeze, problem.edges, self._reach)
+
+    def narrow(self, passed: float) -> None:
+        """Set D for the share ``passed`` of the time in which edges alone are followed: what is far
+        is drawn in first, and what is another edge left out then."""
+        far = _FAR * (_NEAR / _FAR) ** min(passed, 1.0) - 0.5
+        self._reach[:] = [dr.opaque(mi.Float, x) for x in (far, self._weight / far**2)]
+
+
+def _looked_up(
+    maps: mi.Float, films: Views, view: mi.UInt32, place: mi.Point2f, way: mi.UInt32, valid: mi.Bool
+) -> mi.Float:
+    """The distance at a point of the image, between the middles of pixels. Traced."""
+    width, height = (dr.gather(mi.UInt32, each, view) for each in (films.width, films.height))
+    x = dr.clip(place.x - 0.5, 0, mi.Float(width) - 1)
+    y = dr.clip(place.y - 0.5, 0, mi.Float(height) - 1)
+    column, row = mi.UInt32(x), mi.UInt32(y)
+    right, down = x - mi.Float(column), y - mi.Float(row)
+
+    def pixel(i: int, j: int) -> mi.Float:
+        index = films.index(
+            view, dr.minimum(column + i, width - 1), dr.minimum(row + j, height - 1)
+        )
+        return dr.gather(mi.Float, maps, index * _WAYS + way, valid)
+
+    upper, lower = (dr.lerp(pixel(0, j), pixel(1, j), right) for j in (0, 1))
+    return dr.lerp(upper, lower, down)
+
+
+def _lengths(
+    positions: mi.Float, outline: Outline, cameras: Cameras, films: Views, views: int
+) -> mi.Float:
+    """Of each edge in each view, its length in pixels if it is a silhouette or a crease and may lie
+    in the image, else 0, ``(views E,)``. Traced."""
+    edges = outline.count
+    index = dr.arange(mi.UInt32, edges * views)
+    view = index // edges
+    edge = index - view * edges
+    ends = [at(positions, each) for each in pair(outline.ends, edge)]
+    thirds = [at(positions, each) for each in pair(outline.across, edge)]
+    along = ends[1] - ends[0]
+    # Of the two faces, turned alike: seen along the edge one lies to its left.
+    normals = [dr.normalize(dr.cross(along, thirds[0] - ends[0]))]
+    normals.append(dr.normalize(dr.cross(thirds[1] - ends[0], along)))
+    found = silhouettes(positions, outline, cameras.eyes, edge, view)
+    found |= dr.dot(*normals) < float(_CREASE)
+    x, y = mi.Vector2f(0), mi.Vector2f(0)
+    for k, end in enumerate(ends):
+        across, down, depth = cameras.homogeneous(view, end)
+        found &= depth > 0
+        x[k], y[k] = across / depth, down / depth
+    width = mi.Float(dr.gather(mi.UInt32, films.width, view))
+    height = mi.Float(dr.gather(mi.UInt32, films.height, view))
+    found &= (dr.max(x) > 0) & (dr.max(y) > 0) & (dr.min(x) < width) & (dr.min(y) < height)
+    length = dr.sqrt(dr.square(x[1] - x[0]) + dr.square(y[1] - y[0]))
+    return dr.select(found & dr.isfinite(length), length, 0)
+
+
+def of(pictures: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> mi.Float:
+    """``distances`` as ``Problem.edges`` has them."""
+    return own(mi.Float, distances(pictures, masks))
