@@ -7,6 +7,7 @@ instead.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -19,6 +20,9 @@ from .schema import PRESETS
 NONE = "scene.method=null"
 # Chosen for the estimator that the scene names; another one's are its own.
 _OF_ESTIMATOR = ("estimator", "optimizer")
+_YES = "true", "yes", "on", "1"
+# What photographs take whose object has an unknown pose, or begins as a hull.
+_OF_MOVING = {"sampler": "ours", "estimator": "silhouettes"}
 # Settings of which one is enough: what is typed of a line leaves out all that a scene has of it.
 _INSTEAD = {
     key: line
@@ -40,6 +44,8 @@ def completed(overrides: list[str]) -> list[str]:
     if NONE in overrides or "scene" not in typed:
         return overrides
     own = _flat(said(typed["scene"], "method"))
+    if typed["scene"] == "photos" and _moving(typed):
+        own |= _OF_MOVING
     preset = typed.get("sampler") in PRESETS
     chosen = typed.get("estimator", typed["sampler"] if preset else own.get("estimator"))
     # The renderer's derivative is another estimator in all but its name.
@@ -58,9 +64,29 @@ def completed(overrides: list[str]) -> list[str]:
     return [f"{key}={override(value)}" for key, value in own.items() if left(key)] + overrides
 
 
+def _moving(typed: dict[str, str]) -> bool:
+    """Whether words that were typed, of scene=photos, make the object's pose unknown, or leave its
+    shape to a hull, which is unknown. No files are read, but for the one that may name a plane."""
+    said = {key.removeprefix("scene.photos."): value for key, value in typed.items()}
+    if any(said.get(name, "").lower() in _YES for name in ("pose", "edges")):
+        return True
+    if any(said.get(name, "null") != "null" for name in ("mesh", "plane", "sphere")):
+        return False
+    chosen = " ".join(f"{k}={v}" for k, v in typed.items() if k.startswith("scene.unknowns"))
+    if chosen and ".vertices" not in chosen:
+        return False
+    file = Path(said.get("path", "").strip("'\"")) / said.get("cameras", "cameras.json")
+    try:
+        return "printed_board_rect_m" not in file.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return True
+
+
 def taken(cfg: DictConfig) -> list[str]:
     """What ``cfg`` has from its scene, as it would be typed."""
     own = _flat(cfg.scene.method or OmegaConf.create())
+    if cfg.scene.photos.path is not None and cfg.estimator.name == _OF_MOVING["estimator"]:
+        own |= _OF_MOVING
     same = own.get("estimator") == cfg.estimator.name
     found = []
     for key, value in own.items():

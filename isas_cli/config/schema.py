@@ -215,7 +215,12 @@ class PhotosConfig:
     calibration, how large they are of the cameras' size, or ``auto``; ``orientation``: whether
     cameras are of pictures as ``stored`` or as ``turned`` by their Orientation tag (``auto``: as is
     usual of their file); ``materials``: of a mesh that has several, ``each`` a shape and a colour
-    of its own, or ``one`` for all.
+    of its own, or ``one`` for all; ``start``: ``hull``, in place of a mesh the largest object that
+    alpha or masks allow, whose shape is unknown (also where nothing else says what the object is,
+    and these are there); ``voxels``: of the grid that it is cut from, along its longest side;
+    ``edges``: whether shapes and poses that are unknown follow edges in the pictures; ``pose``:
+    whether turn, size and place of the object are unknown (``turn_x``, ``turn_y``, ``turn_z``,
+    ``size``, ``shift``).
     """
 
     path: Optional[str] = None
@@ -245,6 +250,10 @@ class PhotosConfig:
     scale: Any = None
     orientation: str = "auto"
     materials: str = "each"
+    start: Optional[str] = None
+    voxels: int = 48
+    edges: bool = False
+    pose: bool = False
 
     @property
     def colour(self) -> Optional[str]:
@@ -254,6 +263,7 @@ class PhotosConfig:
     def __post_init__(self) -> None:
         _at_least(1, photos__width=self.width, photos__texels=self.texels)
         _at_least(2, photos__sky=self.sky)
+        _at_least(8, photos__voxels=self.voxels)
         self._check_maps()
         for name, valid in (
             ("exposure", ("fixed", "scale", "channels")),
@@ -263,12 +273,14 @@ class PhotosConfig:
             ("missing", ("refuse", "skip")),
             ("orientation", ("auto", "stored", "turned")),
             ("materials", ("each", "one")),
+            ("start", (None, "hull")),
         ):
             if getattr(self, name) not in valid:
-                raise InputError(f"photos.{name}={getattr(self, name)}: valid: {', '.join(valid)}")
+                told = ", ".join("null" if each is None else each for each in valid)
+                raise InputError(f"photos.{name}={getattr(self, name)}: valid: {told}")
         if not isinstance(self.background, bool) and self.background != "black":
             raise InputError(f"photos.background={self.background}: valid: true, false, black")
-        shapes = [n for n in ("mesh", "plane", "sphere") if getattr(self, n) is not None]
+        shapes = [n for n in ("mesh", "plane", "sphere", "start") if getattr(self, n) is not None]
         if len(shapes) > 1:
             raise InputError(f"photos.{shapes[0]} and photos.{shapes[1]}: one shape alone")
         for name in ("plane", "sphere"):
@@ -557,6 +569,11 @@ class Config:
                 )
         if self.target != TargetConfig():
             raise InputError("target.… is for rendered targets, and these are photographs")
+        if self.scene.photos.edges and self.estimator.get("name") != "silhouettes":
+            raise InputError(
+                "photos.edges=true: edges are followed by estimator=silhouettes alone, not by "
+                f"estimator={self.estimator.get('name')}"
+            )
 
 
 def typed(cfg: DictConfig) -> Config:

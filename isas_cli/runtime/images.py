@@ -150,6 +150,15 @@ def read_alpha(path: str | Path, turned: bool = True) -> np.ndarray | None:
     return upright(alpha, spec.get_int_attribute("Orientation", 1)) if turned else alpha
 
 
+def has_alpha(path: str | Path) -> bool:
+    """Whether a picture has an alpha channel. Raises InputError."""
+    if raw.names(path):
+        return False
+    if heif.names(path):
+        return read_alpha(path) is not None
+    return _header(path).alpha_channel >= 0
+
+
 def multiplied(path: str | Path) -> bool:
     """Whether the colours of a picture with alpha are those over black already: an EXR's are, and
     a TIFF's that says so. Raises InputError."""

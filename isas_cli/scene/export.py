@@ -166,12 +166,13 @@ def _unknowns(
     # Values are known: no start is needed, nor a file that it came from.
     anything = {"start": None, "range": [-math.inf, math.inf]}
     wanted = {key: replace(spec, **anything) for key, spec in scene.unknowns.items()}
-    of_views = None
+    of_views, poses = None, scene.poses
     if taken is not None:
-        wanted = building.unknowns(scene.photos, taken.parts, wanted)
+        poses = building.poses(taken, scene.poses)
+        wanted = building.unknowns(taken, wanted, poses)
         sizes = [(each.camera.width, each.camera.height) for each in taken.shown]
         of_views = building.of_views(taken, Views.of(sizes))
-    found = parse(mi.traverse(loaded), wanted, False, scene.poses, of_views)
+    found = parse(mi.traverse(loaded), wanted, False, poses, of_views)
     return Unknowns(mi.traverse(loaded), found), of_views and of_views["views"]
 
 

@@ -85,7 +85,7 @@ def test_masks_end_it_where_there_is_no_alpha(ball):
             mask = np.uint8(white * (covered() > 0.5))
             Image.fromarray(mask).save(ball / f"masks/{number}.png")
         for each in load(ball, background="black", saturated=None):
-            assert each.mask.all() and not each.image[covered() <= 0.5].any()
+            assert each.mask.all() and each.image[covered() == 0].max() < 1e-5
             assert (each.image[covered() == 1] > 0.2).all()
 
 
@@ -199,3 +199,48 @@ def test_an_alpha_that_says_nothing_is_doubted_or_refused(ball):
 def test_an_environment_that_is_not_there_is_refused_at_once(ball):
     with pytest.raises(InputError, match="photos.environment=gone.exr: no such picture file"):
         told(ball, environment="gone.exr")
+
+
+@pytest.mark.parametrize("least", [0.5, 0.99, 0.01])
+def test_masks_of_two_values_end_as_finely_as_the_picture_does(ball, least):
+    """Whatever share of a pixel makes it white: from the picture's mixtures of object and wall."""
+    (ball / "masks").mkdir()
+    wall = images.srgb_decode(np.float32(230 / 255))
+    light = images.srgb_decode(np.float32(GREY / 255)) * covered() + wall * (1 - covered())
+    for number in range(4):
+        shown = np.uint8(np.rint(255 * images.srgb_encode(light)))
+        Image.fromarray(np.dstack([shown] * 3)).save(ball / f"{number}.png")
+        Image.fromarray(np.uint8(255 * (covered() > least))).save(ball / f"masks/{number}.png")
+    each = load(ball, background="black", saturated=None)[0]
+    rounded = (covered() > least).mean()
+    print("area", covered().mean(), "rounded", rounded, "found", each.part.mean())
+    assert each.part.mean() == pytest.approx(covered().mean(), rel=2e-3)
+    assert np.abs(each.part - covered()).max() < 0.03
+    grey = images.srgb_decode(np.float32(GREY / 255))
+    assert np.abs(each.image - (grey * covered())[..., None]).max() < 0.01
+
+
+def test_where_the_wall_is_here_and_there_like_the_object_nothing_is_said(ball):
+    (ball / "masks").mkdir()
+    wall = np.full((HEIGHT, WIDTH), images.srgb_decode(np.float32(230 / 255)))
+    wall[: HEIGHT // 2] = images.srgb_decode(np.float32(GREY / 255))
+    light = images.srgb_decode(np.float32(GREY / 255)) * covered() + wall * (1 - covered())
+    for number in range(4):
+        shown = np.uint8(np.rint(255 * images.srgb_encode(light)))
+        Image.fromarray(np.dstack([shown] * 3)).save(ball / f"{number}.png")
+        Image.fromarray(np.uint8(255 * (covered() > 0.99))).save(ball / f"masks/{number}.png")
+    each = load(ball, background="black", saturated=None)[0]
+    told = each.part >= 0
+    assert np.abs(each.part - covered())[told].max() < 0.03
+    upper = ~told[: HEIGHT // 2]
+    assert upper.any() and not (~told[HEIGHT // 2 + 2 :]).any()
+    assert not each.mask[~told].any() and each.mask[told].all()
+
+
+def test_where_object_and_wall_are_alike_the_mask_counts(ball):
+    (ball / "masks").mkdir()
+    for number in range(4):
+        Image.new("RGB", (WIDTH, HEIGHT), (GREY,) * 3).save(ball / f"{number}.png")
+        Image.fromarray(np.uint8(255 * (covered() > 0.5))).save(ball / f"masks/{number}.png")
+    each = load(ball, background="black", saturated=None)[0]
+    assert np.array_equal(each.part, covered() > 0.5)

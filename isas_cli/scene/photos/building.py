@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
-from ...config.schema import PhotosConfig, UnknownConfig
+from ...config.schema import PhotosConfig, PoseConfig, UnknownConfig
 from ...runtime import images
 from ...runtime.errors import InputError
 from ...scenes import meshes
@@ -23,6 +24,10 @@ from .shape import OBJECT
 SKY = "sky"
 EXPOSURE, CAMERAS = "exposure", "cameras"  # the keys of what is the views' own
 _LIGHT = 1.0  # what an unknown environment starts at
+# Rates: of a hull's vertices (by half as much again its triangles cross), of a shift and a size, as
+# shares of the object's size; of a turn, in degrees. And the share of the budget in which shapes
+# and poses follow the outline alone.
+_GROWTH, _STEP, _DEGREES, _BY_OUTLINE = 0.002, 0.003, 0.3, 0.25
 _DEPTH = 3
 # From Mitsuba's environments, whose up is y, to another axis: axis and angle of a rotation.
 _TURNS = {
@@ -94,19 +99,28 @@ def straightened(camera: Camera) -> np.ndarray:
     return found
 
 
-def unknowns(settings: PhotosConfig, parts: dict[str, meshes.Surface], own: dict) -> dict[str, Any]:
-    """What is unknown: ``own``, or the base colour of each part and the light, where they are not
-    given; always what the settings ask for besides: roughness, metallic, normals, exposures, poses.
-    Raises InputError for keys that speak of one part where there are several, and for nothing."""
+def unknowns(taken: Photographs, own: dict, poses: dict[str, PoseConfig]) -> dict[str, Any]:
+    """What is unknown: ``own``, or the shape of a hull, the base colour of each part and the light,
+    where they are not given; always what the settings ask for besides: roughness, metallic,
+    normals, the object's ``poses``, exposures and poses of views. Raises InputError for keys that
+    speak of one part where there are several, and for nothing."""
+    settings, parts = taken.settings, taken.parts
     found = dict(own)
     if len(parts) > 1:
         _check_parts(settings, list(parts), found)
+    size = float(np.linalg.norm(np.ptp(taken.surface.vertices, axis=0)))
+    if not own and settings.start is not None:
+        found[f"{OBJECT}.vertices"] = UnknownConfig(lr=_GROWTH * size)
     for name, part in parts.items():
         usual = {} if own else material.unknown(settings, name, part)
         for key, spec in (usual | material.asked(settings, name)).items():
             found.setdefault(key, spec)
     if not own and settings.environment is None:
         found[f"{SKY}.data"] = UnknownConfig(start=_LIGHT)
+    for name, each in poses.items() if settings.pose else ():
+        rate = _DEGREES if each.kind == "rotation" else _STEP
+        rate *= size if each.kind == "translation" else 1
+        found.setdefault(name, UnknownConfig(start=0.0, lr=rate))
     if settings.exposure != "fixed":
         found.setdefault(EXPOSURE, UnknownConfig(start=1.0, lr=0.05))
     if settings.refine:
@@ -115,10 +129,43 @@ def unknowns(settings: PhotosConfig, parts: dict[str, meshes.Surface], own: dict
         raise InputError(
             f"photos.texture={settings.texture} and photos.environment={settings.environment} are "
             "known, and nothing else is unknown: photos.roughness, photos.metallic (true, map), "
-            "photos.normals=map, photos.exposure=scale or photos.refine=true says what to find, or "
-            "scene.unknowns, poses by scene.poses too"
+            "photos.normals=map, photos.pose=true, photos.exposure=scale or photos.refine=true "
+            "says what to find, or scene.unknowns"
         )
+    if settings.background == BLACK or settings.edges:
+        _stage(found, poses, settings.edges)
     return found
+
+
+def poses(taken: Photographs, own: dict[str, PoseConfig]) -> dict[str, PoseConfig]:
+    """``own`` and, where ``photos.pose`` asks for them, turns about the world's axes through the
+    object's middle, a size and a shift, of all its parts together."""
+    if not taken.settings.pose:
+        return own
+    objects, vertices = list(taken.parts), taken.surface.vertices
+    middle = [float(x) for x in (vertices.min(axis=0) + vertices.max(axis=0)) / 2]
+    axes = np.eye(3).tolist()
+    found = {
+        f"turn_{name}": PoseConfig("rotation", objects, axis=axis, origin=middle)
+        for name, axis in zip("xyz", axes)
+    }
+    found["size"] = PoseConfig("scale", objects, origin=middle)
+    return found | {"shift": PoseConfig("translation", objects)} | own
+
+
+def _stage(found: dict[str, Any], poses: dict[str, PoseConfig], edges: bool) -> None:
+    """Let shapes and poses find their outline before anything else moves: what colours and light
+    have been made to fit them wrongly holds them where they are. Raises InputError where ``edges``
+    are asked for and nothing follows them."""
+    moving = [key for key in found if key in poses or key.endswith(".vertices")]
+    if edges and not moving:
+        raise InputError(
+            "photos.edges=true: nothing that is unknown moves: photos.pose=true makes the object's "
+            f"pose unknown, scene.unknowns its shape ({OBJECT}.vertices)"
+        )
+    for key in found if moving else ():
+        if key not in moving and found[key].during is None:
+            found[key] = replace(found[key], during=[_BY_OUTLINE, 1.0])
 
 
 def _check_parts(settings: PhotosConfig, names: list[str], own: dict) -> None:

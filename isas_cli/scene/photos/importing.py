@@ -40,7 +40,7 @@ class Photograph:
     ``lost``: why pixels do not count → how many of the photograph's own; ``doubt``: what its file
     says of its colours that could not be heeded, or None; ``variance``: of a pixel's noise, or None
     where the photograph does not tell (``noise.of_one``); ``part (H, W)``: how much of each pixel
-    the object fills, where that counts (``photos.background=black``)."""
+    the object fills, where that counts (``photos.background=black``), -1 where nothing says it."""
 
     camera: Camera
     image: np.ndarray
@@ -65,13 +65,18 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
     alpha, part = images.read_alpha(camera.image, turned), None
     if settings.background == BLACK:
         part, associated = _part(camera, alpha, settings, turned)
-        image = image if associated else image * part[..., None]
+        if alpha is None and np.isin(part, (0, 1)).all():
+            image, part = outlines.softened(image, part)
+        elif not associated:
+            image = image * part[..., None]
         if outlines.empty(part):
             raise InputError(
                 f"{camera.image}: by its alpha or mask it shows nothing of the object: leave this "
                 "view out, or mend its mask"
             )
     mask, lost = _mask(camera, picture, alpha, settings, turned, part)
+    if part is not None:
+        mask *= part >= 0
     variance = None
     if camera.image.suffix.lower() not in noise.LOSSY:
         variance = noise.of_one(image, mask if part is None else mask * (part >= _WHOLE))
@@ -86,7 +91,8 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
         variance = None if variance is None else variance * _noise_kept(camera, target)
         if part is not None:
             grey = np.repeat(part[..., None], 3, axis=2)
-            part = resample(camera, target, grey, np.ones_like(part))[0][..., 0]
+            shrunk, inside = resample(camera, target, grey, (part >= 0).astype(np.float32))
+            part = np.where(inside > 0, shrunk[..., 0], -1).astype(np.float32)
     if not mask.any():
         if counted and target.width < camera.width:
             raise InputError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from ...scenes.meshes import Surface
 
@@ -18,6 +19,11 @@ _POINTS = 4000
 _DOUBTED, _INVERTED = 0.3, 0.8
 # What an alpha or mask is at least, or at most, that is the same everywhere.
 _FULL, _EMPTY = 0.99, 0.01
+# Pixels: how near to a mask's border mixtures are, and how near to a pixel those must be whose
+# colours it is mixed of, which differ by such a share of their brightness; by
+# how much of that difference a mixture may be off; and of how many of the border's pixels that must
+# tell something, so that the others need not.
+_BORDER, _REACH, _CONTRAST, _MIXED, _TOLD = 1.5, 4.0, 0.1, 0.1, 0.2
 
 
 def scattered(surface: Surface) -> np.ndarray:
@@ -36,10 +42,55 @@ def empty(part: np.ndarray) -> bool:
     return not (part > _EMPTY).any()
 
 
+def softened(image: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How much of each pixel the object fills, where masks of two values end it, and the picture of
+    it over black. ``image (H, W, 3)``: linear; ``part (H, W)``: 0 or 1, as whole pixels say it.
+
+    A pixel at the mask's border is taken for a mixture of the object and of what is behind it, of
+    the colours nearest to it that are whole: I = α F + (1 - α) B. Where these are too far or too
+    much alike to tell α, or it is no mixture of them, nothing is said of it, -1; where that is so
+    nearly everywhere, the mask counts. Masks end half a pixel too soon or too late, as programs
+    round, which an object's size shows.
+    """
+    inside = part > 0.5
+    if inside.all() or not inside.any():
+        return image * part[..., None], part
+    within, beyond = distance_transform_edt(inside), distance_transform_edt(~inside)
+    front, some = _nearest(image, within > _BORDER)
+    back, more = _nearest(image, beyond > _BORDER)
+    unlike = front - back
+    contrast = np.sum(unlike**2, axis=2)
+    border = np.where(inside, within, beyond) <= _BORDER
+    known = border & some & more
+    known &= contrast > (_CONTRAST * np.maximum(front, back).sum(axis=2)) ** 2
+    mixed = np.sum((image - back) * unlike, axis=2) / np.maximum(contrast, 1e-12)
+    # Of other colours than those it is no mixture, or lies beyond them.
+    beside = np.sum((image - back - mixed[..., None] * unlike) ** 2, axis=2)
+    known &= (beside < _MIXED**2 * contrast) & (np.abs(mixed - 0.5) < 0.5 + _MIXED)
+    found = np.where(known, np.clip(mixed, 0, 1), part).astype(np.float32)
+    own = np.clip(image - (1 - found[..., None]) * back, 0, None)
+    picture = np.where(known[..., None], own, image * part[..., None]).astype(np.float32)
+    if np.count_nonzero(known) > _TOLD * np.count_nonzero(border):
+        found[border & ~known] = -1
+    return picture, found
+
+
+def _nearest(image: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of each pixel the colour of the nearest that is ``whole``, a mean of those beside it, and
+    whether it is near."""
+    if not whole.any():
+        return np.zeros_like(image), whole
+    counts = uniform_filter(whole.astype(np.float64), 3)
+    sums = [uniform_filter(np.where(whole, image[..., k], 0.0), 3) for k in range(3)]
+    means = np.stack(sums, axis=2) / np.maximum(counts, 1e-9)[..., None]
+    far, place = distance_transform_edt(~whole, return_indices=True)
+    return means[tuple(place)], far <= _REACH
+
+
 def doubts(photographs: "list[Photograph]", surface: Surface | None) -> list[str]:
     """What should be said."""
     found = []
-    full = [p for p in photographs if p.part is not None and (p.part >= _FULL).all()]
+    full = [p for p in photographs if p.part is not None and (p.part[p.part >= 0] >= _FULL).all()]
     if full:
         found.append(
             f"photos.background=black: by alpha or masks the object fills all of {len(full)} of "

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from ...config.schema import PhotosConfig
+from ...runtime import images
 from ...runtime.errors import InputError
 from ...scenes.meshes import Surface
-from . import finding, importing, material, outlines, reading, shape, turns
+from . import finding, hull, importing, material, outlines, reading, shape, turns
 from .base import Capture
+from .camera import Camera
 from .importing import Photograph
 
 _NAMED = 5  # of pictures that are missing
@@ -56,18 +58,39 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     capture.cameras, told = finding.masked(capture.cameras, root, sources)
     over, more = turns.turned(capture.cameras, capture, settings.orientation)
     shown, held = reading.split(capture, settings.test)
-    parts = None
-    if not shapeless or shape.described(settings, capture):
+    parts, described = None, shape.described(settings, capture)
+    hulled = settings.start is not None
+    hulled |= not described and all(map(_ended, capture.cameras))
+    if hulled and settings.colour is not None:
+        raise InputError(
+            f"photos.texture={settings.colour} is laid on by texture coordinates that a hull has "
+            "not: give photos.mesh"
+        )
+    if hulled:
+        settings = replace(settings, start="hull", background=importing.BLACK)
+    elif described or not shapeless:
         parts = shape.parts(settings, capture)
     made = [
         [importing.load(camera, settings, camera.name in over) for camera in part]
         for part in (shown, held)
     ]
+    if hulled:
+        cut, said = hull.made(made[0], settings.voxels)
+        parts, told = shape.of_hull(cut), told + said
+        capture.notes.append(
+            "the object begins as the hull of alpha or masks, of "
+            f"{len(cut['faces'])} triangles; photos.mesh=FILE takes a mesh instead"
+        )
     told += [*_left_out(sources), *more, *_doubts([*made[0], *made[1]]), *doubts]
     told += [] if parts is None else material.check(settings, parts)
     found = Photographs(*made, capture, parts, settings, told, colour)
     told += outlines.doubts(found.all, found.surface)
     return found
+
+
+def _ended(camera: Camera) -> bool:
+    """Whether alpha or a mask says where the object ends in a picture."""
+    return camera.mask is not None or images.has_alpha(camera.image)
 
 
 def _check(capture: Capture, sources: finding.Sources) -> None:

@@ -47,9 +47,14 @@ def parts(settings: PhotosConfig, capture: Capture) -> dict[str, Surface]:
     if plane is not None:
         return {OBJECT: _rectangle(*plane)}
     raise InputError(
-        "photos.mesh is not given: give a file (OBJ, PLY, STL, glTF), or "
-        "photos.plane=[x0,y0,x1,y1] or photos.sphere=[x,y,z,radius]"
+        "photos.mesh is not given: give a file (OBJ, PLY, STL, glTF), photos.plane=[x0,y0,x1,y1], "
+        "photos.sphere=[x,y,z,radius], or alpha or masks of all pictures, of which a hull is made"
     )
+
+
+def of_hull(found: dict[str, np.ndarray]) -> dict[str, Surface]:
+    """The object that ``hull.made`` gives."""
+    return {OBJECT: _smoothed(found["vertices"], found["faces"], found["texcoords"])}
 
 
 def joined(surfaces: list[Surface]) -> Surface:

@@ -1,0 +1,147 @@
+"""The visual hull of alpha or masks: where there is no mesh."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from test_photo_outline import FOCAL, HEIGHT, RADIUS, WIDTH, ball, covered, pose  # noqa: F401
+
+from isas_cli.cli.app import main
+from isas_cli.config.schema import PhotosConfig
+from isas_cli.runtime.errors import InputError
+from isas_cli.scene.photos import hull, photographs
+
+
+def around(folder, count: int = 14) -> None:
+    """More views of the ball, from all sides: spread over a sphere."""
+    content = json.loads((folder / "transforms.json").read_text())
+    frames = []
+    for number in range(count):
+        y = 1 - 2 * (number + 0.5) / count
+        angle = number * np.pi * (3 - np.sqrt(5))
+        back = np.array([np.cos(angle) * np.sqrt(1 - y * y), y, np.sin(angle) * np.sqrt(1 - y * y)])
+        right = np.cross([0, 1, 0], back)
+        right /= np.linalg.norm(right)
+        place = np.eye(4)
+        place[:3, :3] = np.column_stack([right, np.cross(back, right), back])
+        place[:3, 3] = 2.5 * back
+        Image.open(folder / "0.png").save(folder / f"{number}.png")
+        frames.append({"file_path": f"{number}.png", "transform_matrix": place.tolist()})
+    (folder / "transforms.json").write_text(json.dumps(content | {"frames": frames}))
+
+
+def load(folder, **settings):
+    return photographs.load(PhotosConfig(path=str(folder), **settings))
+
+
+def mesh_of(taken) -> trimesh.Trimesh:
+    return trimesh.Trimesh(taken.surface.vertices, taken.surface.faces)  # which it welds
+
+
+def test_a_ball_from_all_sides(ball):  # noqa: F811
+    """A hull holds what it is of, and is little larger."""
+    around(ball)
+    for settings in ({}, {"start": "hull", "voxels": 32}):
+        taken = load(ball, **settings)
+        assert taken.settings.background == "black" and taken.settings.start == "hull"
+        found = mesh_of(taken)
+        radius = np.linalg.norm(found.vertices, axis=1)
+        print("radius", radius.min(), radius.mean(), radius.max())
+        assert found.is_watertight and found.volume > 0
+        assert 0.97 * RADIUS < radius.min() and radius.max() < 1.12 * RADIUS
+        assert 0.99 * RADIUS < radius.mean() < 1.05 * RADIUS
+
+
+def test_large_pictures_are_made_smaller(ball, monkeypatch):  # noqa: F811
+    around(ball)
+    monkeypatch.setattr(hull, "_LARGE", WIDTH // 2)
+    monkeypatch.setattr(hull, "_FORMAT", 0)  # none that is kept
+    radius = np.linalg.norm(mesh_of(load(ball)).vertices, axis=1)
+    print("radius", radius.min(), radius.mean(), radius.max())
+    assert 0.95 * RADIUS < radius.mean() < 1.07 * RADIUS
+
+
+def test_texture_coordinates_are_of_one_place_each(ball):  # noqa: F811
+    around(ball)
+    surface = load(ball).surface
+    texcoords = surface.texcoords[surface.faces].astype(np.float64)
+    a, b = texcoords[:, 1] - texcoords[:, 0], texcoords[:, 2] - texcoords[:, 0]
+    area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2
+    assert surface.texcoords.min() >= 0 and surface.texcoords.max() <= 1
+    assert 0.3 < area < 1
+    # Its triangles fill as many texels as they have area.
+    filled = np.zeros((512, 512), bool)
+    weights = np.random.default_rng(0).dirichlet([1, 1, 1], 400)
+    for corner in texcoords:
+        place = weights @ corner
+        filled[tuple(np.minimum(place * 512, 511).astype(int).T)] = True
+    assert filled.mean() > 0.85 * area
+
+
+def test_what_does_not_enclose_it_is_refused(ball):  # noqa: F811
+    content = json.loads((ball / "transforms.json").read_text())
+    content["frames"] = content["frames"][:1]
+    (ball / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match="do not enclose the object: take views from more sides"):
+        load(ball)
+
+
+def test_outlines_without_a_common_place_are_refused(ball):  # noqa: F811
+    around(ball)
+    content = json.loads((ball / "transforms.json").read_text())
+    for frame in content["frames"][::2]:
+        place = np.array(frame["transform_matrix"])
+        place[:3, 3] += 3 * place[:3, 0]
+        frame["transform_matrix"] = place.tolist()
+    (ball / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match="photos.start=hull: no(thing| place) lies within"):
+        load(ball)
+
+
+def test_specks_are_left_out_and_said(ball):  # noqa: F811
+    around(ball)
+    rng = np.random.default_rng(0)
+    for number in range(14):
+        pixels = np.array(Image.open(ball / f"{number}.png"))
+        pixels[2:4, 2:4, 3] = 255  # alike in all, so that some place is in all of them, or in none
+        pixels[rng.integers(HEIGHT), rng.integers(WIDTH), 3] = 255
+        Image.fromarray(pixels).save(ball / f"{number}.png")
+    found = mesh_of(load(ball))
+    assert len(found.split()) == 1
+    assert np.linalg.norm(found.vertices, axis=1).max() < 1.15 * RADIUS
+
+
+def test_without_masks_or_mesh_both_ways_out_are_named(ball, capsys):  # noqa: F811
+    for number in range(4):
+        Image.open(ball / f"{number}.png").convert("RGB").save(ball / f"{number}.png")
+    with pytest.raises(InputError, match="photos.mesh is not given.*alpha or masks"):
+        load(ball)
+    with pytest.raises(InputError, match="neither alpha nor a mask"):
+        load(ball, start="hull")
+    assert main(["photos", str(ball), f"output={ball / 'sheet.png'}"]) == 0
+    assert "photos.mesh=FILE" in capsys.readouterr().out
+
+
+def test_a_mesh_and_a_hull_are_one_too_many():
+    with pytest.raises(InputError, match="photos.mesh and photos.start: one shape alone"):
+        PhotosConfig(mesh="a.obj", start="hull")
+    with pytest.raises(InputError, match="photos.start=sphere: valid: null, hull"):
+        PhotosConfig(start="sphere")
+
+
+def test_one_command_finds_shape_colour_and_light(ball, tmp_path):  # noqa: F811
+    around(ball)
+    out = tmp_path / "run"
+    words = ["run", "scene=photos", f"photos.path={ball}", "photos.texture=32", "photos.voxels=16"]
+    words += ["budget.iterations=60", "frames.views=1", "frames.snapshots=0", "report=false"]
+    words += ["estimator.batch=2048", "evaluation.count=2", f"hydra.run.dir={out}"]
+    assert main(words) == 0
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["final"]["image_rmse"] < 0.5 * summary["start"]["image_rmse"]
+    found = trimesh.load(out / "meshes/result_object.vertices.ply", process=False)
+    radius = np.linalg.norm(found.vertices, axis=1)
+    assert radius.mean() == pytest.approx(RADIUS, rel=0.05)
+    config = (out / "config.yaml").read_text() if (out / "config.yaml").exists() else ""
+    assert "silhouettes" in config or "silhouettes" in (out / "manifest.json").read_text()
