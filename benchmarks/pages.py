@@ -22,6 +22,7 @@ import _page_effects
 import _page_exports
 import _page_filters
 import _page_pbdr
+import _page_photographs
 import _page_plateau
 import _page_shapes
 import _page_volumes
@@ -43,6 +44,7 @@ PAGES = {
     "pbdr": _page_pbdr.facts,
     "exports": _page_exports.facts,
     "filters": _page_filters.facts,
+    "photographs": _page_photographs.facts,
 }
 
 

@@ -1,0 +1,112 @@
+"""Poses and shapes from pictures that nothing of isas has made (`_drawn_box.py`), colours unknown.
+
+Each case with what its outline says by itself, by alpha, masks or edges, and by the colours alone
+(`estimator.outline=0`, everything unknown from the start): three seeds, of edges over clutter eight
+other walls and turns. Both sides have the rates of the defaults. A hull has no other side. Writes
+results/photographs.csv, a row a run: degrees, share of the size, and shift by which a pose is off,
+or the chamfer distance over that of the start.
+
+    .venv/bin/python benchmarks/photographs.py
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import _drawn_box as box
+import numpy as np
+import pages
+import pandas
+import trimesh
+
+import isas_cli
+from isas_cli.scene.shape_error import Sampled, apart
+
+RESULTS = Path(__file__).parent / "results"
+SECONDS = 20
+QUIET = ["frames.views=0", "frames.snapshots=0", "report=false", "evaluation.count=4"]
+COLOUR = "object.bsdf.brdf_0.base_color.data: {start: 0.5, during: [0.0, 1.0]}"
+# By case: how the object ends, whether its pose is unknown (else its shape), the seeds.
+CASES = {
+    "pose, alpha": ("alpha", True, (1, 2, 3)),
+    "pose, masks of whole pixels": ("masks", True, (1, 2, 3)),
+    "pose, one picture over clutter": ("none", True, tuple(range(1, 9))),
+    "shape from a sphere, alpha": ("alpha", False, (1, 2, 3)),
+}
+HULL = "shape from pictures alone, alpha"
+WAYS = "its outline", "colours alone"
+
+
+def run(folder: Path, settings: list[str], seed: int):
+    own = [f"photos.path={folder}", f"seed={seed}", f"budget.seconds={SECONDS}"]
+    out = f"hydra.run.dir={folder / 'run'}"
+    return isas_cli.run("scene=photos", *own, *QUIET, *settings, out, "overwrite=true")
+
+
+def chamfer(folder: Path) -> float:
+    """Of the result, over the start's."""
+    truth = trimesh.creation.box(2 * box.HALF)
+    truth = Sampled.of(np.asarray(truth.vertices), np.asarray(truth.faces))
+    far = []
+    for name in ("result", "start"):
+        mesh = trimesh.load(folder / f"run/meshes/{name}_object.vertices.ply", process=False)
+        far.append(apart(Sampled.of(np.asarray(mesh.vertices), mesh.faces), truth)["chamfer"])
+    return far[0] / far[1]
+
+
+def posed(folder: Path, outline: str, way: str, seed: int) -> dict:
+    cluttered = outline == "none"
+    axis = np.random.default_rng(seed).normal(size=3) if cluttered else (0.6, 0.7, -0.39)
+    by = (5, 1.0) if cluttered else (10, 1.12)
+    corners = box.turned_mesh(folder / "box.obj", *by, axis)
+    settings = [f"photos.mesh={folder / 'box.obj'}", "photos.pose=true"]
+    settings += [f"photos.environment={folder / 'white.png'}"]
+    if not cluttered:
+        settings.append("photos.background=black")
+    if way == WAYS[1]:
+        settings += ["estimator.outline=0", f"scene.unknowns={{{COLOUR}}}"]
+    elif cluttered:
+        settings.append("photos.edges=true")
+    found = box.off(run(folder, settings, seed).parameters(), corners)
+    return dict(zip(("degrees", "size", "shift"), found))
+
+
+def shaped(folder: Path, way: str, seed: int) -> dict:
+    trimesh.creation.icosphere(4, 0.35).export(folder / "ball.obj")
+    during = "" if way == WAYS[0] else ", during: [0.0, 1.0]"
+    colour = f"object.bsdf.brdf_0.base_color.value: {{start: 0.5{during}}}"
+    settings = [f"photos.mesh={folder / 'ball.obj'}", "photos.background=black"]
+    settings += [f"photos.environment={folder / 'white.png'}", "estimator=silhouettes"]
+    settings += ["sampler=ours", f"scene.unknowns={{object.vertices: {{lr: 0.005}}, {colour}}}"]
+    settings += [] if way == WAYS[0] else ["estimator.outline=0"]
+    run(folder, settings, seed)
+    return {"chamfer": chamfer(folder)}
+
+
+def main() -> None:
+    rows = []
+    with tempfile.TemporaryDirectory() as made:
+        for case, (outline, posing, seeds) in CASES.items():
+            for seed in seeds:
+                cluttered = outline == "none"
+                folder = Path(made) / (f"{outline}{seed}" if cluttered else outline)
+                if not folder.exists():
+                    count, scale = (1, 4) if cluttered else (8, 1)
+                    box.photographed(folder, count, outline, scale, seed)
+                for way in WAYS:
+                    known = (folder, outline, way, seed) if posing else (folder, way, seed)
+                    found = (posed if posing else shaped)(*known)
+                    rows.append({"case": case, "by": way, "seed": seed, **found})
+                    print(rows[-1], flush=True)
+        for seed in (1, 2, 3):
+            folder = Path(made) / "alpha"
+            run(folder, [], seed)
+            rows.append({"case": HULL, "by": WAYS[0], "seed": seed, "chamfer": chamfer(folder)})
+            print(rows[-1], flush=True)
+    pandas.DataFrame(rows).to_csv(RESULTS / "photographs.csv", index=False, float_format="%.4g")
+    pages.write()
+
+
+if __name__ == "__main__":
+    main()
