@@ -61,6 +61,8 @@ def bare(
         of_views = building.of_views(taken, views)
     truth_known = taken is None and scene.targets is None
     found = parsed(params, wanted, truth_known, poses, of_views)
+    if taken is not None:
+        building.stage(taken, wanted, found)
     if taken is not None and len(taken.parts) > 1:
         for each in (each for each in found if each.kind.deforms):
             raise InputError(

@@ -152,6 +152,7 @@ def test_the_record_says_how_derivatives_are_taken():
     )
     moving = types.SimpleNamespace(
         unknowns=types.SimpleNamespace(moving=["turn"]),
+        **dict(part=None, edges=None),
         integrator=types.SimpleNamespace(
             name="PRBIntegrator", derivatives="path replay", max_depth=3
         ),

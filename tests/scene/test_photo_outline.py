@@ -231,7 +231,8 @@ def test_where_the_wall_is_here_and_there_like_the_object_nothing_is_said(ball):
         Image.fromarray(np.uint8(255 * (covered() > 0.99))).save(ball / f"masks/{number}.png")
     each = load(ball, background="black", saturated=None)[0]
     told = each.part >= 0
-    assert np.abs(each.part - covered())[told].max() < 0.03
+    beside = np.abs(np.arange(HEIGHT) - HEIGHT // 2) > 4  # of where the wall changes
+    assert np.abs(each.part - covered())[told & beside[:, None]].max() < 0.03
     upper = ~told[: HEIGHT // 2]
     assert upper.any() and not (~told[HEIGHT // 2 + 2 :]).any()
     assert not each.mask[~told].any() and each.mask[told].all()

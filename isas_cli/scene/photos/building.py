@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from ...runtime import images
 from ...runtime.errors import InputError
 from ...scenes import meshes
 from ...unknowns.parameters import own
+from ...unknowns.unknowns import Unknown
 from ..views import Views
 from . import material
 from .camera import Camera
@@ -132,8 +132,6 @@ def unknowns(taken: Photographs, own: dict, poses: dict[str, PoseConfig]) -> dic
             "photos.normals=map, photos.pose=true, photos.exposure=scale or photos.refine=true "
             "says what to find, or scene.unknowns"
         )
-    if settings.background == BLACK or settings.edges:
-        _stage(found, poses, settings.edges)
     return found
 
 
@@ -153,19 +151,23 @@ def poses(taken: Photographs, own: dict[str, PoseConfig]) -> dict[str, PoseConfi
     return found | {"shift": PoseConfig("translation", objects)} | own
 
 
-def _stage(found: dict[str, Any], poses: dict[str, PoseConfig], edges: bool) -> None:
-    """Let shapes and poses find their outline before anything else moves: what colours and light
-    have been made to fit them wrongly holds them where they are. Raises InputError where ``edges``
-    are asked for and nothing follows them."""
-    moving = [key for key in found if key in poses or key.endswith(".vertices")]
-    if edges and not moving:
+def stage(taken: Photographs, wanted: dict[str, Any], found: list[Unknown]) -> None:
+    """Let shapes and poses find their outline, where the photographs tell it, before anything else
+    moves of which ``wanted`` does not say when: what colours and light have been made to fit them
+    wrongly holds them where they are. Raises InputError where edges are to be followed, and by
+    nothing."""
+    moving = [unknown for unknown in found if unknown.kind.moves_geometry]
+    if taken.settings.edges and not moving:
         raise InputError(
             "photos.edges=true: nothing that is unknown moves: photos.pose=true makes the object's "
             f"pose unknown, scene.unknowns its shape ({OBJECT}.vertices)"
         )
-    for key in found if moving else ():
-        if key not in moving and found[key].during is None:
-            found[key] = replace(found[key], during=[_BY_OUTLINE, 1.0])
+    told = taken.settings.background == BLACK or taken.settings.edges
+    if not told or not any(unknown.moves(0.0) for unknown in moving):
+        return
+    for unknown in found:
+        if not unknown.kind.moves_geometry and wanted[unknown.key].during is None:
+            unknown.during = _BY_OUTLINE, 1.0
 
 
 def _check_parts(settings: PhotosConfig, names: list[str], own: dict) -> None:
