@@ -101,6 +101,11 @@ class Loop:
         return [dr.opaque(mi.Float, 0, dr.width(each)) for each in known]
 
     @property
+    def _undrawn(self) -> float:
+        """The share of the budget up to which the estimator draws no pixels, nor needs a look."""
+        return getattr(self.estimator, "undrawn", 0.0)
+
+    @property
     def whole(self) -> Problem:
         """The problem with all effects and views."""
         return self.evaluator.problem
@@ -236,7 +241,8 @@ class Loop:
         p = self.position
         # A level begins as a run does, and so does what had too little time before it went on.
         first = self._finer() or self._weights is None
-        if (first or self.sampler.due(p.iteration)) and self._affordable():
+        draws = self.scheduled >= self._undrawn
+        if draws and (first or self.sampler.due(p.iteration)) and self._affordable():
             seconds, paths = self.clock.seconds, p.paths
             with self.clock.billed("stage1"):
                 self._look(p.iteration, first)
@@ -244,7 +250,7 @@ class Loop:
             if first:
                 p.paths += self.sampler.paths_before
             p.looked = self.clock.seconds - seconds, p.paths - paths
-        elif self._distribution is None:  # no look of this run pays
+        elif self._distribution is None:  # no look of this run pays, or none is needed yet
             self._spread(dr.opaque(mi.Float, 1, self.sampler.cells.count))
         if p.iteration == 0:
             p.before = self.clock.seconds, p.paths
@@ -291,7 +297,7 @@ class Loop:
         if self._distribution is None:
             self._look(iteration)
         before = self._memory
-        found = self._estimate(iteration)
+        found = self._estimate(iteration, max(self.scheduled, self._undrawn))
         self._memory = before
         return found
 

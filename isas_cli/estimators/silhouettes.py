@@ -161,7 +161,7 @@ class ByShape:
         meshes, shadows = _meshes(problem), chosen.shadowed(problem)
         # By the key of its mesh's positions; those of what stands still are ``_still``.
         self.borders: list[tuple[str, tuple, Border]] = []
-        self.until, self.alone = 0.0, False
+        self.undrawn, self.alone = 0.0, False
 
         def throws(key: str, topologies: dict[int, Topology], samples: int) -> None:
             each = max(1, samples), chosen.paths, chosen.lamps, chosen.freeze
@@ -184,7 +184,7 @@ class ByShape:
                 each = max(1, reflections // len(meshes)), chosen.paths, not shadows, chosen.freeze
                 self.borders.append((key, _REFLECTED, Reflections(*where, *each)))
         if any(isinstance(each, _BY_OUTLINE) for _, _, each in self.borders):
-            self.until = _geometry_alone(problem)
+            self.undrawn = _geometry_alone(problem)
         self._still: dict[str, mi.Float] = {}
         if shadows and (found := others(problem)):
             self._still[""], topology = found
@@ -201,7 +201,7 @@ class ByShape:
     @property
     def stages(self) -> tuple[float, ...]:
         """Shares of the budget at which kernels differ, for a rehearsal."""
-        return (0.0, self.until) if self.until else (0.0,)
+        return (0.0, self.undrawn) if self.undrawn else (0.0,)
 
     @property
     def paths_per_step(self) -> int:
@@ -238,9 +238,9 @@ class ByShape:
         iteration: int,
         spent: float,
     ) -> dict:
-        """The gradient at ``values``, by key; up to the share ``until`` of the budget, that of
+        """The gradient at ``values``, by key; up to the share ``undrawn`` of the budget, that of
         outlines alone."""
-        unknowns, self.alone = self.problem.unknowns, spent < self.until
+        unknowns, self.alone = self.problem.unknowns, spent < self.undrawn
         if self.alone:
             unknowns.attach(values)
             total = {key: dr.zeros(type(value), value.shape) for key, value in values.items()}
@@ -251,7 +251,7 @@ class ByShape:
             if self.alone and not isinstance(border, _BY_OUTLINE):
                 continue
             if isinstance(border, PictureEdges):
-                border.narrow(spent / self.until if self.until else 1.0)
+                border.narrow(spent / self.undrawn if self.undrawn else 1.0)
             place = iteration * len(self.borders) + number
             seeds = [
                 dr.opaque(mi.UInt32, streams.seed(seed, place, purpose)) for purpose in purposes

@@ -12,7 +12,7 @@ from ..scene.views import Views
 from ..unknowns.parameters import own
 from . import rays
 from .border import Border
-from .outline import Crossing, at, draw, side
+from .outline import crossed, draw, pull
 from .silhouettes import lengths, meet, met_by
 
 # How far beside an edge its other side is looked at, in pixels: far above rounding, far below what
@@ -59,13 +59,7 @@ class Contours(Border):
                 now = dr.detach(positions)
                 weights = lengths(now, outline, cameras, films, views, met if adaptive else None)
                 drawn = draw(weights, outline, samples, seeds[0])
-                start, end = at(now, drawn.a), at(now, drawn.b)
-                point = dr.lerp(start, end, drawn.t)
-                _, inner = side(now, outline, cameras.eyes, drawn)
-                crossing = Crossing.of(
-                    *(cameras, films, drawn.eye, point, end - start, inner),
-                    drawn.probability > 0,
-                )
+                point, _, _, crossing = crossed(now, outline, cameras, films, drawn)
                 stream = rays.stream(seeds[1], samples)
                 filled = dr.gather(mi.Float, part, crossing.pixel, crossing.valid)
                 valid = crossing.valid & (filled >= 0)
@@ -82,10 +76,7 @@ class Contours(Border):
                 dr.eval(weight, adjoint)
                 if adaptive:
                     meet(met, crossing, films, mi.Color3f(dr.select(steps, adjoint, 0)))
-                with dr.resume_grad():
-                    moved = dr.lerp(at(positions, drawn.a), at(positions, drawn.b), drawn.t)
-                    place = cameras.project(drawn.eye, moved)
-                    dr.backward_from(weight * dr.dot(place, crossing.away))
+                pull(positions, cameras, drawn, crossing.away, weight)
 
         self._made(kernel, freeze, self.met, problem.part, share)
 

@@ -280,3 +280,50 @@ class Crossing:
         found = Crossing(view, column, row, pixel, dr.select(valid, away, 0), speed, valid)
         dr.eval(found)
         return found
+
+
+def every(outline: Outline, eyes: int) -> tuple[mi.UInt32, mi.UInt32]:
+    """All edges from all of so many points, one point's after the other's: edge and point,
+    ``(eyes E,)``. Traced."""
+    index = dr.arange(mi.UInt32, outline.count * eyes)
+    eye = index // outline.count
+    return index - eye * outline.count, eye
+
+
+def spans(
+    cameras: Cameras, films: Views, view: mi.UInt32, ends: list[mi.Point3f]
+) -> tuple[mi.Vector2f, mi.Vector2f, mi.Float]:
+    """Columns and rows of both ends of edges, and their lengths in pixels: 0 of those that reach
+    behind the camera or lie outside the image. Traced."""
+    x, y, found = mi.Vector2f(0), mi.Vector2f(0), mi.Bool(True)
+    for k, end in enumerate(ends):
+        across, down, depth = cameras.homogeneous(view, end)
+        found &= depth > 0
+        x[k], y[k] = across / depth, down / depth
+    width = mi.Float(dr.gather(mi.UInt32, films.width, view))
+    height = mi.Float(dr.gather(mi.UInt32, films.height, view))
+    found &= (dr.max(x) > 0) & (dr.max(y) > 0) & (dr.min(x) < width) & (dr.min(y) < height)
+    length = dr.sqrt(dr.square(x[1] - x[0]) + dr.square(y[1] - y[0]))
+    return x, y, dr.select(found & dr.isfinite(length), length, 0)
+
+
+def crossed(
+    positions: mi.Float, outline: Outline, cameras: Cameras, films: Views, drawn: Drawn
+) -> tuple[mi.Point3f, mi.Vector3f, mi.Vector3f, Crossing]:
+    """Where ``drawn`` points lie in the world, ``side`` of them, and where they cross the images.
+    Traced, and evaluated."""
+    start, end = at(positions, drawn.a), at(positions, drawn.b)
+    point = dr.lerp(start, end, drawn.t)
+    plane, inner = side(positions, outline, cameras.eyes, drawn)
+    where = cameras, films, drawn.eye, point, end - start, inner, drawn.probability > 0
+    return point, plane, inner, Crossing.of(*where)
+
+
+def pull(
+    positions: mi.Float, cameras: Cameras, drawn: Drawn, way: mi.Vector2f, weight: mi.Float
+) -> None:
+    """Add ``weight`` times the derivative of what ``drawn`` points move by along ``way`` of the
+    image, in pixels, to the gradient of what ``positions`` depend on. Traced."""
+    with dr.resume_grad():
+        moved = dr.lerp(at(positions, drawn.a), at(positions, drawn.b), drawn.t)
+        dr.backward_from(weight * dr.dot(cameras.project(drawn.eye, moved), way))

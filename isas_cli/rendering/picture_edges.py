@@ -14,7 +14,7 @@ from ..scene.topology import Topology
 from ..scene.views import Views
 from ..unknowns.parameters import own
 from .border import Border
-from .outline import Cameras, Crossing, Outline, at, draw, pair, silhouettes
+from .outline import Cameras, Outline, at, crossed, draw, every, pair, pull, silhouettes, spans
 
 # Directions of edges that are told apart, of half a turn; distances beyond which an edge in the
 # picture is another one, at first and in the end, and the blur before they are found, in pixels.
@@ -60,7 +60,8 @@ class PictureEdges(Border):
     and Cipolla (2002), by distances as in chamfer matching (Barrow et al. 1977), at points drawn
     anew in every step. It asks for no light, material or background.
 
-    Bias: the places on the mesh and L are held still, as is usual.
+    Bias: the places on the mesh and L are held still, as is usual; slopes of d are over a pixel,
+    which cuts its kinks (a tested case: 2.5 % less than differences).
     """
 
     def __init__(
@@ -79,13 +80,8 @@ class PictureEdges(Border):
                 now = dr.detach(positions)
                 weights = _lengths(now, outline, cameras, films, views)
                 drawn = draw(weights, outline, samples, seeds[0])
-                start, end = at(now, drawn.a), at(now, drawn.b)
-                point = dr.lerp(start, end, drawn.t)
-                # Of a crease no side is the object's.
-                crossing = Crossing.of(
-                    *(cameras, films, drawn.eye, point, end - start, end - start),
-                    drawn.probability > 0,
-                )
+                # Of a crease no side is the object's: which way its normal points means nothing.
+                point, _, _, crossing = crossed(now, outline, cameras, films, drawn)
                 eye = dr.gather(mi.Vector3f, cameras.eyes.place, drawn.eye)
                 ray = mi.Ray3f(mi.Point3f(eye), mi.Vector3f(point) - eye)
                 ray.maxt = 1 - 1e-3
@@ -103,10 +99,7 @@ class PictureEdges(Border):
                 far, share = reach
                 weight = dr.select(valid & (d < far), 2 * d * share / samples, 0)
                 dr.eval(weight, slope)
-                with dr.resume_grad():
-                    moved = dr.lerp(at(positions, drawn.a), at(positions, drawn.b), drawn.t)
-                    there = cameras.project(drawn.eye, moved)
-                    dr.backward_from(weight * dr.dot(there, slope))
+                pull(positions, cameras, drawn, slope, weight)
 
         self._made(kernel, freeze, problem.edges, self._reach)
 
@@ -142,10 +135,7 @@ def _lengths(
 ) -> mi.Float:
     """Of each edge in each view, its length in pixels if it is a silhouette or a crease and may lie
     in the image, else 0, ``(views E,)``. Traced."""
-    edges = outline.count
-    index = dr.arange(mi.UInt32, edges * views)
-    view = index // edges
-    edge = index - view * edges
+    edge, view = every(outline, views)
     ends = [at(positions, each) for each in pair(outline.ends, edge)]
     thirds = [at(positions, each) for each in pair(outline.across, edge)]
     along = ends[1] - ends[0]
@@ -154,16 +144,7 @@ def _lengths(
     normals.append(dr.normalize(dr.cross(thirds[1] - ends[0], along)))
     found = silhouettes(positions, outline, cameras.eyes, edge, view)
     found |= dr.dot(*normals) < float(_CREASE)
-    x, y = mi.Vector2f(0), mi.Vector2f(0)
-    for k, end in enumerate(ends):
-        across, down, depth = cameras.homogeneous(view, end)
-        found &= depth > 0
-        x[k], y[k] = across / depth, down / depth
-    width = mi.Float(dr.gather(mi.UInt32, films.width, view))
-    height = mi.Float(dr.gather(mi.UInt32, films.height, view))
-    found &= (dr.max(x) > 0) & (dr.max(y) > 0) & (dr.min(x) < width) & (dr.min(y) < height)
-    length = dr.sqrt(dr.square(x[1] - x[0]) + dr.square(y[1] - y[0]))
-    return dr.select(found & dr.isfinite(length), length, 0)
+    return dr.select(found, spans(cameras, films, view, ends)[2], 0)
 
 
 def of(pictures: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> mi.Float:

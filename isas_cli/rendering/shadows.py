@@ -13,7 +13,7 @@ from ..scene.problem import Problem
 from ..scene.topology import Topology
 from . import rays
 from .border import Border, hidden_by_nothing, residual, shown
-from .outline import Eyes, Outline, at, backward_ray, draw, pair, sample, side
+from .outline import Eyes, Outline, at, backward_ray, draw, every, pair, sample, side
 from .outline import silhouettes as seen_from
 
 # Of edges and points of lamps, the pairs that a step looks at, at most; one point a lamp it does.
@@ -199,10 +199,7 @@ def _cast(way: mi.Vector3f, away: mi.Vector3f, normal: mi.Vector3f, grown: mi.Fl
 def _lengths(positions: mi.Float, outline: Outline, eyes: Eyes, count: int) -> mi.Float:
     """Of each edge from each of ``count`` eyes, its length across the ray from there if it is a
     silhouette, else 0, ``(count E,)``. Traced."""
-    edges = outline.count
-    index = dr.arange(mi.UInt32, edges * count)
-    eye = index // edges
-    edge = index - eye * edges
+    edge, eye = every(outline, count)
     found = seen_from(positions, outline, eyes, edge, eye)
     start, end = (at(positions, each) for each in pair(outline.ends, edge))
     length = dr.norm(dr.cross(end - start, dr.normalize(eyes.away(eye, (start + end) / 2))))

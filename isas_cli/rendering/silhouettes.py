@@ -16,11 +16,14 @@ from .outline import (
     Outline,
     at,
     backward_ray,
+    crossed,
     draw,
+    every,
     pair,
+    pull,
     sample,
-    side,
     silhouettes,
+    spans,
 )
 from .projective import without_film
 
@@ -71,13 +74,7 @@ class Silhouettes(Border):
                 now = dr.detach(positions)
                 weights = lengths(now, outline, cameras, films, views, met if adaptive else None)
                 drawn = draw(weights, outline, samples, seeds[0])
-                start, end = at(now, drawn.a), at(now, drawn.b)
-                point = dr.lerp(start, end, drawn.t)
-                plane, inner = side(now, outline, cameras.eyes, drawn)
-                crossing = Crossing.of(
-                    *(cameras, films, drawn.eye, point, end - start, inner),
-                    drawn.probability > 0,
-                )
+                point, plane, inner, crossing = crossed(now, outline, cameras, films, drawn)
                 away = cameras.eyes.away(drawn.eye, point)
                 found = sample(now, outline, drawn, point, away, plane, inner, mi.ShapePtr(shape))
                 back = backward_ray(found)
@@ -96,10 +93,7 @@ class Silhouettes(Border):
                 dr.eval(weight, adjoint)
                 if adaptive:
                     meet(met, crossing, films, adjoint)
-                with dr.resume_grad():
-                    moved = dr.lerp(at(positions, drawn.a), at(positions, drawn.b), drawn.t)
-                    place = cameras.project(drawn.eye, moved)
-                    dr.backward_from(weight * dr.dot(place, crossing.away))
+                pull(positions, cameras, drawn, crossing.away, weight)
 
         self._made(kernel, freeze, self.met)
 
@@ -135,26 +129,16 @@ def lengths(
     """Of each edge in each view, its length in pixels if it is a silhouette and may lie in the
     image, else 0, ``(views E,)``; with what was ``met``, times the root mean square there.
     Traced."""
-    edges = outline.count
-    index = dr.arange(mi.UInt32, edges * views)
-    view = index // edges
-    edge = index - view * edges
+    edge, view = every(outline, views)
     found = silhouettes(positions, outline, cameras.eyes, edge, view)
-    x, y = mi.Vector2f(0), mi.Vector2f(0)
-    for k, vertex in enumerate(pair(outline.ends, edge)):
-        across, down, depth = cameras.homogeneous(view, at(positions, vertex))
-        found &= depth > 0
-        x[k], y[k] = across / depth, down / depth
-    width = mi.Float(dr.gather(mi.UInt32, films.width, view))
-    height = mi.Float(dr.gather(mi.UInt32, films.height, view))
-    found &= (dr.max(x) > 0) & (dr.max(y) > 0) & (dr.min(x) < width) & (dr.min(y) < height)
-    length = dr.sqrt(dr.square(x[1] - x[0]) + dr.square(y[1] - y[0]))
-    found &= dr.isfinite(length)
+    ends = [at(positions, vertex) for vertex in pair(outline.ends, edge)]
+    x, y, length = spans(cameras, films, view, ends)
     if met is not None:
         squares, counts = met
         mean = dr.maximum(dr.sum(squares) / dr.maximum(dr.sum(counts), 1), 1e-30)
         # A cell without samples counts as the mean.
         each = (squares + mean) / (counts + 1)
-        cell = _cell(view, dr.mean(x) / width, dr.mean(y) / height)
+        sides = (mi.Float(dr.gather(mi.UInt32, n, view)) for n in (films.width, films.height))
+        cell = _cell(view, *(dr.mean(place) / size for place, size in zip((x, y), sides)))
         length *= dr.sqrt(dr.maximum(dr.gather(mi.Float, each, cell, found), _FLOOR * mean) / mean)
     return dr.select(found, length, 0)

@@ -136,7 +136,7 @@ def test_shapes_follow_it_alone_before_anything_else_moves():
     p = masked()
     estimator = Settings(batch=256, edges=4096).made(Settings().on(p), losses.L2())
     assert estimator.stages == (0.0,)  # nothing else is unknown
-    estimator.until = 0.3
+    estimator.undrawn = 0.3
     uniform = PixelDistribution.uniform(Tiles.over(p.views))
     values = p.unknowns.values_of({KEY: egg(p)})
     paths = []

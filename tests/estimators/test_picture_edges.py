@@ -9,6 +9,7 @@ import pytest
 from shapes_for_tests import KEY, problem
 
 from isas_cli.rendering import picture_edges
+from isas_cli.rendering.outline import at, crossed, draw
 from isas_cli.rendering.picture_edges import PictureEdges, distances
 from isas_cli.runtime import streams
 
@@ -80,10 +81,46 @@ def test_it_draws_a_shape_back_to_its_place(drawn):
         assert at[1].mean() > 5 * at[1].std() / np.sqrt(len(at[1]))
 
 
-def test_its_size_is_that_of_the_slope(drawn):
-    """Against the mean of the same measure a little before and after, of the same points."""
-    truth = np.asarray(drawn.unknowns[KEY].truth)
-    way, far = np.broadcast_to([1.0, 0, 0], truth.shape), 0.06
-    slopes = [derivative(drawn, truth + s * way, way).mean() for s in np.linspace(0.02, far, 5)]
-    # A square around the truth: the slope grows as the distance does.
-    assert slopes[-1] > 1.3 * slopes[0]
+def measured(p, points, way, cameras, reach: float, places: mi.Float, seen: mi.Bool) -> float:
+    """The measure over points that stay where they are on the mesh, drawn by length, and seen."""
+    a, b = (at(places, each) for each in (points.a, points.b))
+    place = cameras.project(points.eye, dr.lerp(a, b, points.t))
+    d = picture_edges._looked_up(p.edges, p.views, points.eye, place, way, mi.Bool(True))
+    return float(dr.mean(dr.select(seen, dr.square(dr.minimum(d, reach)), 0))[0]) / reach**2
+
+
+def test_against_differences_of_what_it_measures(drawn):
+    """At points on the mesh that are drawn once, by their lengths, and held there; those that
+    something hides count nothing."""
+    p, step = drawn, 2e-3
+    x = np.asarray(p.unknowns[KEY].truth) * [1.03, 0.97, 1.02]
+    (mesh,) = p.unknowns[KEY].kind.topologies.values()
+    border, key = PictureEdges(p, mesh, 1.0, 1 << 13), p.unknowns[KEY].kind.positions
+    (outline,) = border._outlines.values()
+
+    def placed(at: np.ndarray) -> mi.Float:
+        p.unknowns.write(p.unknowns.values_of({KEY: at.astype(np.float32)}))
+        return mi.Float(p.unknowns.params[key])
+
+    now, cameras = placed(x), border.cameras
+    weights = picture_edges._lengths(now, outline, cameras, p.views, len(p.film_sizes))
+    points = draw(weights, outline, 1 << 18, mi.UInt32(5))
+    point, _, _, crossing = crossed(now, outline, cameras, p.views, points)
+    eye = dr.gather(mi.Vector3f, cameras.eyes.place, points.eye)
+    ray = mi.Ray3f(mi.Point3f(eye), mi.Vector3f(point) - eye)
+    ray.maxt = 1 - 1e-3
+    seen = crossing.valid & ~p.scene.ray_test(ray)
+    angle = dr.atan2(crossing.away.y, crossing.away.x) * (picture_edges._WAYS / dr.pi)
+    way = mi.UInt32(angle + (2 * picture_edges._WAYS + 0.5)) % picture_edges._WAYS
+    dr.eval(seen, way)  # as long as the scene stands so
+    reach = picture_edges._FAR - 0.5
+    for along in (np.broadcast_to([1.0, 0, 0], x.shape), np.broadcast_to([0, 1.0, 0], x.shape), x):
+        sides = [
+            measured(p, points, way, cameras, reach, placed(x + s * along), seen)
+            for s in (step, -step)
+        ]
+        exact = (sides[0] - sides[1]) / (2 * step)
+        found = derivative(p, x, along, 16)
+        error = found.std(ddof=1) / np.sqrt(len(found))
+        print(f"{found.mean() / exact:.3f} ± {error / abs(exact):.3f} of the differences")
+        assert abs(found.mean() - exact) < 4 * error + 0.05 * abs(exact)

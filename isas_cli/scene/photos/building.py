@@ -24,9 +24,8 @@ from .shape import OBJECT
 SKY = "sky"
 EXPOSURE, CAMERAS = "exposure", "cameras"  # the keys of what is the views' own
 _LIGHT = 1.0  # what an unknown environment starts at
-# Rates: of a hull's vertices (by half as much again its triangles cross), of a shift and a size, as
-# shares of the object's size; of a turn, in degrees. And the share of the budget in which shapes
-# and poses follow the outline alone.
+# Rates: of a hull's vertices, of a shift and a size, as shares of the object's size; of a turn, in
+# degrees. And the share of the budget in which shapes and poses follow the outline alone.
 _GROWTH, _STEP, _DEGREES, _BY_OUTLINE = 0.002, 0.003, 0.3, 0.25
 _DEPTH = 3
 # From Mitsuba's environments, whose up is y, to another axis: axis and angle of a rotation.
