@@ -12,6 +12,8 @@ import typing
 from dataclasses import dataclass, field
 from typing import Any
 
+from ..runtime.errors import InputError
+
 
 class Role(enum.Enum):
     """PROBLEM: what is to be found, and from what. METHOD: how; runs that differ in one of these
@@ -92,3 +94,10 @@ def _table(schema: type, prefix: str = "") -> dict[str, Meaning]:
         if dataclasses.is_dataclass(kind):
             found |= _table(kind, f"{key}{named}.")
     return found
+
+
+def at_least(least: int, **values: int | None) -> None:
+    """Refuse values below ``least``; names are the settings', with __ for a dot."""
+    for name, value in values.items():
+        if value is not None and value < least:
+            raise InputError(f"{name.replace('__', '.')}={value}: at least {least}")

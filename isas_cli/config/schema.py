@@ -13,7 +13,8 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from ..runtime.errors import InputError
 from ..runtime.schedule import factor
 from . import searchpath
-from .roles import Role, setting
+from .photographs import PhotosConfig
+from .roles import Role, at_least, setting
 
 # Dr.Jit counts the lanes of a kernel in 32 bits.
 MOST_LANES = 2**31
@@ -25,13 +26,6 @@ def roughness_of(key: str) -> str | None:
     """Which of ROUGHNESSES an unknown is, by its key: 'roughness' of 'wall.bsdf.roughness.value',
     'alpha' of 'ball.bsdf.alpha'; None for others."""
     return next((word for word in key.split(".")[:-3:-1] if word in ROUGHNESSES), None)
-
-
-def _at_least(least: int, **values: Optional[int]) -> None:
-    """Refuse values below ``least``; names are the settings', with __ for a dot."""
-    for name, value in values.items():
-        if value is not None and value < least:
-            raise InputError(f"{name.replace('__', '.')}={value}: at least {least}")
 
 
 # The scene's numbers are of single precision, and are squared.
@@ -155,7 +149,7 @@ class PoseConfig:
             raise InputError(f"pose.period={self.period}: degrees, above 0, at most 360")
         if self.kind not in (MISSING, *_KINDS):
             raise InputError(f"pose.kind={self.kind}: valid: {', '.join(_KINDS)}")
-        _at_least(1, pose__parts=self.parts)
+        at_least(1, pose__parts=self.parts)
         usual = {f.name: f.default_factory for f in fields(self) if f.name in _POSE_KINDS}
         usual["period"] = lambda: 360.0
         for name, kinds in _POSE_KINDS.items():
@@ -178,151 +172,6 @@ class PoseConfig:
 def _is_vector(value) -> bool:
     numbers = isinstance(value, (list, tuple)) and len(value) == 3
     return numbers and all(type(x) in (int, float) and math.isfinite(x) for x in value)
-
-
-_UPS = ("x", "y", "z", "-x", "-y", "-z")
-# In place of whether something of a surface is unknown: it is, as a texture.
-MAP = "map"
-SIDE = 256  # texels, where nothing is said
-
-
-@dataclass
-class PhotosConfig:
-    """Photographs with known cameras (scene=photos; ``photos.path`` is ``scene.photos.path``).
-
-    ``path``: the folder that holds them; ``cameras``: the file or folder in it that says where the
-    cameras are (None: it is looked for); ``world``: of files whose poses are not in the world of
-    the mesh and that say how these differ (``applied_transform``, Polycam's alignment), ``mesh``:
-    that of the mesh, or ``file``: as they stand there; ``mesh``: a file (OBJ, PLY, STL, glTF) in
-    the cameras' world, or instead ``plane``: [x0, y0, x1, y1] of z = 0, or ``sphere``: [x, y, z,
-    radius]; ``environment``: a picture of the light from all sides (None: unknown), whose up is the
-    world's axis ``up``; ``width``: pixels, to which views are shrunk (None: as they are);
-    ``texture``: texels a side of the base colour, or the picture file of one that is known;
-    ``roughness``, ``metallic``: whether that is unknown, too, as one number or, ``map``, as a
-    texture; ``normals``: whether a normal map is, false or ``map``; ``texels``: a side of these
-    maps (None: as many as the base colour has, or 256 where that is known);
-    ``sky``: rows of an unknown environment; ``test``: views held out, [names], n for every n-th, or
-    ``given``: those that the files hold out; ``exposure``: of the views, besides what their file
-    says, ``fixed``: all alike, or unknown, ``scale``: a factor each, ``channels``: three each;
-    ``refine``: whether the cameras' poses are unknown as well; ``saturated``: from which value of
-    an 8- or 16-bit or camera raw file on, of its largest, a pixel does not count (None: all count);
-    ``encoding``: of the files, ``auto``: as images are read everywhere, ``srgb`` (no camera raw
-    file is) or ``linear``; ``background``: whether pixels count that the object does not fill, or
-    ``black``: they do, and are black in photographs and renderings, where alpha or masks end the
-    object; ``images``, ``masks``: folders where the pictures and masks lie (None: where the
-    cameras' file and custom say; ``masks=none``: there are none); ``missing``: ``refuse`` a picture
-    that does not exist, or ``skip`` its view; ``scale``: of pictures that were resized after
-    calibration, how large they are of the cameras' size, or ``auto``; ``orientation``: whether
-    cameras are of pictures as ``stored`` or as ``turned`` by their Orientation tag (``auto``: as is
-    usual of their file); ``materials``: of a mesh that has several, ``each`` a shape and a colour
-    of its own, or ``one`` for all; ``start``: ``hull``, in place of a mesh the largest object that
-    alpha or masks allow, whose shape is unknown (also where nothing else says what the object is,
-    and these are there); ``voxels``: of the grid that it is cut from, along its longest side;
-    ``edges``: whether shapes and poses that are unknown follow edges in the pictures; ``pose``:
-    whether turn, size and place of the object are unknown (``turn_x``, ``turn_y``, ``turn_z``,
-    ``size``, ``shift``).
-    """
-
-    path: Optional[str] = None
-    cameras: Optional[str] = None
-    world: str = "mesh"
-    mesh: Optional[str] = None
-    plane: Optional[List[float]] = None
-    sphere: Optional[List[float]] = None
-    environment: Optional[str] = None
-    up: str = "y"
-    width: Optional[int] = None
-    texture: Any = SIDE  # an int, or a file's name
-    roughness: Any = False  # a bool, or "map"
-    metallic: Any = False
-    normals: Any = False
-    texels: Optional[int] = None
-    sky: int = 8
-    test: Any = None
-    exposure: str = "fixed"
-    refine: bool = False
-    saturated: Optional[float] = 0.995
-    encoding: str = "auto"
-    background: Any = False  # a bool, or "black"
-    images: Optional[str] = None
-    masks: Optional[str] = None
-    missing: str = "refuse"
-    scale: Any = None
-    orientation: str = "auto"
-    materials: str = "each"
-    start: Optional[str] = None
-    voxels: int = 48
-    edges: bool = False
-    pose: bool = False
-
-    @property
-    def colour(self) -> Optional[str]:
-        """The file of a base colour that is known."""
-        return self.texture if isinstance(self.texture, str) else None
-
-    def __post_init__(self) -> None:
-        _at_least(1, photos__width=self.width, photos__texels=self.texels)
-        _at_least(2, photos__sky=self.sky)
-        _at_least(8, photos__voxels=self.voxels)
-        self._check_maps()
-        for name, valid in (
-            ("exposure", ("fixed", "scale", "channels")),
-            ("encoding", ("auto", "srgb", "linear")),
-            ("world", ("mesh", "file")),
-            ("up", _UPS),
-            ("missing", ("refuse", "skip")),
-            ("orientation", ("auto", "stored", "turned")),
-            ("materials", ("each", "one")),
-            ("start", (None, "hull")),
-        ):
-            if getattr(self, name) not in valid:
-                told = ", ".join("null" if each is None else each for each in valid)
-                raise InputError(f"photos.{name}={getattr(self, name)}: valid: {told}")
-        if not isinstance(self.background, bool) and self.background != "black":
-            raise InputError(f"photos.background={self.background}: valid: true, false, black")
-        shapes = [n for n in ("mesh", "plane", "sphere", "start") if getattr(self, n) is not None]
-        if len(shapes) > 1:
-            raise InputError(f"photos.{shapes[0]} and photos.{shapes[1]}: one shape alone")
-        for name in ("plane", "sphere"):
-            numbers = getattr(self, name)
-            if numbers is not None and (len(numbers) != 4 or not all(map(math.isfinite, numbers))):
-                raise InputError(f"photos.{name}={list(numbers)}: four numbers")
-        if self.plane and not (self.plane[0] < self.plane[2] and self.plane[1] < self.plane[3]):
-            raise InputError(f"photos.plane={list(self.plane)}: [x0, y0, x1, y1], x0 < x1, y0 < y1")
-        if self.sphere and not self.sphere[3] > 0:
-            raise InputError(f"photos.sphere={list(self.sphere)}: its radius must be above 0")
-        scaled = isinstance(self.scale, (int, float)) and not isinstance(self.scale, bool)
-        if self.scale not in (None, "auto") and not (scaled and 0 < self.scale < math.inf):
-            raise InputError(
-                f"photos.scale={self.scale}: how large pictures are of the cameras' size, such as "
-                "0.5, or auto"
-            )
-        if self.saturated is not None and not 0 < self.saturated <= 1:
-            raise InputError(f"photos.saturated={self.saturated}: in (0, 1], or null")
-
-    def _check_maps(self) -> None:
-        count = isinstance(self.texture, int) and not isinstance(self.texture, bool)
-        if not count and not (isinstance(self.texture, str) and self.texture):
-            raise InputError(
-                f"photos.texture={self.texture}: texels a side, such as {SIDE}, or the picture "
-                "file of a base colour that is known"
-            )
-        if count:
-            _at_least(1, photos__texture=self.texture)
-        for name, valid in (
-            ("roughness", (False, True, MAP)),
-            ("metallic", (False, True, MAP)),
-            ("normals", (False, MAP)),
-        ):
-            value = getattr(self, name)
-            if not isinstance(value, (bool, str)) or value not in valid:
-                told = ", ".join(str(each).lower() for each in valid)
-                raise InputError(f"photos.{name}={value}: valid: {told}")
-        if self.texels is not None and MAP not in (self.roughness, self.metallic, self.normals):
-            raise InputError(
-                f"photos.texels={self.texels}: of maps, and none is asked for: say which, such as "
-                "photos.roughness=map; the base colour's are photos.texture"
-            )
 
 
 @dataclass
@@ -348,7 +197,7 @@ class SceneConfig:
     unknowns: Dict[str, Optional[UnknownConfig]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _at_least(-1, scene__max_depth=self.max_depth)
+        at_least(-1, scene__max_depth=self.max_depth)
 
 
 # Of targets, where nothing is said: their first rendering stays a minute or two.
@@ -376,8 +225,8 @@ class TargetConfig:
                 f"target.noise={self.noise}: a share of the brightness, at least 1e-4, below 1"
             )
         if self.spp is not None:
-            _at_least(1, target__spp=self.spp)
-        _at_least(0, target__seed=self.seed)
+            at_least(1, target__spp=self.spp)
+        at_least(0, target__seed=self.seed)
 
     @property
     def wanted(self) -> Optional[float]:
@@ -451,7 +300,7 @@ class EvaluationConfig:
     spp: int = 4
 
     def __post_init__(self) -> None:
-        _at_least(1, evaluation__count=self.count, evaluation__pixels=self.pixels)
+        at_least(1, evaluation__count=self.count, evaluation__pixels=self.pixels)
         if self.spp < 2 or self.spp % 2:
             raise InputError(f"evaluation.spp={self.spp}: must be even and at least 2 (two halves)")
 
@@ -466,8 +315,8 @@ class FramesConfig:
     snapshots: int = setting(12, Role.RECORD, looped=True)
 
     def __post_init__(self) -> None:
-        _at_least(0, frames__views=self.views, frames__snapshots=self.snapshots)
-        _at_least(1, frames__spp=self.spp)
+        at_least(0, frames__views=self.views, frames__snapshots=self.snapshots)
+        at_least(1, frames__spp=self.spp)
 
 
 @dataclass
@@ -505,7 +354,7 @@ class Config:
     overwrite: bool = setting(False, Role.PLACE, shared=True)
 
     def __post_init__(self) -> None:
-        _at_least(0, seed=self.seed, threads=self.threads)
+        at_least(0, seed=self.seed, threads=self.threads)
         scene = self.scene
         if scene.photos.path is not None:
             self._of_photographs()

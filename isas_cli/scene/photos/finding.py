@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ...config.schema import PhotosConfig
+from ...config.photographs import PhotosConfig
 from ...runtime import heif, images, raw
 from ...runtime.errors import InputError
 

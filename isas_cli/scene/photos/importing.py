@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import map_coordinates
 
-from ...config.schema import PhotosConfig
+from ...config.photographs import PhotosConfig
 from ...runtime import images, raw
 from ...runtime.cache import cached, digest
 from ...runtime.errors import InputError

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ...config.schema import MAP, SIDE, PhotosConfig, UnknownConfig
+from ...config.photographs import MAP, SIDE, PhotosConfig
+from ...config.schema import UnknownConfig
 from ...runtime import images
 from ...runtime.errors import InputError
 from ...scenes import library

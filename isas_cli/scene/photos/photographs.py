@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...config.schema import PhotosConfig
+from ...config.photographs import PhotosConfig
 from ...runtime import images
 from ...runtime.errors import InputError
 from ...scenes.meshes import Surface

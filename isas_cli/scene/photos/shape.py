@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...config.schema import PhotosConfig
+from ...config.photographs import PhotosConfig
 from ...runtime.errors import InputError
 from ...scenes import lathe, meshes
 from ...scenes.meshes import Surface

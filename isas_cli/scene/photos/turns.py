@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ...config.schema import PhotosConfig
+from ...config.photographs import PhotosConfig
 from ...runtime import heif, images, raw
 from ...runtime.errors import InputError
 from .base import Capture

@@ -1,0 +1,154 @@
+"""The settings of photographs, `photos.…`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, List, Optional
+
+from ..runtime.errors import InputError
+from .roles import at_least
+
+_UPS = ("x", "y", "z", "-x", "-y", "-z")
+# In place of whether something of a surface is unknown: it is, as a texture.
+MAP = "map"
+SIDE = 256  # texels, where nothing is said
+
+
+@dataclass
+class PhotosConfig:
+    """Photographs with known cameras (scene=photos; ``photos.path`` is ``scene.photos.path``).
+
+    ``path``: the folder that holds them; ``cameras``: the file or folder in it that says where the
+    cameras are (None: it is looked for); ``world``: of files whose poses are not in the world of
+    the mesh and that say how these differ (``applied_transform``, Polycam's alignment), ``mesh``:
+    that of the mesh, or ``file``: as they stand there; ``mesh``: a file (OBJ, PLY, STL, glTF) in
+    the cameras' world, or instead ``plane``: [x0, y0, x1, y1] of z = 0, or ``sphere``: [x, y, z,
+    radius]; ``environment``: a picture of the light from all sides (None: unknown), whose up is the
+    world's axis ``up``; ``width``: pixels, to which views are shrunk (None: as they are);
+    ``texture``: texels a side of the base colour, or the picture file of one that is known;
+    ``roughness``, ``metallic``: whether that is unknown, too, as one number or, ``map``, as a
+    texture; ``normals``: whether a normal map is, false or ``map``; ``texels``: a side of these
+    maps (None: as many as the base colour has, or 256 where that is known);
+    ``sky``: rows of an unknown environment; ``test``: views held out, [names], n for every n-th, or
+    ``given``: those that the files hold out; ``exposure``: of the views, besides what their file
+    says, ``fixed``: all alike, or unknown, ``scale``: a factor each, ``channels``: three each;
+    ``refine``: whether the cameras' poses are unknown as well; ``saturated``: from which value of
+    an 8- or 16-bit or camera raw file on, of its largest, a pixel does not count (None: all count);
+    ``encoding``: of the files, ``auto``: as images are read everywhere, ``srgb`` (no camera raw
+    file is) or ``linear``; ``background``: whether pixels count that the object does not fill, or
+    ``black``: they do, and are black in photographs and renderings, where alpha or masks end the
+    object; ``images``, ``masks``: folders where the pictures and masks lie (None: where the
+    cameras' file and custom say; ``masks=none``: there are none); ``missing``: ``refuse`` a picture
+    that does not exist, or ``skip`` its view; ``scale``: of pictures that were resized after
+    calibration, how large they are of the cameras' size, or ``auto``; ``orientation``: whether
+    cameras are of pictures as ``stored`` or as ``turned`` by their Orientation tag (``auto``: as is
+    usual of their file); ``materials``: of a mesh that has several, ``each`` a shape and a colour
+    of its own, or ``one`` for all; ``start``: ``hull``, in place of a mesh the largest object that
+    alpha or masks allow, whose shape is unknown (also where nothing else says what the object is,
+    and these are there); ``voxels``: of the grid that it is cut from, along its longest side;
+    ``edges``: whether shapes and poses that are unknown follow edges in the pictures; ``pose``:
+    whether turn, size and place of the object are unknown (``turn_x``, ``turn_y``, ``turn_z``,
+    ``size``, ``shift``).
+    """
+
+    path: Optional[str] = None
+    cameras: Optional[str] = None
+    world: str = "mesh"
+    mesh: Optional[str] = None
+    plane: Optional[List[float]] = None
+    sphere: Optional[List[float]] = None
+    environment: Optional[str] = None
+    up: str = "y"
+    width: Optional[int] = None
+    texture: Any = SIDE  # an int, or a file's name
+    roughness: Any = False  # a bool, or "map"
+    metallic: Any = False
+    normals: Any = False
+    texels: Optional[int] = None
+    sky: int = 8
+    test: Any = None
+    exposure: str = "fixed"
+    refine: bool = False
+    saturated: Optional[float] = 0.995
+    encoding: str = "auto"
+    background: Any = False  # a bool, or "black"
+    images: Optional[str] = None
+    masks: Optional[str] = None
+    missing: str = "refuse"
+    scale: Any = None
+    orientation: str = "auto"
+    materials: str = "each"
+    start: Optional[str] = None
+    voxels: int = 48
+    edges: bool = False
+    pose: bool = False
+
+    @property
+    def colour(self) -> Optional[str]:
+        """The file of a base colour that is known."""
+        return self.texture if isinstance(self.texture, str) else None
+
+    def __post_init__(self) -> None:
+        at_least(1, photos__width=self.width, photos__texels=self.texels)
+        at_least(2, photos__sky=self.sky)
+        at_least(8, photos__voxels=self.voxels)
+        self._check_maps()
+        for name, valid in (
+            ("exposure", ("fixed", "scale", "channels")),
+            ("encoding", ("auto", "srgb", "linear")),
+            ("world", ("mesh", "file")),
+            ("up", _UPS),
+            ("missing", ("refuse", "skip")),
+            ("orientation", ("auto", "stored", "turned")),
+            ("materials", ("each", "one")),
+            ("start", (None, "hull")),
+        ):
+            if getattr(self, name) not in valid:
+                told = ", ".join("null" if each is None else each for each in valid)
+                raise InputError(f"photos.{name}={getattr(self, name)}: valid: {told}")
+        if not isinstance(self.background, bool) and self.background != "black":
+            raise InputError(f"photos.background={self.background}: valid: true, false, black")
+        shapes = [n for n in ("mesh", "plane", "sphere", "start") if getattr(self, n) is not None]
+        if len(shapes) > 1:
+            raise InputError(f"photos.{shapes[0]} and photos.{shapes[1]}: one shape alone")
+        for name in ("plane", "sphere"):
+            numbers = getattr(self, name)
+            if numbers is not None and (len(numbers) != 4 or not all(map(math.isfinite, numbers))):
+                raise InputError(f"photos.{name}={list(numbers)}: four numbers")
+        if self.plane and not (self.plane[0] < self.plane[2] and self.plane[1] < self.plane[3]):
+            raise InputError(f"photos.plane={list(self.plane)}: [x0, y0, x1, y1], x0 < x1, y0 < y1")
+        if self.sphere and not self.sphere[3] > 0:
+            raise InputError(f"photos.sphere={list(self.sphere)}: its radius must be above 0")
+        scaled = isinstance(self.scale, (int, float)) and not isinstance(self.scale, bool)
+        if self.scale not in (None, "auto") and not (scaled and 0 < self.scale < math.inf):
+            raise InputError(
+                f"photos.scale={self.scale}: how large pictures are of the cameras' size, such as "
+                "0.5, or auto"
+            )
+        if self.saturated is not None and not 0 < self.saturated <= 1:
+            raise InputError(f"photos.saturated={self.saturated}: in (0, 1], or null")
+
+    def _check_maps(self) -> None:
+        count = isinstance(self.texture, int) and not isinstance(self.texture, bool)
+        if not count and not (isinstance(self.texture, str) and self.texture):
+            raise InputError(
+                f"photos.texture={self.texture}: texels a side, such as {SIDE}, or the picture "
+                "file of a base colour that is known"
+            )
+        if count:
+            at_least(1, photos__texture=self.texture)
+        for name, valid in (
+            ("roughness", (False, True, MAP)),
+            ("metallic", (False, True, MAP)),
+            ("normals", (False, MAP)),
+        ):
+            value = getattr(self, name)
+            if not isinstance(value, (bool, str)) or value not in valid:
+                told = ", ".join(str(each).lower() for each in valid)
+                raise InputError(f"photos.{name}={value}: valid: {told}")
+        if self.texels is not None and MAP not in (self.roughness, self.metallic, self.normals):
+            raise InputError(
+                f"photos.texels={self.texels}: of maps, and none is asked for: say which, such as "
+                "photos.roughness=map; the base colour's are photos.texture"
+            )
