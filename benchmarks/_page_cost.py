@@ -50,11 +50,18 @@ def step_time(table: pandas.DataFrame) -> list[dict]:
 
 
 def gpu(steps: pandas.DataFrame, race: pandas.DataFrame, rates: pandas.DataFrame) -> dict:
-    """Whose card, when; ratios of steps, a row per method, and whose best rate was the largest."""
+    """Whose card, when; ratios of steps; of each race a row per method, and whose best rate was the
+    largest."""
+    races = []
+    for (scene, size), own in race.groupby(["scene", "size"], sort=False):
+        tried = rates[(rates["scene"] == scene) & (rates["size"] == size)]
+        most = own["method"].map(tried.groupby("method")["factor"].max())
+        ends = list(own["method"][own["factor"] >= most])
+        named = {name: own[name].iloc[0] for name in ("seconds", "seeds", "card", "day")}
+        rows = {"ends": ends, "rows": own.to_dict("records")}
+        races.append({"scene": scene, "size": size} | named | rows)
     named = {name: steps[name].iloc[0] for name in ("card", "day")}
-    most = race["method"].map(rates.groupby("method")["factor"].max())
-    ends = list(race["method"][race["factor"] >= most])
-    return named | {"steps": step_time(steps), "race": race.to_dict("records"), "ends": ends}
+    return named | {"steps": step_time(steps), "races": races}
 
 
 def begun(table: pandas.DataFrame) -> dict:

@@ -1,10 +1,12 @@
-"""On a graphics card: a step against Mitsuba's usual loop, and a race of samplers.
+"""On a graphics card: races of samplers at the default size and at the papers' sizes, and a step
+against Mitsuba's usual loop.
 
-Steps are those of `step_time.py`, sides in turn, a process each. The race: pottery with 65,536
-pixels a step, each method at three factors on its rate with the first seed (and at one beyond an
-end), then at its best with three others, which alone are reported. Writes results/gpu_steps.csv (a
-row a process), gpu_rates.csv (a row a run) and gpu_race.csv (a row a method, medians and ranges),
-with the card's name and the day.
+Races (`_contest.judged`): the default configuration, each method at three factors on its rate with
+the first seed (and at one beyond an end), then at its best with two others, which alone are
+reported. At the default size Mitsuba's usual loop races, too; at the papers' its step, all pixels
+of all views, takes more memory than a card has. Steps are those of `step_time.py`, sides in turn, a
+process each. Writes results/gpu_race.csv (a row a method), gpu_rates.csv (a row a run) and
+gpu_steps.csv (a row a process), with the card's name and the day.
 
     .venv/bin/python benchmarks/gpu.py
 """
@@ -31,10 +33,10 @@ BATCHES = (65536, 1 << 20)
 ERROR, STOCK = "parameter_rmse", "Mitsuba's loop"
 MEASURES = (ERROR, "image_rmse", "iteration", "paths")
 METHODS = {name: {"sampler": name} for name in ("uniform", "ours", "progress")}
-METHODS[STOCK] = {"sampler": "mitsuba"}
-SETTINGS = ["estimator.batch=65536", "evaluation.count=24", "effects=full"]
-SETTINGS += ["optimizer.schedule=exponential"]
-SETTINGS += ["frames.views=0", "frames.snapshots=0", "report=false"]
+PLAIN = ["evaluation.count=24", "frames.views=0", "frames.snapshots=0", "report=false"]
+# Films of 8 to 67 million pixels: at the default noise their targets would take minutes.
+PAPER = ["size=paper", "estimator.batch=1048576", "target.noise=0.06"]
+PAPERS = ("bowl", "earth", "pottery")
 
 
 def steps(rounds: int) -> pandas.DataFrame:
@@ -49,42 +51,64 @@ def steps(rounds: int) -> pandas.DataFrame:
 
 
 def measured(run: records.Run) -> dict:
-    return dict(run.history.iloc[-1][[*MEASURES]])
+    noise = run.config["target"].get("noise")
+    return dict(run.history.iloc[-1][[*MEASURES]]) | {"target_noise": noise}
 
 
-def race(seconds: float) -> tuple[pandas.DataFrame, pandas.DataFrame]:
+def race(scene: str, size: str, seconds: float) -> tuple[pandas.DataFrame, pandas.DataFrame]:
     """The runs at all rates, and a row a method."""
+    methods, settings = METHODS, [*PLAIN, *PAPER]
+    if size == "default":
+        methods = METHODS | {STOCK: {"sampler": "mitsuba"}}
+        settings = [*PLAIN, "estimator.batch=65536"]
     with tempfile.TemporaryDirectory(prefix="isas-gpu-") as root:
         first, found = _contest.judged(
-            *("pottery", Path(root), SETTINGS, METHODS, (0.3, 1.0, 3.0), [1, 2, 3, 4]),
+            *(scene, Path(root), settings, methods, (0.3, 1.0, 3.0), [1, 2, 3]),
             *(seconds, measured, ERROR, True),
         )
     goal = found[found["method"] == "uniform"][ERROR].median()
     rows = []
     for name, own in found.groupby("method", sort=False):
-        row = {"scene": "pottery", "method": name, "factor": own["factor"].iloc[0]}
+        row = {"scene": scene, "size": size, "method": name, "factor": own["factor"].iloc[0]}
         row |= {"seeds": len(own), "seconds": seconds, **own[[*MEASURES]].median()}
         row |= {f"{ERROR}_low": own[ERROR].min(), f"{ERROR}_high": own[ERROR].max()}
+        row |= {"target_noise": own["target_noise"].iloc[0]}
+        row |= {"share_of_start": row[ERROR] / own["history"].iloc[0][ERROR].iloc[0]}
         times = [reached(h, goal, ERROR) / seconds for h in own["history"]]
-        row["time_to_uniform"] = np.median(times)
-        rows.append(row)
-    return first, pandas.DataFrame(rows)
+        rows.append(row | {"time_to_uniform": np.median(times)})
+    return first.assign(size=size), pandas.DataFrame(rows)
+
+
+def write(name: str, rows: pandas.DataFrame, keys: list[str]) -> None:
+    """In the place of earlier rows of the same ``keys``, whatever card they are of."""
+    path = RESULTS / name
+    if path.exists():
+        before = pandas.read_csv(path)
+        own, others = (table[keys].apply(tuple, axis=1) for table in (rows, before))
+        rows = pandas.concat([before[~others.isin(own)], rows])
+    rows.to_csv(path, index=False, float_format="%.4g")
+    print(rows.to_string(index=False), flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=2)
+    parser.add_argument("--paper", type=float, default=5, help="seconds at the papers' sizes")
+    parser.add_argument("--parts", nargs="+", default=["default", *PAPERS, "steps"])
     chosen = parser.parse_args()
     card = {"card": backend.start("cuda_ad_rgb").device, "day": datetime.date.today().isoformat()}
-    found = steps(chosen.rounds).assign(**card)
-    found.to_csv(RESULTS / "gpu_steps.csv", index=False, float_format="%.5f")
-    print(found.to_string(index=False), flush=True)
-    first, found = (each.assign(**card) for each in race(chosen.seconds))
-    first = first[["scene", "method", "factor", "seed", ERROR, "card", "day"]]
-    first.to_csv(RESULTS / "gpu_rates.csv", index=False, float_format="%.4g")
-    found.to_csv(RESULTS / "gpu_race.csv", index=False, float_format="%.4g")
-    print(found.to_string(index=False), flush=True)
+    for part in chosen.parts:
+        if part == "steps":
+            write("gpu_steps.csv", steps(chosen.rounds).assign(**card), ["batch"])
+        else:
+            own = part, "paper", chosen.paper
+            if part == "default":
+                own = "pottery", part, chosen.seconds
+            first, found = (each.assign(**card) for each in race(*own))
+            first = first[["scene", "size", "method", "factor", "seed", ERROR, "card", "day"]]
+            write("gpu_rates.csv", first, ["scene", "size"])
+            write("gpu_race.csv", found, ["scene", "size"])
     pages.write()
 
 
