@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, List, Optional
 
 from ..runtime.errors import InputError
 from .roles import at_least
 
-_UPS = ("x", "y", "z", "-x", "-y", "-z")
+UPS = ("x", "y", "z", "-x", "-y", "-z")
+# What of a lens may be unknown.
+LENS = ("focal", "centre", "radial")
 # In place of whether something of a surface is unknown: it is, as a texture.
 MAP = "map"
 SIDE = 256  # texels, where nothing is said
@@ -33,7 +35,10 @@ class PhotosConfig:
     ``sky``: rows of an unknown environment; ``test``: views held out, [names], n for every n-th, or
     ``given``: those that the files hold out; ``exposure``: of the views, besides what their file
     says, ``fixed``: all alike, or unknown, ``scale``: a factor each, ``channels``: three each;
-    ``refine``: whether the cameras' poses are unknown as well; ``saturated``: from which value of
+    ``refine``: whether the cameras' poses are unknown as well; ``lens``: what of their lenses is,
+    of ``focal``, the length, ``centre``, the principal point, and ``radial`` distortion, and
+    ``lenses``: whether pictures whose files say the same lens have one, ``shared``, or one
+    ``each``; ``saturated``: from which value of
     an 8- or 16-bit or camera raw file on, of its largest, a pixel does not count (None: all count);
     ``encoding``: of the files, ``auto``: as images are read everywhere, ``srgb`` (no camera raw
     file is) or ``linear``; ``background``: whether pixels count that the object does not fill, or
@@ -70,6 +75,8 @@ class PhotosConfig:
     test: Any = None
     exposure: str = "fixed"
     refine: bool = False
+    lens: List[str] = field(default_factory=list)
+    lenses: str = "shared"
     saturated: Optional[float] = 0.995
     encoding: str = "auto"
     background: Any = False  # a bool, or "black"
@@ -96,9 +103,10 @@ class PhotosConfig:
         self._check_maps()
         for name, valid in (
             ("exposure", ("fixed", "scale", "channels")),
+            ("lenses", ("shared", "each")),
             ("encoding", ("auto", "srgb", "linear")),
             ("world", ("mesh", "file")),
-            ("up", _UPS),
+            ("up", UPS),
             ("missing", ("refuse", "skip")),
             ("orientation", ("auto", "stored", "turned")),
             ("materials", ("each", "one")),
@@ -107,6 +115,12 @@ class PhotosConfig:
             if getattr(self, name) not in valid:
                 told = ", ".join("null" if each is None else each for each in valid)
                 raise InputError(f"photos.{name}={getattr(self, name)}: valid: {told}")
+        unknown = [each for each in self.lens if each not in LENS]
+        if unknown or len(set(self.lens)) < len(self.lens):
+            raise InputError(
+                f"photos.lens=[{','.join(map(str, self.lens))}]: a list of what is unknown, each "
+                f"once: {', '.join(LENS)}"
+            )
         if not isinstance(self.background, bool) and self.background != "black":
             raise InputError(f"photos.background={self.background}: valid: true, false, black")
         shapes = [n for n in ("mesh", "plane", "sphere", "start") if getattr(self, n) is not None]

@@ -16,7 +16,7 @@ from ..rendering import coverage
 from ..rendering.integrators import Paths
 from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
-from ..unknowns.motion import Motion
+from ..unknowns import cameras
 from . import rules
 from .probe import Cut, Lights, Probe, Share
 from .settings import Effects
@@ -142,7 +142,9 @@ def decide(
         plan, why = dataclasses.replace(plan, seconds=earlier["probe_seconds"]), {}
     elif follows:
         # Renderings that are compared would differ by what they pick.
-        if settings.directions is None and (not estimator.replays or problem.unknowns.of(Motion)):
+        if settings.directions is None and (
+            not estimator.replays or cameras.unknown(problem.unknowns)
+        ):
             settings = dataclasses.replace(settings, directions=1)
         paths = _as_set(problem, settings)
         crossed = estimator.on(problem).integrator.paths.crossed

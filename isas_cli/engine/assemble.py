@@ -21,6 +21,7 @@ from ..scene.photos import building, importing, noise, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
 from ..unknowns import verdicts
+from ..unknowns.optics import Lens
 from ..unknowns.parameters import own, owner, read
 from ..unknowns.specs import narrow_blurs, parse
 from ..unknowns.unknowns import Unknown, Unknowns
@@ -58,7 +59,7 @@ def bare(
     if taken is not None:
         poses = building.poses(taken, scene.poses)
         wanted = building.unknowns(taken, scene.unknowns, poses)
-        of_views = building.of_views(taken, views)
+        of_views = building.of_views(taken, views, scene.unknowns)
     truth_known = taken is None and scene.targets is None
     found = parsed(params, wanted, truth_known, poses, of_views)
     if taken is not None:
@@ -171,6 +172,8 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
         names=tuple(each.camera.name for each in taken.held),
         warnings=[],
     )
+    if (lens := problem.unknowns.of(Lens)) is not None:
+        lens.kind.follow(held.views, building.glass(taken).of_views(count, len(sizes)))
     pictures, masks = ([getattr(p, n) for p in taken.held] for n in ("image", "mask"))
     try:
         targets.given(held, pictures, masks, filled)

@@ -9,6 +9,7 @@ from ..rendering.renderer import Renderer
 from ..runtime import likeness, streams
 from ..scene.problem import Problem
 from ..unknowns.exposure import Exposure
+from ..unknowns.optics import Lens
 from ..unknowns.parameters import as_numpy
 
 _RGB = ["R", "G", "B"]
@@ -51,13 +52,16 @@ def measure(problem: Problem, values: dict, spp: int, seed: int, writer: RunWrit
     return {"views": views, "mean": mean}
 
 
-def exposures(problem: Problem, values: dict) -> dict:
+def of_views(problem: Problem, values: dict) -> dict:
     """``exposure``: of each view of ``problem`` by name, where exposures are unknown, beside what
-    the files say."""
-    exposure = problem.unknowns.of(Exposure)
-    if exposure is None or not problem.names:
-        return {}
-    return {"exposure": dict(zip(problem.names, as_numpy(values[exposure.key]).tolist()))}
+    the files say; ``lens``: of each by the name of its first view, ``Lens.told``."""
+    exposure, lens = (problem.unknowns.of(kind) for kind in (Exposure, Lens))
+    found = {}
+    if exposure is not None and problem.names:
+        found["exposure"] = dict(zip(problem.names, as_numpy(values[exposure.key]).tolist()))
+    if lens is not None:
+        found["lens"] = lens.kind.told(as_numpy(values[lens.key]))
+    return found
 
 
 def _per_view(problem: Problem) -> list[np.ndarray]:

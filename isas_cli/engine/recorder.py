@@ -334,7 +334,7 @@ class Recorder:
                 "start": of(self._first),
                 "final": of(loop.last),
                 "left_out_rmse": self.left_out,
-                **held_out.exposures(loop.whole, loop.stepper.values),
+                **held_out.of_views(loop.whole, loop.stepper.values),
                 **({} if self.held_out is None else {"held_out": self.held_out}),
                 "warnings": self.warnings,
                 "notes": self.notes,

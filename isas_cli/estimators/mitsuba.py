@@ -107,8 +107,9 @@ class WholeImages:
         if problem.views.altered:
             raise InputError(
                 "estimator=mitsuba renders whole images as Mitsuba does, which knows no exposure "
-                "and no other pose of a view: take estimator=two_path, or photos.exposure=fixed, "
-                "photos.refine=false and files that give no exposures"
+                "and no other pose or lens of a view: take estimator=two_path, or "
+                "photos.exposure=fixed, photos.refine=false, photos.lens=[] and files that give no "
+                "exposures"
             )
         _check_shapes(problem)
         _warn(problem)

@@ -15,10 +15,9 @@ from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
 from ..runtime.errors import InputError
 from ..samplers.sampler import Sampler
-from ..unknowns import exposure, motion, smoothing
+from ..unknowns import cameras, exposure, smoothing
 from ..unknowns.blur import Blur
 from ..unknowns.exposure import Exposure
-from ..unknowns.motion import Motion
 from .aside import Aside
 from .estimator import Estimator
 
@@ -83,8 +82,9 @@ class TwoPath:
 
     By a photograph's exposure e, where I = k e L with a known k (``Views.given``), the derivative
     is ⟨∂ℒ/∂I⟩ k ⟨L⟩, with L from the other path, or from a third one where that does not tell it.
-    By a camera's pose it is a blurred difference, of two more paths (``unknowns.motion``), and by
-    numbers that Mitsuba does not differentiate by a plain one (``aside``).
+    By a camera's pose and lens it is a blurred difference, of two more paths
+    (``unknowns.cameras``), and by numbers that Mitsuba does not differentiate by a plain one
+    (``aside``).
 
     Symbols: N → ``batch`` (pixels a step; 2 N light paths, more with derivative sampling);
     p → ``PixelDistribution``; θ → ``problem.unknowns``, whose gradients receive the estimate.
@@ -112,13 +112,14 @@ class TwoPath:
         integrator = problem.integrator
         if missed := undone.missed(problem):
             raise InputError(undone.refusal(integrator, missed))
-        exposed, moved = (problem.unknowns.of(kind) for kind in (Exposure, Motion))
-        self._moved = moved
+        exposed = problem.unknowns.of(Exposure)
+        self._moved = cameras.unknown(problem.unknowns)
+        moved = [(each.key, each.kind.field, each.kind.each) for each in self._moved]
         self.blur = Blur(problem, "estimator.blurred=true") if blurred else None
         self._aside = Aside(problem, loss, batch, freeze)
         # Beside that whose derivative is counted.
         third = exposed is not None and not integrator.crosses
-        self._paths = 1 + third + 2 * (moved is not None)
+        self._paths = 1 + third + 2 * bool(moved)
 
         # Paths whose residual was not finite so far. Dr.Jit leaves them out of the sums that
         # gradients are: without a count nobody would know.
@@ -171,12 +172,14 @@ class TwoPath:
                         slope *= dr.gather(mi.Color3f, views.given, view)
                     dr.eval(slope)
                     exposure.add(leaves[exposed.key], view, slope)
-                if moved is not None:
+                if moved:
                     where = scene, sensors, views, (view, column, row)
-                    step = _half_difference(integrator, *where, seeds[4], jitter)
+                    placed = {field: at for (_, field, _), (_, at, _) in zip(moved, jitter)}
+                    step = _half_difference(integrator, *where, seeds[4], placed)
                     slope = dr.sum(residual * step) * scale
                     dr.eval(slope)
-                    motion.add(leaves[moved.key], view, slope, jitter[0])
+                    for (key, _, each), (offset, _, table) in zip(moved, jitter):
+                        cameras.add(leaves[key], view, each, slope, offset, table)
                 lost[0] += sum(dr.count(each) for each in missed)
 
         self._kernel = recorded(kernel, problem, freeze)
@@ -247,24 +250,21 @@ class TwoPath:
             self._jitter(seed, iteration),
         )
 
-    def _jitter(self, seed: int, iteration: int) -> tuple[mi.Float, mi.Float] | None:
-        """Offsets of the cameras, as ``motion.add`` and as ``Views.motion`` have them."""
-        if self._moved is None:
-            return None
-        kind = self._moved.kind
-        found = kind.jitter(streams.seed(seed, iteration, "pose_offset"))
-        placed = kind.placed(found)
-        dr.eval(found, placed)
-        return found, placed
+    def _jitter(self, seed: int, iteration: int) -> list[tuple[mi.Float, mi.Float, mi.Int]]:
+        """Offsets of the cameras, of each kind of numbers independent ones."""
+        drawn = streams.seed(seed, iteration, "pose_offset")
+        return [each.kind.offsets([drawn, n]) for n, each in enumerate(self._moved)]
 
 
-def _half_difference(integrator, scene, sensors, views, place, seed, jitter) -> mi.Color3f:
-    """Half of what the drawn pixels' radiance differs by with all cameras moved by ``jitter`` and
-    against it, along paths of the same random numbers. Evaluates."""
+def _half_difference(integrator, scene, sensors, views, place, seed, offsets: dict) -> mi.Color3f:
+    """Half of what the drawn pixels' radiance differs by with all cameras changed by ``offsets``,
+    by their field of ``views``, and against them, along paths of the same random numbers.
+    Evaluates."""
     sides = []
-    for offset in (jitter[1], -jitter[1]):
+    for sign in (1, -1):
         stream = rays.stream(seed, dr.width(place[0]))
-        there = replace(views, motion=views.motion + offset)
+        moved = {field: getattr(views, field) + at * sign for field, at in offsets.items()}
+        there = replace(views, **moved)
         ray, weight = rays.spawn(sensors, there, *place, stream)
         radiance, _ = integrator.primal(scene, stream, ray)
         radiance *= weight

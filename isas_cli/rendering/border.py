@@ -44,6 +44,8 @@ class Border:
         """Add one estimate to the gradients of the mesh's ``positions``, the scene's attached ones
         where it moves, and of those of what else moves."""
         p, cameras = self.problem, self.cameras
+        if p.views.lens is not None:
+            cameras = cameras.through(p.views.lens, p.views.axes)
         if p.views.motion is not None:
             cameras = cameras.moved(p.views.motion)
         outline = self._outlines[dr.width(positions) // 3]

@@ -216,6 +216,25 @@ class Cameras:
         dr.eval(found)
         return found
 
+    def through(self, lens: mi.Float, axes: mi.Float) -> "Cameras":
+        """Through lenses of other focal lengths and principal points (``Views.lens``), without
+        their radial distortion. Evaluates."""
+        view = dr.arange(mi.UInt32, dr.width(lens) // 4)
+        longer, *shifts = (dr.gather(mi.Float, lens, view * 4 + n) for n in range(3))
+        *ways, ahead = (
+            mi.Vector3f(*[dr.gather(mi.Float, axes, view * 9 + first + n) for n in range(3)])
+            for first in (0, 3, 6)
+        )
+        rows, depth = [], self.rows[2]
+        for row, way, shift in zip(self.rows, ways, shifts):
+            middle = dr.dot(mi.Vector3f(*row[:3]), ahead)
+            focal = dr.dot(mi.Vector3f(*row[:3]), way)
+            other = focal * shift - middle * longer
+            rows.append([a * (1 + longer) + b * other for a, b in zip(row, depth)])
+        found = Cameras([*rows, depth], self.eyes)
+        dr.eval(found)
+        return found
+
     def homogeneous(self, view: mi.UInt32, point, one: float = 1.0) -> list[mi.Float]:
         """Column and row times depth, and depth; ``one=0``: of a direction. Traced."""
         return [

@@ -8,6 +8,8 @@ import mitsuba as mi
 from ..scene.lenses import Lenses
 from ..scene.views import Views
 
+_NEWTON = 4  # steps to undo a radial distortion: single precision, of a tenth and more of a picture
+
 
 def spawn(
     sensors: mi.SensorPtr | Lenses,
@@ -50,9 +52,32 @@ def through(
         sensor = dr.gather(mi.SensorPtr, sensors, view)
         ray, weight = sensor.sample_ray_differential(0.0, 0.0, position, aperture)
     weight = weight * views.brightness(view)
+    if views.lens is not None:
+        ray.d = _bent(ray.d, dr.detach(views.lens), views.axes, view)
     if views.motion is not None:
         ray.o, ray.d = _moved(ray, dr.detach(views.motion), view)
     return ray, weight
+
+
+def _bent(way: mi.Vector3f, lens: mi.Float, axes: mi.Float, view: mi.UInt32) -> mi.Vector3f:
+    """Directions of rays through lenses that are otherwise than the sensors' (``Views.lens``):
+    where p (1 + k |p|²) (1 + a) + m is what the sensor has for p. Traced."""
+    right, down, ahead = (
+        mi.Vector3f(*[dr.gather(mi.Float, axes, view * 9 + first + n) for n in range(3)])
+        for first in (0, 3, 6)
+    )
+    longer, across, along, radial = (dr.gather(mi.Float, lens, view * 4 + n) for n in range(4))
+    depth = dr.dot(way, ahead)
+    x, y = dr.dot(way, right) / depth - across, dr.dot(way, down) / depth - along
+    x, y = x / (1 + longer), y / (1 + longer)
+    wanted = dr.sqrt(dr.square(x) + dr.square(y))
+    radius = mi.Float(wanted)
+    for _ in range(_NEWTON):
+        bent = radial * dr.square(radius)
+        # Beyond where a lens turns round, which none does within a picture, no step goes wild.
+        radius -= (radius * (1 + bent) - wanted) / dr.maximum(1 + 3 * bent, 0.1)
+    part = dr.select(wanted > 0, radius / dr.maximum(wanted, 1e-20), 1)
+    return dr.normalize(right * (x * part) + down * (y * part) + ahead)
 
 
 def _moved(ray, motion: mi.Float, view: mi.UInt32) -> tuple[mi.Point3f, mi.Vector3f]:

@@ -12,6 +12,9 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+
+from ..unknowns.parameters import own
 
 # Sides of the nested patches, pixels. A packet of 16 lanes whose draws lie s pixels apart covers a
 # compact patch for s around 64² / 4², 16² / 4² and 4: sparse, usual and concentrated sampling.
@@ -24,7 +27,9 @@ class Views:
 
     ``exposure``: ``(3 V,)`` factors on the radiance of each view's channels, or None for ones;
     ``given``: others, which are known.
-    ``motion``: ``(6 V,)`` turns (radians) and shifts of each view's camera, or None.
+    ``motion``: ``(6 V,)`` turns (radians) and shifts of each view's camera, or None; ``lens``: ``(4
+    V,)``, in what its lens is otherwise than the sensor (``unknowns.optics.Lens``), or None, and
+    ``axes``: ``(9 V,)``, where to the right, down and forward are for it.
     ``width``, ``height``, ``offset``, ``end``: ``(V,) uint32`` device arrays (pixels; ``end`` is
     one past a view's last pixel); ``count``: views; ``total``: pixels of all views together.
     A plain dataclass, so that Dr.Jit sees the arrays when a kernel is frozen.
@@ -40,11 +45,18 @@ class Views:
     exposure: mi.Float | None = None
     given: mi.Float | None = None
     motion: mi.Float | None = None
+    lens: mi.Float | None = None
+    axes: mi.Float | None = None
 
     @property
     def altered(self) -> bool:
         """Whether what a view shows is not what the scene's sensors alone show."""
-        return any(each is not None for each in (self.exposure, self.given, self.motion))
+        changed = self.exposure, self.given, self.motion, self.lens
+        return any(each is not None for each in changed)
+
+    def look(self, axes: np.ndarray) -> None:
+        """Be told where cameras look, ``axes (V, 3, 3)``, rows."""
+        self.axes = own(mi.Float, np.ascontiguousarray(axes, np.float32).ravel())
 
     def brightness(self, view: mi.UInt32) -> mi.Color3f | float:
         """By how much views are brighter than the scene says. Traced, without derivatives."""

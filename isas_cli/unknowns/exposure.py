@@ -27,6 +27,9 @@ class Exposure(Kind):
     of h, which is 0 at e_v = t_v whatever the colours are. Where colours or light fit, ∂ℒ/∂e_0 is
     0, and h the derivative.
 
+    Where places of the object told what they are (``Loaded.told``), they stay within what that may
+    be off: exposures would make up for a surface that glosses otherwise than its model.
+
     No parameter of the scene: it lies with the views, and every ray's weight holds it
     (``rendering.rays``). Paths do not carry its derivative, so estimators add it (``add``).
     """
@@ -43,6 +46,10 @@ class Exposure(Kind):
         self._views, self._channels = loaded.views, loaded.channels
         self._type = mi.TensorXf
         self.present = np.ones((self._views.count, self._channels), np.float32)
+        self._ends = None
+        if loaded.told is not None:
+            told, near = loaded.told
+            self._ends = [self.value(told * factor) for factor in (1 - near, 1 + near)]
         # Below, a view would tell nothing.
         self.range, self.unit = (0.01, 100.0), "exposure"
         entry = np.arange(self.present.size, dtype=np.uint32).reshape(self.present.shape)
@@ -71,6 +78,9 @@ class Exposure(Kind):
         first = dr.gather(mi.Float, g, entry % channels)
         found = g - self._share * first * dr.detach(value).array
         return mi.TensorXf(dr.select(entry < channels, 0, found), gradient.shape)
+
+    def projected(self, leaf):
+        return leaf if self._ends is None else dr.clip(leaf, *self._ends)
 
     def numbers(self, array: np.ndarray, truth: np.ndarray | None) -> dict[str, float]:
         return {"least": float(array.min()), "most": float(array.max())}

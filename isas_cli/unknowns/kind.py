@@ -25,6 +25,7 @@ from .ranges import bare, role, usual
 if TYPE_CHECKING:
     from ..scene.topology import Topology
     from ..scene.views import Views
+    from .optics import Glass
 
 # An entry counts as seen from this share of a well seen one's sensitivity on. Texels that only
 # light the seen ones by interreflection, or that a view grazes, lie far below it: no view pins
@@ -39,13 +40,18 @@ _FEW = 8
 class Loaded:
     """The scene as it was loaded, and ``scene.poses`` of the configuration by name; of
     photographs the ``views``; ``channels``: of their exposures, where these may be unknown;
-    ``pixel``: ``(V, 2)`` radians and scene units that are a pixel of each, where poses may be."""
+    ``told``: these, ``(V, channels)``, and by which share they may be off, where places of the
+    object tell them; ``pixel``: ``(V, 2)`` radians and scene units that are a pixel of each, where
+    poses may be; ``glass``: the lenses of these views and of those that are held out after them,
+    where something of them may be."""
 
     params: mi.SceneParameters
     poses: dict[str, PoseConfig] = field(default_factory=dict)
     views: Views | None = None
     channels: int | None = None
+    told: tuple[np.ndarray, float] | None = None
     pixel: np.ndarray | None = None
+    glass: Glass | None = None
 
 
 class Surface(NamedTuple):

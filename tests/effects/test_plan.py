@@ -23,7 +23,7 @@ from isas_cli.losses import L2
 from isas_cli.rendering import coverage
 from isas_cli.rendering.integrators import Paths
 from isas_cli.runtime.errors import InputError
-from isas_cli.unknowns.motion import Motion
+from isas_cli.unknowns import cameras
 
 WALL = "wall.bsdf.reflectance.value"
 ONE = {"light_samples": [1, 1], "directions": 1}  # which then are not measured
@@ -200,7 +200,7 @@ def test_a_run_by_iterations_has_all_effects_and_no_probe(monkeypatch):
     for how in ({"estimator": "plateau"}, {"directions": 1}):
         assert decided(p, **how).on(p) is p
     moved = p.unknowns[TEXTURE]
-    monkeypatch.setattr(type(p.unknowns), "of", lambda self, kind: kind is Motion and moved)
+    monkeypatch.setattr(cameras, "unknown", lambda unknowns: [moved])
     assert decided(p).on(p) is p, "a moving camera"
     assert "up to 4 edges" in plan.statements["paths"]
 

@@ -89,8 +89,9 @@ def run(plan: Plan) -> int:
             unknown.doubled = ()  # at a fixed point all are whole
         if problem.views.altered:
             raise InputError(
-                "exposures and poses of views have derivatives that no path carries, and isas "
-                "variance measures those of paths: take photos.exposure=fixed, photos.refine=false"
+                "exposures, poses and lenses of views have derivatives that no path carries, and "
+                "isas variance measures those of paths: take photos.exposure=fixed, "
+                "photos.refine=false, photos.lens=[]"
             )
         bench, contestants, best = _prepared(plan, typed, problem, phases)
         with interrupt.graceful(display.interrupted) as stop:

@@ -1,4 +1,4 @@
-"""Whether photographs were exposed unlike, by how bright they show the same places of the object.
+"""How unlike photographs were exposed, by how bright they show the same places of the object.
 
 A surface that is not glossy is as bright from all sides, if light and object stand still. Of each
 two views the median over the places that both show says how much brighter one is; the median
@@ -7,9 +7,12 @@ deviation from it, how sure that is. One exposure a view has to account for all 
 
 from __future__ import annotations
 
-from itertools import combinations
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import lsqr
 
 from ...scenes.meshes import Surface
 from . import outlines
@@ -21,43 +24,96 @@ _SHARED, _IN_CELL = 50, 8
 # Of a normal number's deviations, over their median; how many of these the views must lie apart,
 # and by which factor at least; what of all pairs exposures must account for.
 _NORMAL, _SURE, _APART, _TOLD = 1.4826, 3.0, 1.25, 0.9
-_MOST = 40  # views that are compared, evenly among them
+# Places seen from the side, at a smaller cosine, are taken for others, and those that look away are
+# hidden; exposures are known to this share at best.
+_ASLANT, _NEAR = 0.2, 0.01
+_MOST = 40  # views that all others are compared with, evenly among them
+
+
+@dataclass(frozen=True)
+class Apart:
+    """``exposures (V,)``: their logarithms, of mean 0; ``deviation``: of a place's, between two
+    views; ``doubt``: of what a pair of views tells from these, in the root mean square."""
+
+    exposures: np.ndarray
+    deviation: float
+    doubt: float
+
+
+def apart(
+    photographs: list[Photograph], surface: Surface, channel: int | None = None
+) -> Apart | None:
+    """How unlike views are exposed, in a ``channel`` or all; None where pairs of them do not tell,
+    or contradict each other: what glosses, or stands elsewhere than it is said to."""
+    points, normals = outlines.facing(surface)
+    logs = np.stack([_seen(each, points, channel) for each in photographs])
+    cosines = np.stack([_cosines(each.camera.centre, points, normals) for each in photographs])
+    # Normals may all point inwards; most of what seems to be seen is.
+    cosines *= np.sign(np.sum(cosines, where=np.isfinite(logs))) or 1
+    logs[cosines < _ASLANT] = np.nan
+    count = len(photographs)
+    chosen = np.unique(np.linspace(0, count - 1, min(_MOST, count)).round().astype(int))
+    pairs, found, deviation = [], [], []
+    for a, b in ((a, int(b)) for a in range(count) for b in chosen):
+        if a in chosen and a >= b:
+            continue
+        ratios = logs[a] - logs[b]
+        ratios = ratios[np.isfinite(ratios)]
+        if ratios.size < _SHARED:
+            continue
+        pairs.append((a, b))
+        found.append(np.median(ratios))
+        deviation.append(_NORMAL * np.median(np.abs(ratios - found[-1])))
+    if not pairs:
+        return None
+    (a, b), found, number = np.transpose(pairs), np.array(found), np.arange(len(pairs))
+    # Of parts that no pair connects, each has its own zero.
+    if connected_components(coo_array((number + 1, (a, b)), (count, count)), False)[0] > 1:
+        return None
+    signs = np.repeat([1.0, -1.0], len(pairs))
+    places = np.tile(number, 2), np.concatenate([a, b])
+    differences = csr_array((signs, places), (len(pairs), count))
+    exposures = lsqr(differences, found, atol=1e-9, btol=1e-9)[0]
+    left = found - differences @ exposures
+    if np.sum(left**2) > (1 - _TOLD) * np.sum(found**2):
+        return None
+    doubt = float(np.sqrt(np.mean(left**2)))
+    return Apart(exposures, float(np.median(deviation)), doubt)
 
 
 def unlike(photographs: list[Photograph], surface: Surface) -> tuple[float, str, str] | None:
     """How many times as bright the brightest view shows the object as the darkest, and their names;
     None where they are alike, or nothing is sure."""
-    chosen = np.unique(np.linspace(0, len(photographs) - 1, min(_MOST, len(photographs))).round())
-    views = [photographs[int(number)] for number in chosen]
-    points = outlines.scattered(surface)
-    logs = np.stack([_seen(each, points) for each in views])
-    rows, apart, deviation = [], [], []
-    for a, b in combinations(range(len(views)), 2):
-        ratios = logs[a] - logs[b]
-        ratios = ratios[np.isfinite(ratios)]
-        if ratios.size < _SHARED:
-            continue
-        row = np.zeros(len(views))
-        row[a], row[b] = 1, -1
-        rows.append(row)
-        apart.append(np.median(ratios))
-        deviation.append(_NORMAL * np.median(np.abs(ratios - apart[-1])))
-    if not rows:
+    if (found := apart(photographs, surface)) is None:
         return None
-    # Of parts that no pair connects, each has its own zero.
-    pairs, apart = np.stack(rows), np.array(apart)
-    exposures, _, rank, _ = np.linalg.lstsq(pairs, apart, rcond=None)
-    left = apart - pairs @ exposures
-    if rank < len(views) - 1 or np.sum(left**2) > (1 - _TOLD) * np.sum(apart**2):
+    low, high = int(found.exposures.argmin()), int(found.exposures.argmax())
+    factor = found.exposures[high] - found.exposures[low]
+    if factor < max(np.log(_APART), _SURE * found.deviation):
         return None
-    low, high = int(exposures.argmin()), int(exposures.argmax())
-    factor = exposures[high] - exposures[low]
-    if factor < max(np.log(_APART), _SURE * float(np.median(deviation))):
-        return None
-    return float(np.exp(factor)), views[high].camera.name, views[low].camera.name
+    return float(np.exp(factor)), *(photographs[each].camera.name for each in (high, low))
 
 
-def _seen(photograph: Photograph, points: np.ndarray) -> np.ndarray:
+def told(
+    photographs: list[Photograph], surface: Surface, channels: int
+) -> tuple[np.ndarray, float] | None:
+    """Exposures, ``(V, channels)``, the first view's 1, and the share by which they may be off;
+    None where nothing tells them."""
+    over = [None] if channels == 1 else range(channels)
+    found = [apart(photographs, surface, channel) for channel in over]
+    if any(each is None for each in found):
+        return None
+    logs = np.stack([each.exposures - each.exposures[0] for each in found], axis=1)
+    near = max(_NEAR, _SURE * max(each.doubt for each in found))
+    return np.exp(logs).astype(np.float32), near
+
+
+def _cosines(centre: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Of the angles between normals and where a camera is."""
+    way = centre - points
+    return np.einsum("nk,nk->n", way, normals) / np.maximum(np.linalg.norm(way, axis=1), 1e-30)
+
+
+def _seen(photograph: Photograph, points: np.ndarray, channel: int | None) -> np.ndarray:
     """The logarithm of how bright each point is, at exposure 1; NaN where it is not seen."""
     camera = photograph.camera
     place, depth = camera.project(points)
@@ -76,7 +132,7 @@ def _seen(photograph: Photograph, points: np.ndarray) -> np.ndarray:
     before = depth <= nearest[cell] + 2 * side * depth / camera.fx
     across, down = place.astype(np.int64).T
     light = photograph.image[down, across] / np.asarray(camera.exposure)
-    bright = light.mean(axis=1)
+    bright = light.mean(axis=1) if channel is None else light[:, channel]
     known = before & (photograph.mask[down, across] > 0) & (bright > 0)
     values = np.full(len(place), np.nan)
     values[known] = np.log(bright[known])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from ...config.schema import PhotosConfig, PoseConfig, UnknownConfig
 from ...runtime import images
 from ...runtime.errors import InputError
 from ...scenes import meshes
+from ...unknowns.optics import PARTS, Glass
 from ...unknowns.parameters import own
 from ...unknowns.unknowns import Unknown
 from ..views import Views
@@ -22,7 +24,10 @@ from .photographs import Photographs
 from .shape import OBJECT
 
 SKY = "sky"
-EXPOSURE, CAMERAS = "exposure", "cameras"  # the keys of what is the views' own
+EXPOSURE, CAMERAS, LENS = "exposure", "cameras", "lens"  # the keys of what is the views' own
+_CHANNELS = {"fixed": None, "scale": 1, "channels": 3}
+# Rates: of lenses, in pixels; of exposures that start anywhere, and near where they are.
+_PIXELS, _FROM_ONE, _FROM_NEAR = 0.1, 0.05, 0.01
 _LIGHT = 1.0  # what an unknown environment starts at
 # Rates: of a hull's vertices, of a shift and a size, as shares of the object's size; of a turn, in
 # degrees. And the share of the budget in which shapes and poses follow the outline alone.
@@ -55,7 +60,7 @@ def description(photographs: Photographs, max_depth: int | None) -> dict[str, An
             "max_depth": _DEPTH if max_depth is None else max_depth,
             "hide_emitters": settings.background == BLACK,
         },
-        SKY: _light(settings),
+        SKY: _sky(settings),
         **{
             name: meshes.shape(name, part, material.described(settings, photographs.colour, part))
             for name, part in photographs.parts.items()
@@ -120,18 +125,33 @@ def unknowns(taken: Photographs, own: dict, poses: dict[str, PoseConfig]) -> dic
         rate = _DEGREES if each.kind == "rotation" else _STEP
         rate *= size if each.kind == "translation" else 1
         found.setdefault(name, UnknownConfig(start=0.0, lr=rate))
-    if settings.exposure != "fixed":
-        found.setdefault(EXPOSURE, UnknownConfig(start=1.0, lr=0.05))
+    if settings.exposure != "fixed" and EXPOSURE not in found:
+        found[EXPOSURE] = _exposure(taken)
     if settings.refine:
         found.setdefault(CAMERAS, UnknownConfig(start=0.0))
+    if settings.lens:
+        found.setdefault(LENS, UnknownConfig(start=0.0, lr=_PIXELS))
     if not found:
         raise InputError(
             f"photos.texture={settings.texture} and photos.environment={settings.environment} are "
             "known, and nothing else is unknown: photos.roughness, photos.metallic (true, map), "
-            "photos.normals=map, photos.pose=true, photos.exposure=scale or photos.refine=true "
-            "says what to find, or scene.unknowns"
+            "photos.normals=map, photos.pose=true, photos.exposure=scale, photos.refine=true or "
+            "photos.lens=[focal] says what to find, or scene.unknowns"
         )
     return found
+
+
+def _exposure(taken: Photographs) -> UnknownConfig:
+    """Exposures that begin where the same places are as bright in all views, if that can be."""
+    if taken.exposures is None:
+        return UnknownConfig(start=1.0, lr=_FROM_ONE)
+    start, near = taken.exposures
+    low, high = (f"{float(each):.3g}" for each in (start.min(), start.max()))
+    taken.capture.notes.append(
+        f"exposures between {low} and {high} of the first view's, at which the views show the same "
+        f"places of the object alike: they stay within {near:.0%} of that"
+    )
+    return UnknownConfig(start=start.tolist(), lr=_FROM_NEAR)
 
 
 def poses(taken: Photographs, own: dict[str, PoseConfig]) -> dict[str, PoseConfig]:
@@ -154,8 +174,13 @@ def stage(taken: Photographs, wanted: dict[str, Any], found: list[Unknown]) -> N
     """Let shapes and poses find their outline, where the photographs tell it, before anything else
     moves of which ``wanted`` does not say when: what colours and light have been made to fit them
     wrongly holds them where they are. Raises InputError where edges are to be followed, and by
-    nothing."""
+    nothing, and where lenses bend them."""
     moving = [unknown for unknown in found if unknown.kind.moves_geometry]
+    if moving and "radial" in taken.settings.lens:
+        raise InputError(
+            f"photos.lens: radial distortion bends the outline of what moves ('{moving[0].key}'), "
+            "which is followed along straight lines: take photos.lens=[focal,centre]"
+        )
     if taken.settings.edges and not moving:
         raise InputError(
             "photos.edges=true: nothing that is unknown moves: photos.pose=true makes the object's "
@@ -183,22 +208,46 @@ def traded(settings: PhotosConfig, keys: list[str]) -> list[str]:
     return material.traded(settings, keys, SKY)
 
 
-def of_views(taken: Photographs, views: Views) -> dict:
-    """What of ``Loaded`` is of photographs. Raises InputError for a single view, whose exposure and
-    pose nothing tells from light and surface."""
+def of_views(taken: Photographs, views: Views, own: Iterable[str] = ()) -> dict:
+    """What of ``Loaded`` is of photographs, where unknowns ``own`` have specs of their own. Raises
+    InputError for a single view, whose exposure and pose nothing tells from light and surface. A
+    lens is told by how the object looks."""
     asked, views.given = taken.settings, given(taken.shown)
-    for name, usual in (("exposure", "fixed"), ("refine", False)):
+    for name, usual, which in (("exposure", "fixed", "first"), ("refine", False, "middle")):
         if views.count == 1 and getattr(asked, name) != usual:
             told = str(getattr(asked, name)).lower()
             raise InputError(
-                f"photos.{name}={told}: the first view's stays as it is, and there is no other: "
+                f"photos.{name}={told}: the {which} view's stays as it is, and there is no other: "
                 f"take photos.{name}={str(usual).lower()}"
             )
     return {
         "views": views,
-        "channels": {"fixed": None, "scale": 1, "channels": 3}[asked.exposure],
+        "channels": _CHANNELS[asked.exposure],
+        "told": None if EXPOSURE in own else taken.exposures,
         "pixel": pixels(taken) if asked.refine else None,
+        "glass": glass(taken) if asked.lens else None,
     }
+
+
+def glass(photographs: Photographs) -> Glass:
+    """The lenses of all views, those to learn from before those held out. One is shared by pictures
+    whose cameras are alike in all numbers; those of views held out alone, or, of ``each`` picture
+    its own, of all held out, are not unknown."""
+    settings, cameras = photographs.settings, [each.camera for each in photographs.all]
+    told = [(c.width, c.height, c.fx, c.cx, c.cy) for c in cameras]
+    if settings.lenses == "each":
+        told = [(c.name,) for c in cameras]
+    shown = len(photographs.shown)
+    kinds = list(dict.fromkeys(told[:shown]))
+    names = [cameras[told.index(each)].name for each in kinds]
+    return Glass(
+        np.array([kinds.index(each) if each in kinds else -1 for each in told]),
+        np.array([c.fx for c in cameras]),
+        np.array([float(c.width) for c in cameras]),
+        np.array([straightened(c)[:3, :3].T for c in cameras]),
+        tuple(part for part in PARTS if part in settings.lens),
+        tuple(names),
+    )
 
 
 def given(photographs: list[Photograph]) -> mi.Float | None:
@@ -217,14 +266,21 @@ def pixels(photographs: Photographs) -> np.ndarray:
     return np.array([[1 / c.fx, distance / c.fx] for c, distance in zip(cameras, away)])
 
 
-def _light(settings: PhotosConfig) -> dict[str, Any]:
-    axis, angle = _TURNS[settings.up]
-    if settings.environment is None:
-        pixels = np.full((settings.sky, 2 * settings.sky, 3), _LIGHT, np.float32)
-    else:
-        pixels = np.maximum(images.read(Path(settings.environment)), 0)
+def _sky(settings: PhotosConfig) -> dict[str, Any]:
+    if settings.environment is not None:
+        return light(Path(settings.environment), settings.up)
+    return _environment(np.full((settings.sky, 2 * settings.sky, 3), _LIGHT), settings.up)
+
+
+def light(file: Path, up: str) -> dict[str, Any]:
+    """The environment in a picture file, whose up is the world's axis ``up``."""
+    return _environment(np.maximum(images.read(file), 0), up)
+
+
+def _environment(pixels: np.ndarray, up: str) -> dict[str, Any]:
+    axis, angle = _TURNS[up]
     return {
         "type": "envmap",
-        "bitmap": mi.Bitmap(np.ascontiguousarray(pixels)),
+        "bitmap": mi.Bitmap(np.ascontiguousarray(pixels, np.float32)),
         "to_world": mi.ScalarTransform4f().rotate(axis, angle),
     }

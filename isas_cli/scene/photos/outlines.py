@@ -28,13 +28,20 @@ _BORDER, _REACH, _CONTRAST, _MIXED, _TOLD = 1.5, 4.0, 0.1, 0.1, 0.2
 
 def scattered(surface: Surface) -> np.ndarray:
     """Points of a surface, evenly by its area, ``(_POINTS, 3)``; always the same."""
+    return facing(surface)[0]
+
+
+def facing(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
+    """``scattered``, and the unit normals of the triangles there, as these are turned."""
     rng = np.random.default_rng(0)
     a, b, c = (surface.vertices[surface.faces[:, k]].astype(np.float64) for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    normal = np.cross(b - a, c - a)
+    area = np.linalg.norm(normal, axis=1)
     chosen = rng.choice(len(area), _POINTS, p=area / area.sum())
     u, v = rng.random((2, _POINTS, 1))
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    return a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
+    place = a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
+    return place, (normal / np.maximum(area, 1e-30)[:, None])[chosen]
 
 
 def empty(part: np.ndarray) -> bool:

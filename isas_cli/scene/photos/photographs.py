@@ -12,7 +12,7 @@ from ...config.photographs import PhotosConfig
 from ...runtime import images
 from ...runtime.errors import InputError
 from ...scenes.meshes import Surface
-from . import finding, hull, importing, material, outlines, reading, shape, turns
+from . import brightness, finding, hull, importing, material, outlines, reading, shape, turns
 from .base import Capture
 from .camera import Camera
 from .importing import Photograph
@@ -39,6 +39,14 @@ class Photographs:
     def surface(self) -> Surface | None:
         """The whole object's."""
         return None if self.parts is None else shape.joined(list(self.parts.values()))
+
+    @cached_property
+    def exposures(self) -> tuple[np.ndarray, float] | None:
+        """``brightness.told`` of the views to learn from, where exposures are unknown."""
+        channels = {"scale": 1, "channels": 3}.get(self.settings.exposure)
+        if channels is None or self.surface is None:
+            return None
+        return brightness.told(self.shown, self.surface, channels)
 
     @property
     def all(self) -> list[Photograph]:

@@ -135,6 +135,15 @@ def _called(path: str) -> str:
     return path.replace("\\", "/").removeprefix("./")
 
 
+def placed(file: Path, frame: dict) -> tuple[Path, str]:
+    """Where the pictures of a frame lie, and its view's name. A ``scene_name``, which Stanford-ORB
+    has, says that they are of the set of that name beside this one."""
+    name, scene = _called(frame["file_path"]), frame.get("scene_name")
+    if scene is None:
+        return file.parent, name
+    return file.absolute().parent.parent / str(scene), f"{scene}/{name}"
+
+
 def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
     where = f"{file}: frame {number_}"
     if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
@@ -143,7 +152,8 @@ def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
         raise InputError(f"{where} has no transform_matrix")
     both = {**top, **frame}
     lens = _lens(both, where)
-    image = picture(file.parent, frame["file_path"], where)
+    root, name = placed(file, frame)
+    image = picture(root, frame["file_path"], where)
     width, height = size(image)
     width = whole(both["w"], f"{where}: w") if "w" in both else width
     height = whole(both["h"], f"{where}: h") if "h" in both else height
@@ -156,9 +166,9 @@ def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
     if fx is None and fy is None:
         raise InputError(f"{where}: none of fl_x, camera_angle_x, x_fov says its focal length")
     return Camera(
-        name=_called(frame["file_path"]),
+        name=name,
         image=image,
-        mask=listed_mask(file.parent, frame.get("mask_path"), f"{where}: mask_path"),
+        mask=listed_mask(root, frame.get("mask_path"), f"{where}: mask_path"),
         width=width,
         height=height,
         fx=fx if fx is not None else fy,

@@ -1,0 +1,121 @@
+"""Lenses: in what the cameras of photographs are otherwise than their file says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..config.photographs import LENS
+from ..scene.views import Views
+from .cameras import OfCameras
+from .kind import Loaded
+
+# Numbers of a lens as ``Views.lens`` has them.
+FOCAL, CENTRE_X, CENTRE_Y, RADIAL = range(4)
+# What may be unknown → which numbers these are.
+PARTS = dict(zip(LENS, ([FOCAL], [CENTRE_X, CENTRE_Y], [RADIAL])))
+# The farthest that one moves the picture's margin, as a share of the picture's half width.
+_FARTHEST = 0.5
+
+
+@dataclass(frozen=True)
+class Glass:
+    """The lenses of some views: ``of (V,)``: the number of each view's, -1 where nothing of it is
+    unknown; ``focal``, ``width (V,)``:
+    pixels; ``axes (V, 3, 3)``: of each camera to the right, down and forward, in the world, rows;
+    ``parts``: of PARTS, what is unknown, in their order; ``names``: of the lenses."""
+
+    of: np.ndarray
+    focal: np.ndarray
+    width: np.ndarray
+    axes: np.ndarray
+    parts: tuple[str, ...]
+    names: tuple[str, ...]
+
+    def of_views(self, start: int, stop: int) -> "Glass":
+        cut = slice(start, stop)
+        arrays = (each[cut] for each in (self.of, self.focal, self.width, self.axes))
+        return Glass(*arrays, self.parts, self.names)
+
+    @property
+    def columns(self) -> list[int]:
+        return [number for part in self.parts for number in PARTS[part]]
+
+    @property
+    def table(self) -> np.ndarray:
+        """``OfCameras``'s."""
+        columns = self.columns
+        found = np.full((len(self.of), 4), -1)
+        found[:, columns] = self.of[:, None] * len(columns) + np.arange(len(columns))
+        return np.where(self.of[:, None] < 0, -1, found)
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """What moves the middle of the picture's side by a pixel: a share of the focal length, the
+        principal point on the plane at distance 1, k of r (1 + k r²) there."""
+        half = self.width / 2
+        away = half / self.focal
+        return np.stack([1 / half, 1 / self.focal, 1 / self.focal, away**-3 / self.focal], axis=1)
+
+
+class Lens(OfCameras):
+    """Focal length, principal point and radial distortion of each lens, as far as they are unknown,
+    ``(lenses, 1 to 4)``, in pixels by which they move the middle of a picture's side.
+
+    With the file's focal length f (pixels) and principal point c, a point at p on the plane at
+    distance 1 before the camera is seen at c + f m + f (1 + a) p (1 + k |p|²): a, m and k are what
+    is unknown. Distortion comes on top of what the file says, which import has taken out.
+    """
+
+    name = "camera lens"
+    field, each = "lens", 4
+
+    @classmethod
+    def keys(cls, loaded: Loaded) -> list[str]:
+        return ["lens"] if loaded.glass is not None else []
+
+    def __init__(self, key: str, loaded: Loaded):
+        self.key, self.writes = key, []
+        self.glass = loaded.glass.of_views(0, loaded.views.count)
+        self._held: list[tuple] = []
+        self.present = np.zeros((len(self.glass.names), len(self.glass.columns)), np.float32)
+        most = _FARTHEST * float(self.glass.width.min()) / 2
+        self.range = (-most, most)
+        self._lie(loaded.views, self.glass.table, self.glass.sizes)
+        loaded.views.look(self.glass.axes)
+
+    def follow(self, views: Views, glass: Glass) -> None:
+        """Let other views through the same lenses follow, those that are held out."""
+        views.look(glass.axes)
+        views.lens = dr.opaque(mi.Float, 0, glass.table.size)
+        self._held.append((views, *self._of_views(glass.table, glass.sizes)))
+
+    def write(self, leaf, written: dict) -> None:
+        super().write(leaf, written)
+        for held in self._held:
+            self._put(*held, dr.detach(leaf).array)
+
+    def told(self, array: np.ndarray) -> dict[str, dict[str, float]]:
+        """By lens, what of it is unknown, in units of its file: pixels, and k."""
+        found: dict[str, dict[str, float]] = {}
+        for number, name in enumerate(self.glass.names):
+            view = int(np.argmax(self.glass.of == number))
+            values = np.zeros(4)
+            values[self.glass.columns] = array[number] * self.glass.sizes[view, self.glass.columns]
+            focal = float(self.glass.focal[view])
+            said = {"focal": focal * (1 + values[FOCAL])} if "focal" in self.glass.parts else {}
+            if "centre" in self.glass.parts:
+                said |= {"centre_x": focal * values[CENTRE_X], "centre_y": focal * values[CENTRE_Y]}
+            if "radial" in self.glass.parts:
+                said["radial"] = values[RADIAL]
+            found[name] = {key: float(value) for key, value in said.items()}
+        return found
+
+    def numbers(self, array: np.ndarray, truth: np.ndarray | None) -> dict[str, float]:
+        if len(self.glass.names) > 1:
+            return {"farthest": float(np.abs(array).max())}
+        (said,) = self.told(array).values()
+        return said
