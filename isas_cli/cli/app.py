@@ -156,6 +156,7 @@ _SUMMARIES = {
     "landscape": "the loss along a run's unknowns, hard and blurred, and the way it took",
     "report": "write a run's plots and page anew",
     "export": "write a run's result as a scene that Mitsuba renders by itself, and as glTF",
+    "relight": "score a run's result on pictures of other places and lights",
 }
 
 
@@ -204,6 +205,24 @@ def _parser() -> argparse.ArgumentParser:
     export = commands.add_parser("export", help=_SUMMARIES["export"])
     export.add_argument("folder", help="a run's folder")
     export.add_argument("--output", help="where to (default: FOLDER/result)")
+    relight = commands.add_parser("relight", help=_SUMMARIES["relight"])
+    relight.add_argument("folder", metavar="DIR", help="a run's folder")
+    relight.add_argument(
+        "pictures", metavar="SET", help="a folder of photographs with cameras, or their file in it"
+    )
+    relight.add_argument(
+        "--light",
+        help="an environment in place of the scene's lights, or a folder with one called as each "
+        "view (default: the scene's own lights)",
+    )
+    relight.add_argument(
+        "--up",
+        default="y",
+        help="the world's axis that is its up, such as z, or --up=-z (default: y)",
+    )
+    relight.add_argument("--width", type=int, help="pixels of renderings (default: the pictures')")
+    relight.add_argument("--spp", type=int, default=256, help="paths a pixel (default: 256)")
+    relight.add_argument("--output", help="where to (default: DIR/relit)")
     return parser
 
 
@@ -251,6 +270,12 @@ def _dispatch(arguments: list[str]) -> int:
         from .export import main as export
 
         return export(Path(parsed.folder), Path(parsed.output) if parsed.output else None)
+    if parsed.command == "relight":
+        from .relight import main as relight
+
+        light, output = (Path(x) if x else None for x in (parsed.light, parsed.output))
+        more = parsed.up, parsed.width, parsed.spp, output
+        return relight(Path(parsed.folder), Path(parsed.pictures), light, *more)
     _parser().print_help()
     return 0
 

@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 
 from ..runtime import images
 from ..runtime.errors import InputError
-from ..scene.photos import finding
+from ..scene.photos import finding, transforms
 from ..scene.photos.base import load_json
 from ..scene.shape_error import Sampled
 
@@ -94,31 +94,43 @@ def of_set(file: Path | str, folder: Path | str) -> dict[str, dict]:
         where = f"{file}: frame {number}"
         if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
             raise InputError(f"{where} has no file_path")
-        scene, name = frame.get("scene_name"), frame["file_path"].removeprefix("./")
-        root = file.parent if scene is None else file.absolute().parent.parent / str(scene)
-        name = name if scene is None else f"{scene}/{name}"
+        root, name = transforms.placed(file, frame)
         path = finding.picture(root, frame["file_path"], where)
-        image = images.read(_rendering(folder, name))
-        target, mask = images.read(path), _mask(root, path, frame, where)
-        views[name] = pictures(image, *(_as_large(x, image, where) for x in (target, mask)))
+        listed = finding.listed_mask(root, frame.get("mask_path"), f"{where}: mask_path")
+        found = of_name(folder, name)
+        if found is None:
+            raise InputError(f"{folder}: no rendering of {name}, such as {Path(name).stem}.exr")
+        views[name] = of_picture(images.read(found), path, listed, where)
+    return {"views": views, "mean": mean(views)}
+
+
+def of_picture(image: np.ndarray, picture: Path, mask: Path | None, where: str) -> dict[str, float]:
+    """``pictures`` of a rendering of a ``picture``, whose ``mask`` may be another file. Raises
+    InputError, naming ``where``."""
+    both = images.read(picture), _mask(picture, mask, where)
+    return pictures(image, *(_as_large(each, image, where) for each in both))
+
+
+def mean(views: dict[str, dict]) -> dict[str, float]:
+    """Of ``pictures`` by view."""
     names = next(iter(views.values()))
-    return {"views": views, "mean": {n: np.mean([v[n] for v in views.values()]) for n in names}}
+    return {n: float(np.mean([view[n] for view in views.values()])) for n in names}
 
 
-def _rendering(folder: Path, name: str) -> Path:
+def of_name(folder: Path, name: str) -> Path | None:
+    """The picture in ``folder`` that is called as a view, or as the last part of its name."""
     for where in (folder / name, folder / Path(name).name):
         for ending in _ENDINGS:
             for found in (where.with_suffix(ending), where.with_name(f"{where.name}{ending}")):
                 if found.is_file():
                     return found
-    raise InputError(f"{folder}: no rendering of {name}, such as {Path(name).stem}.exr")
+    return None
 
 
-def _mask(root: Path, picture: Path, frame: dict, where: str) -> np.ndarray:
-    found = finding.listed_mask(root, frame.get("mask_path"), f"{where}: mask_path")
+def _mask(picture: Path, listed: Path | None, where: str) -> np.ndarray:
     beside = picture.parent.with_name(f"{picture.parent.name}_mask") / f"{picture.stem}.png"
-    if found is not None or beside.is_file():
-        return images.read_mask(found or beside)
+    if listed is not None or beside.is_file():
+        return images.read_mask(listed or beside)
     alpha = images.read_alpha(picture)
     if alpha is None:
         raise InputError(f"{where}: no mask, nor alpha: what is not the object would count")

@@ -14,10 +14,8 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..config.schema import SceneConfig
 from ..runtime import backend, images
@@ -27,7 +25,7 @@ from ..unknowns.parameters import as_numpy
 from ..unknowns.specs import parse
 from ..unknowns.unknowns import Unknowns
 from ..unknowns.vertices import POSITIONS
-from . import built, gltf, instances, mesh_files, scene_file
+from . import built, found_cameras, gltf, instances, mesh_files, scene_file
 from .gltf_maps import Said
 from .photos import building, photographs
 from .photos.photographs import Photographs
@@ -59,11 +57,9 @@ def write(
     ``arrays``: the unknowns' values by key. Raises InputError where ``folder`` cannot be written,
     and for what Mitsuba's format cannot hold.
     """
-    for module in _OURS.values():
-        importlib.import_module(module)
     if scene.path is not None and Path(scene.path).resolve().parent == folder.resolve():
         raise InputError(f"{folder} is where the scene's own files are: take another --output")
-    taken = None if scene.photos.path is None else photographs.load(scene.photos)
+    taken = _taken(scene)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         # What a program described is put into files there, of which the result copies what it uses.
@@ -81,13 +77,7 @@ def _write(
     arrays: dict[str, np.ndarray],
     folder: Path,
 ) -> tuple[Path, list[str]]:
-    settings, state = parsed()
-    with backend.loading():
-        loaded, made_from = instances.instantiate(settings, state)
-    unknowns, views = _unknowns(scene, taken, loaded)
-    # A run that was stopped may have left a coarse version.
-    whole = unknowns.arrays(unknowns.values_of(arrays))
-    unknowns.write(unknowns.values_of(whole))
+    loaded, made_from, unknowns, views = _filled(parsed, scene, taken, arrays)
     # What was instantiated has been used up.
     settings, written = parsed()
     mi.parser.transform_all(settings, written)
@@ -96,7 +86,7 @@ def _write(
     for key in dict.fromkeys(name for each in unknowns for name in each.kind.writes):
         found += Place(params, key, made_from, written).put(folder)
     _paint(loaded, folder / "painted")
-    told = _stand(written, views) if views is not None else []
+    told = found_cameras.put(written, views) if views is not None else []
     told += _deepen(written, scene)
     # Found files keep their names.
     brought = {path.name: path.resolve() for path in found}
@@ -113,6 +103,36 @@ def _write(
     _check(path)
     told += gltf.write(loaded, path.with_suffix(".glb"), Said(made_from, written))
     return path, list(dict.fromkeys(told))
+
+
+def _taken(scene: SceneConfig) -> Photographs | None:
+    """Its photographs, where it is of some; once all plugins are there."""
+    for module in _OURS.values():
+        importlib.import_module(module)
+    return None if scene.photos.path is None else photographs.load(scene.photos)
+
+
+def _filled(
+    parsed: Callable[[], tuple],
+    scene: SceneConfig,
+    taken: Photographs | None,
+    arrays: dict[str, np.ndarray],
+) -> tuple[mi.Scene, Any, Unknowns, Views | None]:
+    """The scene with the result in it, what it was made from, and what was unknown of it."""
+    with backend.loading():
+        loaded, made_from = instances.instantiate(*parsed())
+    unknowns, views = _unknowns(scene, taken, loaded)
+    # A run that was stopped may have left a coarse version.
+    whole = unknowns.arrays(unknowns.values_of(arrays))
+    unknowns.write(unknowns.values_of(whole))
+    return loaded, made_from, unknowns, views
+
+
+def result(scene: SceneConfig, arrays: dict[str, np.ndarray]) -> mi.Scene:
+    """The scene with the unknowns' values ``arrays``, by key. Raises InputError."""
+    taken = _taken(scene)
+    with tempfile.TemporaryDirectory(prefix="isas-result-") as made:
+        return _filled(_parser(scene, taken, Path(made)), scene, taken, arrays)[0]
 
 
 def _parser(scene: SceneConfig, taken: Photographs | None, folder: Path) -> Callable[[], tuple]:
@@ -232,25 +252,6 @@ def _deepen(state, scene: SceneConfig) -> list[str]:
     if integrators:
         return []
     return [f"the file names no integrator: render it with max_depth={scene.max_depth}"]
-
-
-def _stand(state, views: Views) -> list[str]:
-    """Lets the cameras of photographs stand where they were found to; says what remains."""
-    if views.motion is not None:
-        motion = np.array(views.motion, np.float64).reshape(-1, 2, 3)
-        for number, (turn, shift) in enumerate(motion):
-            (props,) = (n.props for n in state.nodes if n.props.id() == f"sensor_{number:05d}")
-            stands = np.array(props["to_world"].matrix, np.float64).reshape(4, 4)
-            stands[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ stands[:3, :3]
-            stands[:3, 3] += shift
-            props["to_world"] = mi.ScalarTransform4f(stands)
-    numbers = dr.arange(mi.UInt32, views.count)
-    factors = np.array(views.brightness(numbers) * dr.ones(mi.Color3f, views.count)).T.tolist()
-    if all(factor == 1 for each in factors for factor in each):
-        return []
-    told = [each[:1] if len(set(each)) == 1 else each for each in factors]
-    told = ", ".join("/".join(f"{e:.4g}" for e in each) for each in told)
-    return [f"exposures are not in the file: multiply the views by {told}"]
 
 
 def _bring(name: str, folder: Path, brought: dict[str, Path]) -> str:

@@ -1,11 +1,14 @@
 """Every command as a user starts it: in a process of its own, where nothing has started Mitsuba."""
 
+import json
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from isas_cli import records
 from isas_cli.cli import app
@@ -40,6 +43,7 @@ TYPED = {
     "landscape": ["run", "--spp", "1"],
     "report": ["run"],
     "export": ["run", "--output", "exported"],
+    "relight": ["run", "set", "--spp", "4"],
     "unknowns": ["scene.xml"],
 }
 LEFT = {
@@ -51,6 +55,7 @@ LEFT = {
     "landscape": "run/landscape.csv",
     "report": "run/report.html",
     "export": "exported/scene.xml",
+    "relight": "run/relit/scores.json",
 }
 SAID = {
     "effects": "effects of a run",
@@ -73,6 +78,17 @@ def folder(tmp_path_factory) -> Path:
     (made / "scene.xml").write_text(SCENE)
     done = isas(made, "run", *ONE, "hydra.run.dir=run")
     assert done.returncode == 0, done.stderr
+    # A picture of the ball from where the scene's camera is, alpha where it is.
+    rows, columns = np.mgrid[:12, :12] - 5.5
+    pixels = np.full((12, 12, 4), 90, np.uint8)
+    pixels[..., 3] = 255 * (np.hypot(rows, columns) < 4.2)
+    (made / "set").mkdir()
+    Image.fromarray(pixels).save(made / "set/0.png")
+    place = np.eye(4)
+    place[2, 3] = 4
+    frames = [{"file_path": "0.png", "transform_matrix": place.tolist()}]
+    content = json.dumps({"camera_angle_x": 0.7, "frames": frames})
+    (made / "set/transforms.json").write_text(content)
     return made
 
 
@@ -105,9 +121,9 @@ def test_a_sweep_starts_by_itself(folder):
     assert len(list((folder / "sweep").rglob("summary.json"))) == 2
 
 
-@pytest.mark.parametrize("command", ["replay", "export", "report", "landscape"])
+@pytest.mark.parametrize("command", ["replay", "export", "report", "landscape", "relight"])
 def test_a_folder_without_a_run_is_refused_in_one_line(folder, command):
-    done = isas(folder, command, "nowhere")
+    done = isas(folder, command, "nowhere", *["set"] * (command == "relight"))
     assert done.returncode == 2, done.stderr
     assert re.fullmatch(r"isas: nowhere.*\n", done.stderr)
 

@@ -1,0 +1,93 @@
+"""`isas relight`: a run's result against pictures of other places and lights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from .. import records
+from ..config import schema
+from ..config.photographs import UPS, PhotosConfig
+from ..engine import resumption
+from ..records.files import write_json
+from ..runtime import backend, interrupt
+from ..runtime.errors import InputError
+
+SCORES = "scores.json"
+_HEADS = {"psnr_h": "PSNR-H", "psnr_l": "PSNR-L", "ssim": "SSIM"}
+
+
+def main(
+    folder: Path,
+    pictures: Path,
+    light: Path | None = None,
+    up: str = "y",
+    width: int | None = None,
+    spp: int = 256,
+    output: Path | None = None,
+) -> int:
+    """Render the result of the run in ``folder`` as the cameras of ``pictures`` see it, a folder of
+    photographs or a file of cameras in one, and score it as Stanford-ORB does
+    (``measure.relighting``). ``light``: an environment in place of the scene's lights, or a folder
+    with one for each view; ``width``: pixels of the renderings. Renderings and scores.json go into
+    ``output`` (None: ``folder/relit``). Raises InputError; returns 0."""
+    if spp < 1:
+        raise InputError(f"--spp {spp}: at least 1")
+    if up not in UPS:
+        raise InputError(f"--up {up}: valid: {', '.join(UPS)}")
+    run = records.load(folder)
+    arrays = run.parameters()
+    cfg, _ = resumption.configuration(folder, run, {})
+    typed = schema.typed(cfg)
+    with interrupt.prompt():
+        backend.start(typed.variant, typed.threads)
+        from ..measure import relighting
+        from ..scene import export, relit
+
+        cameras = _cameras(pictures)
+        rendering = [relit.cut(camera, width) for camera in cameras]
+        lights = [_light(light, camera.name) for camera in cameras]
+        scene = export.result(typed.scene, arrays)
+        output = output or folder / "relit"
+        found, console = {}, Console()
+        for camera, image in zip(cameras, relit.views(scene, rendering, lights, up, spp)):
+            where = f"{pictures}: {camera.name}"
+            found[camera.name] = relighting.of_picture(image, camera.image, camera.mask, where)
+            relit.write(output, camera.name, image)
+    mean = relighting.mean(found)
+    write_json(output / SCORES, {"views": found, "mean": mean, "light": light and str(light)})
+    table = Table("view", *_HEADS.values())
+    for name, scores in [*found.items(), ("mean", mean)]:
+        table.add_row(name, *(f"{scores[key]:.4g}" for key in _HEADS))
+    console.print(table)
+    print(f"renderings and {SCORES}: {output}")
+    return 0
+
+
+def _cameras(pictures: Path) -> list:
+    """Of a folder of photographs, or of a file in one. Raises InputError."""
+    from ..scene.photos import finding, reading
+
+    file = pictures.name if pictures.is_file() else None
+    settings = PhotosConfig(str(pictures if file is None else pictures.parent), cameras=file)
+    root = reading.folder_of(settings.path)
+    with finding.looking(settings, root) as sources:
+        found = reading.read(settings.path, None, settings.cameras)
+    return finding.masked(found.cameras, root, sources)[0]
+
+
+def _light(light: Path | None, name: str) -> Path | None:
+    """The environment of a view. Raises InputError."""
+    from ..measure import relighting
+
+    if light is None or light.is_file():
+        return light
+    if not light.is_dir():
+        raise InputError(f"--light {light}: no such file or folder")
+    if (found := relighting.of_name(light, name)) is None:
+        raise InputError(
+            f"--light {light}: no environment for {name}, such as {Path(name).stem}.exr"
+        )
+    return found

@@ -1,0 +1,87 @@
+"""A result from other places and under other lights, as Mitsuba's own path tracer renders it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+
+from ..runtime import backend, images
+from ..runtime.errors import InputError
+from .photos import building
+from .photos.camera import Camera
+
+_DEPTH = 8
+# Samples of one rendering: Dr.Jit counts the lanes of a kernel in 32 bits, and all need memory.
+_AT_ONCE = 2**24
+
+
+def views(
+    scene: mi.Scene, cameras: list[Camera], lights: list[Path | None], up: str, spp: int
+) -> Iterator[np.ndarray]:
+    """What each camera sees, ``(H, W, 3)``, linear, black where no surface is: under the
+    environment in the file of the same place in ``lights``, whose up is the world's axis ``up``, in
+    place of all lights of the ``scene``; or under these, where it is None. Raises InputError for a
+    scene with media."""
+    shapes = scene.shapes()
+    if any(shape.is_medium_transition() for shape in shapes):
+        raise InputError("the scene has a medium: isas relight renders surfaces alone")
+    middle = np.array(scene.bbox().center()).ravel()
+    last, lit = object(), {}
+    for number, (camera, light) in enumerate(zip(cameras, lights)):
+        if light != last:
+            last, lit = light, _lit(scene, shapes, light, up)
+        with backend.loading():
+            made = mi.load_dict(lit | {"camera": building.sensor(camera, middle)}, optimize=False)
+        yield _rendered(made, spp, number)
+
+
+def _lit(scene: mi.Scene, shapes: list, light: Path | None, up: str) -> dict:
+    """All but the camera, as ``mitsuba.load_dict`` takes it."""
+    kept = [shape for shape in shapes if light is None or not shape.is_emitter()]
+    if light is None:
+        # Those of surfaces come with these.
+        surface = mi.EmitterFlags.Surface
+        emitters = [each for each in scene.emitters() if not mi.has_flag(each.flags(), surface)]
+    else:
+        with backend.loading():
+            emitters = [mi.load_dict(building.light(light, up))]
+    return {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": _DEPTH, "hide_emitters": True},
+        **{f"light_{number}": each for number, each in enumerate(emitters)},
+        **{f"shape_{number}": each for number, each in enumerate(kept)},
+    }
+
+
+def _rendered(scene: mi.Scene, spp: int, seed: int) -> np.ndarray:
+    film = scene.sensors()[0].film().size()
+    most = max(1, _AT_ONCE // int(film[0] * film[1]))
+    total, done = 0.0, 0
+    while done < spp:
+        count = min(most, spp - done)
+        image = np.array(mi.render(scene, spp=count, seed=(seed << 16) + done), np.float64)
+        total, done = total + image * count, done + count
+    return (total / spp).astype(np.float32)
+
+
+def cut(camera: Camera, width: int | None) -> Camera:
+    """The camera that renders: of pictures ``width`` pixels wide. Raises InputError for a lens."""
+    if not camera.ideal:
+        raise InputError(
+            f"{camera.name}: its lens is no pinhole: scores are of pictures without distortion; "
+            "undistort them, as COLMAP's image_undistorter does"
+        )
+    return camera if width is None else camera.pinhole(width)
+
+
+def write(folder: Path, name: str, image: np.ndarray) -> None:
+    """Put the rendering of a view into ``folder``, as EXR. Raises InputError."""
+    path = (folder / name).with_suffix(".exr")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path.parent}: cannot be written: {error.strerror}") from error
+    images.write_exr(path, image, [*"RGB"], {"what": "relit"})

@@ -1,0 +1,136 @@
+"""`isas relight`: a result against pictures that Mitsuba alone has made."""
+
+import json
+
+import mitsuba as mi
+import numpy as np
+import photo_sets
+import pytest
+from photo_sets import FOCAL, SIZE, Files, look_at
+
+import isas_cli
+from isas_cli.cli.app import main
+from isas_cli.measure import relighting
+from isas_cli.runtime import backend, images
+
+PLACES = (0.8, 0.9, 2.2), (-2.0, 0.6, 1.2)
+# Of a sphere whose colour is the only unknown, and begins near the truth.
+SCENE = """<scene version="3.0.0">
+<integrator type="prb"><integer name="max_depth" value="3"/></integrator>
+<sensor type="perspective"><float name="fov" value="40"/>
+<transform name="to_world"><lookat origin="0, 0, 3" target="0, 0, 0" up="0, 1, 0"/></transform>
+<film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="24"/></film>
+</sensor>
+<emitter type="constant"><rgb name="radiance" value="1, 1, 1"/></emitter>
+<shape type="rectangle" id="lamp">
+<emitter type="area"><rgb name="radiance" value="9, 0, 0"/></emitter>
+<transform name="to_world"><scale value="0.3"/><translate y="2"/></transform></shape>
+<shape type="sphere" id="ball"><float name="radius" value="0.5"/>
+<bsdf type="principled"><rgb name="base_color" value="0.6, 0.3, 0.15"/>
+<float name="roughness" value="0.4"/></bsdf></shape></scene>"""
+
+
+def sky(folder, name: str) -> str:
+    """Light from above in two colours."""
+    rows = np.mgrid[:16, :32][0] / 16
+    pixels = np.stack([1.5 - rows, 0.6 + 0 * rows, 0.2 + rows], axis=2).astype(np.float32)
+    path = folder / name
+    images.write_exr(path, pixels, [*"RGB"], {})
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run's folder, its XML, and a set of pictures under another light with masks."""
+    folder = tmp_path_factory.mktemp("relight")
+    (folder / "scene.xml").write_text(SCENE)
+    unknown = {"ball.bsdf.base_color.value": {"start": [0.61, 0.29, 0.16], "range": [0, 1]}}
+    isas_cli.run(
+        *("scene=file", f"scene.path={folder / 'scene.xml'}", "budget.iterations=2"),
+        *("optimizer.lr=0.001", "target.spp=16", "effects=full", "report=false"),
+        *("frames.views=0", "frames.snapshots=0", "evaluation.count=1"),
+        *(f"scene.unknowns={json.dumps(unknown)}", f"hydra.run.dir={folder / 'run'}"),
+    )
+    light = sky(folder, "sky.exr")
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 6, "hide_emitters": True},
+        "sky": {"type": "envmap", "filename": light},
+        "ball": {
+            "type": "sphere",
+            "radius": 0.5,
+            "bsdf": {
+                "type": "principled",
+                "base_color": {"type": "rgb", "value": [0.6, 0.3, 0.15]},
+                "roughness": 0.4,
+            },
+        },
+    }
+    for number, place in enumerate(PLACES):
+        scene[f"sensor_{number}"] = {
+            "type": "perspective",
+            "fov": float(np.degrees(2 * np.arctan(SIZE[0] / 2 / FOCAL))),
+            "to_world": mi.ScalarTransform4f().look_at(place, (0, 0, 0), (0, 1, 0)),
+            "film": {
+                **dict(type="hdrfilm", width=SIZE[0], height=SIZE[1], pixel_format="rgba"),
+                **dict(rfilter={"type": "box"}),
+            },
+        }
+    with backend.loading():
+        loaded = mi.load_dict(scene)
+    found = [np.array(mi.render(loaded, sensor=n, spp=512)) for n in range(len(PLACES))]
+    (folder / "set/masks").mkdir(parents=True)
+    poses = [look_at(place, (0.0, 0.0, 0.0)) for place in PLACES]
+    files = Files(folder / "set", poses, [each[..., :3].astype(np.float32) for each in found])
+    photo_sets.transforms(files, cx=SIZE[0] / 2, cy=SIZE[1] / 2)
+    for number, each in enumerate(found):
+        mask = np.repeat(images.to_display(each[..., 3:] > 0.99), 3, axis=2)
+        images.write_png(folder / f"set/masks/view_{number}.png", mask)
+    return folder
+
+
+def scores(folder, *more: str) -> dict:
+    assert main(["relight", str(folder / "run"), str(folder / "set"), *more]) == 0
+    return json.loads((folder / "run/relit/scores.json").read_text())
+
+
+def test_the_other_light_is_taken(run, capsys):
+    """In place of the scene's own, the lamp's with it: by that and by a light upside down pictures
+    are foretold worse."""
+    found = scores(run, "--light", str(run / "sky.exr"), "--spp", "512")
+    out = capsys.readouterr().out
+    assert list(found["views"]) == ["view_0.exr", "view_1.exr"]
+    assert found["mean"]["psnr_h"] > 38 and found["mean"]["ssim"] > 0.98
+    assert f"{found['mean']['psnr_l']:.4g}" in out and "PSNR-H" in out
+    shown = images.read(run / "run/relit/view_1.exr")
+    again = relighting.of_picture(shown, run / "set/view_1.exr", run / "set/masks/view_1.png", "")
+    assert again == pytest.approx(found["views"]["view_1.exr"])
+    for more in ([], ["--light", str(run / "sky.exr"), "--up=-y"]):
+        assert scores(run, *more)["mean"]["psnr_h"] < found["mean"]["psnr_h"] - 6
+
+
+def test_each_view_may_have_a_light_of_its_own(run):
+    (run / "lights").mkdir()
+    for number in range(2):
+        sky(run / "lights", f"view_{number}.exr")
+    more = "--light", str(run / "lights"), "--width", "20", "--output", str(run / "small")
+    assert main(["relight", str(run / "run"), str(run / "set/transforms.json"), *more]) == 0
+    assert images.read(run / "small/view_0.exr").shape == (15, 20, 3)
+    assert json.loads((run / "small/scores.json").read_text())["mean"]["psnr_h"] > 30
+
+
+@pytest.mark.parametrize(
+    "more, told",
+    [
+        (["--light", "none.exr"], "--light none.exr: no such file or folder"),
+        (["--light", "."], "--light .: no environment for view_0.exr, such as view_0.exr"),
+        (["--output", "/dev/null/x"], "/dev/null/x: cannot be written"),
+        (["--up", "w"], "--up w: valid: x, y, z, -x, -y, -z"),
+        (["--spp", "0"], "--spp 0: at least 1"),
+        (["--width", "39"], "39 × 29 rendered, which does not go into its 40 × 30"),
+    ],
+)
+def test_wrong_input_is_one_line(run, capsys, monkeypatch, tmp_path, more, told):
+    monkeypatch.chdir(tmp_path)
+    assert main(["relight", str(run / "run"), str(run / "set"), "--output", "out", *more]) == 2
+    assert told in capsys.readouterr().err
