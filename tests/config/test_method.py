@@ -13,7 +13,7 @@ GROUPS = {"sampler", "estimator", "optimizer", "target", "budget"}
 OWN = [name for name in options("scene") if method.said(name, "method")]
 # What path replay does not differentiate.
 MOVING = ["caustic", "cup", "dodoco_b", "global_illumination", "kirby", "object_joint_shape"]
-MOVING += ["occlusion", "shadowplay", "shadows", "sort"]
+MOVING += ["occlusion", "shadowplay", "shadows", "shadows_prdpt", "sort"]
 
 
 def composed(*words: str):

@@ -20,7 +20,7 @@ from isas_cli.engine.workshop import Workshop
 from isas_cli.runtime.budget import Budget
 from isas_cli.unknowns.parameters import as_numpy
 
-MOVING = ["caustic", "cup", "global_illumination", "occlusion", "shadows", "sort"]
+MOVING = ["caustic", "cup", "global_illumination", "occlusion", "shadows", "shadows_prdpt", "sort"]
 SHAPES = ["dodoco_b", "kirby", "shadowplay"]
 JOINT = ["object_joint_shape"]  # test_joint_scenes.py
 PHOTOS = ["photos", "chessboard"]  # tests/engine/test_photo_runs.py
