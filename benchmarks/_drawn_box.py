@@ -30,13 +30,23 @@ def cameras(count: int) -> list[np.ndarray]:
     return found
 
 
-def seen(place: np.ndarray, scale: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Linear colours over black ``(H, W, 3)``, and how much of each pixel the box fills."""
+def seen(
+    place: np.ndarray, scale: int = 1, lens: tuple[float, float, float] = (0, 0, 0)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Linear colours over black ``(H, W, 3)``, and how much of each pixel the box fills. ``lens``:
+    how far its principal point is from the picture's middle, pixels to the right and down, and k of
+    r (1 + k r²)."""
     (width, height), focal = (n * scale for n in SIZE), FOCAL * scale
     steps = (np.arange(_FINE) + 0.5) / _FINE
     x = (np.arange(width)[:, None] + steps).ravel() - width / 2
     y = (np.arange(height)[:, None] + steps).ravel() - height / 2
-    rays = np.stack(np.broadcast_arrays(x[None] / focal, -y[:, None] / focal, -1.0), axis=-1)
+    x, y = np.broadcast_arrays((x[None] - lens[0]) / focal, (y[:, None] - lens[1]) / focal)
+    wanted = np.hypot(x, y)
+    radius = wanted.copy()
+    for _ in range(30):
+        radius = wanted / (1 + lens[2] * radius**2)
+    part = radius / np.maximum(wanted, 1e-12)
+    rays = np.stack(np.broadcast_arrays(x * part, -y * part, -1.0), axis=-1)
     rays = rays @ place[:3, :3].T
     eye = place[:3, 3]
     near = (-np.sign(rays) * HALF - eye) / rays
@@ -62,15 +72,30 @@ def encoded(linear: np.ndarray) -> np.ndarray:
     return np.uint8(np.rint(255 * np.clip(np.where(linear < 0.0031308, low, high), 0, 1)))
 
 
-def photographed(folder: Path, count: int, outline: str, scale: int = 1, seed: int = 0) -> None:
+def photographed(
+    folder: Path,
+    count: int,
+    outline: str,
+    scale: int = 1,
+    seed: int = 0,
+    lens: tuple[float, float, float] = (0, 0, 0),
+    focals: float | tuple[float, ...] = 1,
+    exposures: tuple[float, ...] | None = None,
+    turned: float = 0,
+) -> None:
     """Writes a set with ``transforms.json``, and ``white.png``, its light. ``outline``: ``alpha``;
     ``masks``, white where the box fills all of a pixel, over a grey wall; or ``none``: over a wall
-    of many colours."""
+    of many colours.
+
+    What the file does not tell: ``lens``, of ``seen``; ``focals``, what it says of the focal
+    length, over the truth; ``exposures`` of the pictures; ``turned``: how far, pixels, its poses
+    turn what is seen, in the root mean square along each axis of the picture."""
     (folder / "masks").mkdir(parents=True, exist_ok=True)
     frames, (width, height) = [], (n * scale for n in SIZE)
     rng = np.random.default_rng(seed)
     for number, place in enumerate(cameras(count)):
-        colours, part = seen(place, scale)
+        colours, part = seen(place, scale, lens)
+        colours = colours * (1 if exposures is None else exposures[number])
         if outline == "alpha":
             straight = encoded(colours / np.maximum(part, 1e-6)[..., None])
             pixels = np.dstack([straight, np.uint8(np.rint(255 * part))])
@@ -85,8 +110,13 @@ def photographed(folder: Path, count: int, outline: str, scale: int = 1, seed: i
         if outline == "masks":
             mask = np.uint8(255 * (part > 0.99))
             Image.fromarray(mask).save(folder / f"masks/{number}.png")
-        frames.append({"file_path": f"{number}.png", "transform_matrix": place.tolist()})
-    numbers = {"w": width, "h": height, "fl_x": FOCAL * scale, "cx": width / 2, "cy": height / 2}
+        tilt = turned / (FOCAL * scale) * rng.normal(size=3) * [1, 1, 0]
+        place = place.copy()
+        place[:3, :3] = place[:3, :3] @ Rotation.from_rotvec(tilt).as_matrix()
+        focal = FOCAL * scale * float(np.broadcast_to(focals, count)[number])
+        frame = {"file_path": f"{number}.png", "transform_matrix": place.tolist(), "fl_x": focal}
+        frames.append(frame)
+    numbers = {"w": width, "h": height, "cx": width / 2, "cy": height / 2}
     (folder / "transforms.json").write_text(json.dumps(numbers | {"frames": frames}))
     Image.new("RGB", (16, 8), (255, 255, 255)).save(folder / "white.png")
 
