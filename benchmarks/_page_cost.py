@@ -85,7 +85,8 @@ def floor(table: pandas.DataFrame) -> list[dict]:
         own = group["step"] / group["passes"]
         row = dict(zip(("scene", "sampler", "batch"), keys))
         row |= {"median": own.median(), "low": own.min(), "high": own.max()}
-        row |= {"prb": (group["step"] / group["prb"]).median()}
+        stock = (group["step"] / group["prb"]).dropna()
+        row |= {"prb": stock.median() if len(stock) else np.nan}
         rows.append(row)
     return rows
 
