@@ -16,9 +16,6 @@ from isas_cli.rendering.outline import Cameras
 from isas_cli.runtime import backend
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene import export
-from isas_cli.scene.views import Views
-from isas_cli.unknowns.kind import Loaded
-from isas_cli.unknowns.motion import Motion
 
 QUIET = ["scene=photos", "evaluation.count=2", "frames.views=0", "frames.snapshots=0"]
 QUIET += ["report=false", "estimator.batch=4096"]
@@ -139,22 +136,6 @@ def test_the_export_has_the_lens(taken, tmp_path):
     arrays["lens"][0, 3] = 1.0
     _, told = export.write(scene, arrays, tmp_path / "bent")
     assert any("radial distortions are not in the file: k = " in line for line in told)
-
-
-@pytest.mark.parametrize("count", [2, 3, 4, 7])
-def test_the_middle_camera_stays(count):
-    """Of each turn and shift in the world, whose pixels differ from view to view."""
-    params = mi.traverse(mi.load_dict({"type": "scene"}))
-    rng = np.random.default_rng(count)
-    pixel = rng.uniform(0.5, 2, (count, 2))
-    kind = Motion("cameras", Loaded(params, views=Views.of([(4, 3)] * count), pixel=pixel))
-    size = np.repeat(pixel, 3, axis=1)
-    array = rng.normal(size=(count, 6)).astype(np.float32)
-    found = np.array(kind.projected(kind.value(array))) * size
-    wanted = array * size - np.median(array * size, axis=0)
-    np.testing.assert_allclose(found, wanted, atol=1e-6)
-    alike = kind.value(np.zeros((count, 6), np.float32))
-    np.testing.assert_array_equal(np.array(kind.projected(alike)), 0)
 
 
 # What the file does not tell; and it says a focal length that is too short by a twentieth.

@@ -93,7 +93,7 @@ def test_they_begin_where_places_of_the_object_are_alike(tmp_path, kind, channel
 
 def test_pictures_that_contradict_each_other_tell_no_start(tmp_path):
     """One is another place's, so that no factor accounts for it."""
-    box.photographed(tmp_path, 4, "alpha", exposures=(1, 1, 1, 1))
+    box.photographed(tmp_path, 8, "alpha")
     box.turned_mesh(tmp_path / "box.obj", 35, 0.8)
     settings = PhotosConfig(str(tmp_path), mesh=str(tmp_path / "box.obj"), exposure="scale")
     taken = photographs.load(settings)
@@ -113,11 +113,21 @@ def test_what_places_tell_is_kept():
 
 
 def test_specs_of_ones_own_are_not_held(tmp_path):
-    box.photographed(tmp_path, 4, "alpha", exposures=FACTORS[:4])
+    box.photographed(tmp_path, 6, "alpha", exposures=FACTORS)
     box.turned_mesh(tmp_path / "box.obj", 0, 1)
     taken = photographs.load(
         PhotosConfig(str(tmp_path), mesh=str(tmp_path / "box.obj"), exposure="scale")
     )
-    views = Views.of([box.SIZE] * 4)
+    views = Views.of([box.SIZE] * 6)
     assert building.of_views(taken, views)["told"] is not None
     assert building.of_views(taken, views, ["exposure"])["told"] is None
+
+
+def test_few_views_do_not_check_each_other(tmp_path):
+    """Of another place than the file's, which four views do not notice."""
+    box.photographed(tmp_path, 4, "alpha")
+    box.turned_mesh(tmp_path / "box.obj", 35, 0.8)
+    settings = PhotosConfig(str(tmp_path), mesh=str(tmp_path / "box.obj"), exposure="scale")
+    taken = photographs.load(settings)
+    assert brightness.apart(taken.shown, taken.surface).doubt == np.inf
+    assert taken.exposures is None

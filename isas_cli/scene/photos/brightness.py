@@ -25,15 +25,16 @@ _SHARED, _IN_CELL = 50, 8
 # and by which factor at least; what of all pairs exposures must account for.
 _NORMAL, _SURE, _APART, _TOLD = 1.4826, 3.0, 1.25, 0.9
 # Places seen from the side, at a smaller cosine, are taken for others, and those that look away are
-# hidden; exposures are known to this share at best.
-_ASLANT, _NEAR = 0.2, 0.01
+# hidden; exposures are known to this share at best, and at worst where they are said to be told.
+_ASLANT, _NEAR, _VAGUE = 0.2, 0.01, 0.2
 _MOST = 40  # views that all others are compared with, evenly among them
 
 
 @dataclass(frozen=True)
 class Apart:
     """``exposures (V,)``: their logarithms, of mean 0; ``deviation``: of a place's, between two
-    views; ``doubt``: of what a pair of views tells from these, in the root mean square."""
+    views; ``doubt``: the standard deviation of what a pair of views tells from these, infinite
+    where so few pairs hardly check each other."""
 
     exposures: np.ndarray
     deviation: float
@@ -77,8 +78,10 @@ def apart(
     left = found - differences @ exposures
     if np.sum(left**2) > (1 - _TOLD) * np.sum(found**2):
         return None
-    doubt = float(np.sqrt(np.mean(left**2)))
-    return Apart(exposures, float(np.median(deviation)), doubt)
+    spare = len(pairs) - (count - 1)
+    # Fewer do not check each other.
+    doubt = np.sqrt(np.sum(left**2) / spare) if spare >= count - 1 > 0 else np.inf
+    return Apart(exposures, float(np.median(deviation)), float(doubt))
 
 
 def unlike(photographs: list[Photograph], surface: Surface) -> tuple[float, str, str] | None:
@@ -104,7 +107,7 @@ def told(
         return None
     logs = np.stack([each.exposures - each.exposures[0] for each in found], axis=1)
     near = max(_NEAR, _SURE * max(each.doubt for each in found))
-    return np.exp(logs).astype(np.float32), near
+    return None if near > _VAGUE else (np.exp(logs).astype(np.float32), near)
 
 
 def _cosines(centre: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:

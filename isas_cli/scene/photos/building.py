@@ -26,8 +26,9 @@ from .shape import OBJECT
 SKY = "sky"
 EXPOSURE, CAMERAS, LENS = "exposure", "cameras", "lens"  # the keys of what is the views' own
 _CHANNELS = {"fixed": None, "scale": 1, "channels": 3}
-# Rates: of lenses, in pixels; of exposures that start anywhere, and near where they are.
-_PIXELS, _FROM_ONE, _FROM_NEAR = 0.1, 0.05, 0.01
+# Rates: of lenses, in pixels; of exposures that start anywhere, and where they are told, as a part
+# of what these may be off.
+_PIXELS, _FROM_ONE, _ACROSS = 0.1, 0.05, 0.3
 _LIGHT = 1.0  # what an unknown environment starts at
 # Rates: of a hull's vertices, of a shift and a size, as shares of the object's size; of a turn, in
 # degrees. And the share of the budget in which shapes and poses follow the outline alone.
@@ -151,7 +152,7 @@ def _exposure(taken: Photographs) -> UnknownConfig:
         f"exposures between {low} and {high} of the first view's, at which the views show the same "
         f"places of the object alike: they stay within {near:.0%} of that"
     )
-    return UnknownConfig(start=start.tolist(), lr=_FROM_NEAR)
+    return UnknownConfig(start=start.tolist(), lr=_ACROSS * near)
 
 
 def poses(taken: Photographs, own: dict[str, PoseConfig]) -> dict[str, PoseConfig]:
@@ -213,13 +214,16 @@ def of_views(taken: Photographs, views: Views, own: Iterable[str] = ()) -> dict:
     InputError for a single view, whose exposure and pose nothing tells from light and surface. A
     lens is told by how the object looks."""
     asked, views.given = taken.settings, given(taken.shown)
-    for name, usual, which in (("exposure", "fixed", "first"), ("refine", False, "middle")):
-        if views.count == 1 and getattr(asked, name) != usual:
-            told = str(getattr(asked, name)).lower()
-            raise InputError(
-                f"photos.{name}={told}: the {which} view's stays as it is, and there is no other: "
-                f"take photos.{name}={str(usual).lower()}"
-            )
+    if views.count == 1 and asked.exposure != "fixed":
+        raise InputError(
+            f"photos.exposure={asked.exposure}: the first view's stays as it is, and there is no "
+            "other: take photos.exposure=fixed"
+        )
+    if views.count == 1 and asked.refine:
+        raise InputError(
+            "photos.refine=true: of a single view nothing tells the camera's pose from the "
+            "object's: photos.pose=true finds that"
+        )
     return {
         "views": views,
         "channels": _CHANNELS[asked.exposure],
