@@ -70,6 +70,8 @@ def _cameras(pictures: Path) -> list:
     """Of a folder of photographs, or of a file in one. Raises InputError."""
     from ..scene.photos import finding, reading
 
+    if not pictures.exists() and str(pictures) not in reading.OWN:
+        raise InputError(f"{pictures}: no such folder of photographs, nor file of cameras")
     file = pictures.name if pictures.is_file() else None
     settings = PhotosConfig(str(pictures if file is None else pictures.parent), cameras=file)
     root = reading.folder_of(settings.path)

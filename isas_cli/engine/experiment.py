@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from ..scene.problem import Problem
     from .recorder import Recorder
 
+_LENSES = 4  # that are told one by one
+
 
 def run(cfg: DictConfig, folder: Path) -> int:
     """Run ``cfg`` and leave its record in ``folder``. Returns 0, or 130 after Ctrl-C.
@@ -206,6 +208,8 @@ def _tell(recorder: "Recorder") -> None:
 
 
 def _announce(recorder: "Recorder", status: str, page: Path) -> None:
+    from . import held_out
+
     first, last = recorder.ends
     recorder.display.stop()
     say = recorder.display.say
@@ -216,6 +220,10 @@ def _announce(recorder: "Recorder", status: str, page: Path) -> None:
         mean = recorder.held_out["mean"]
         told = ", ".join(f"{k.upper()} {v:.4g}" for k, v in mean.items() if v is not None)
         say(f"{len(recorder.held_out['views'])} views held out: {told}")
+    lenses = held_out.of_views(recorder.loop.whole, recorder.loop.stepper.values).get("lens", {})
+    for name, numbers in list(lenses.items())[:_LENSES]:
+        told = ", ".join(f"{what.replace('_', ' ')} {x:.4g}" for what, x in numbers.items())
+        say(f"lens of {name}: {told}")
     if recorder.left_out is not None:
         say(f"left out of the images: {recorder.left_out:.2g} (root mean square)")
     if recorder.profile is not None:

@@ -119,6 +119,11 @@ def test_each_view_may_have_a_light_of_its_own(run):
     assert json.loads((run / "small/scores.json").read_text())["mean"]["psnr_h"] > 30
 
 
+def test_a_set_that_is_nowhere_is_one_line(run, capsys):
+    assert main(["relight", str(run / "run"), "nowhere"]) == 2
+    assert "isas: nowhere: no such folder of photographs" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "more, told",
     [

@@ -142,7 +142,7 @@ def test_the_export_has_the_lens(taken, tmp_path):
 LENS = 2.0, -1.5, 0.1
 
 
-def test_a_lens_is_found(tmp_path):
+def test_a_lens_is_found(tmp_path, capsys):
     """From how a known box of unknown colours looks. Seen: 0.3 %, 0.03 pixels, 0.015."""
     box.photographed(tmp_path, 8, "alpha", lens=LENS, focals=1 / 1.05)
     box.turned_mesh(tmp_path / "box.obj", 0, 1)
@@ -153,7 +153,9 @@ def test_a_lens_is_found(tmp_path):
         *("estimator.batch=16384", "budget.iterations=300", f"hydra.run.dir={tmp_path / 'run'}"),
     )
     (found,) = run.summary["lens"].values()
-    print(found)
+    said = capsys.readouterr().err
+    print(said)
+    assert f"lens of 0.png: focal {found['focal']:.4g}, centre x {found['centre_x']:.4g}" in said
     assert found["focal"] == pytest.approx(box.FOCAL, rel=0.01)
     assert (found["centre_x"], found["centre_y"]) == pytest.approx(LENS[:2], abs=0.5)
     assert found["radial"] == pytest.approx(LENS[2], abs=0.05)
