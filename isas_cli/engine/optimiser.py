@@ -344,11 +344,12 @@ class Stepper:
         return arrays, {"steps": steps, "scale": self.scale, **levels, **counters}
 
     def restore(self, arrays: dict[str, np.ndarray], state: dict) -> None:
-        """Take over what ``export`` gave, to the last bit. KeyError where something is missing."""
+        """Take over what ``export`` gave, to the last bit. KeyError where something is missing,
+        InputError for what has another shape now."""
         values = {key: arrays[f"value/{key}"] for key in self.unknowns.keys}
         # Checkpoints of earlier versions have one level.
         self.scales = [dict(scale) for scale in state.get("scales", [state["scale"]])]
-        self.restart(state.get("level", 0), self.unknowns.values_of(values))
+        self.restart(state.get("level", 0), self.unknowns.recorded(values))
         for key in self.unknowns.keys:
             value, promoted, rate, (count, first, second, most) = self.adam.state[key]
             moments = [type(first)(arrays[f"{name}/{key}"]) for name in ("first", "second")]

@@ -123,7 +123,7 @@ def _filled(
         loaded, made_from = instances.instantiate(*parsed())
     unknowns, views = _unknowns(scene, taken, loaded)
     # A run that was stopped may have left a coarse version.
-    whole = unknowns.arrays(unknowns.values_of(arrays))
+    whole = unknowns.arrays(unknowns.recorded(arrays))
     unknowns.write(unknowns.values_of(whole))
     return loaded, made_from, unknowns, views
 

@@ -155,6 +155,17 @@ class Unknowns:
         """NumPy arrays by key → Dr.Jit values of the scene's types."""
         return {key: self[key].kind.value(array) for key, array in arrays.items()}
 
+    def recorded(self, arrays: dict[str, np.ndarray]) -> dict:
+        """``values_of`` what a record holds. Raises InputError for what has another shape here."""
+        for key, array in arrays.items():
+            unknown = self[key]
+            if not unknown.kind.doublings and array.shape != unknown.start.shape:
+                raise InputError(
+                    f"'{key}': the record has {array.shape}, where it is {unknown.start.shape} "
+                    "now: the run is of another version of isas, or of other files"
+                )
+        return self.values_of(arrays)
+
     def starts(self, shapes: dict | None = None) -> dict:
         """``shapes``: by key, of those that are to be coarser."""
         coarse = shapes or {}

@@ -295,9 +295,15 @@ def test_photographs_are_exported_with_their_cameras_where_they_were_found(tmp_p
         colour: np.array([0.2, 0.5, 0.7]),
         "sky.data": rng.uniform(0.5, 2, (4, 8, 3)),
         "exposure": np.array([[1.0], [2.0], [0.5]]),
-        "cameras": rng.normal(0, 2, (2, 6)),
+        "cameras": rng.normal(0, 2, (3, 6)),
     }
+    arrays["cameras"][0] = 0  # whose picture Mitsuba renders of both
     arrays = {key: array.astype(np.float32) for key, array in arrays.items()}
+    earlier = arrays | {"cameras": arrays["cameras"][1:]}
+    with pytest.raises(
+        InputError, match=r"'cameras': the record has \(2, 6\), where it is \(3, 6\)"
+    ):
+        export.write(cfg, earlier, tmp_path / "earlier")
     path, told = export.write(cfg, arrays, tmp_path / "result")
     assert of_xml(told) == ["exposures are not in the file: multiply the views by 1, 2, 0.5"]
     assert glb.problems(path.with_suffix(".glb")) == []
