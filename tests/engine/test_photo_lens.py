@@ -115,6 +115,19 @@ def test_what_cannot_be_is_one_line(taken, settings, told):
     assert told in str(raised.value)
 
 
+@pytest.mark.parametrize(
+    "settings, told",
+    [
+        (["photos.lens=[focal]", "photos.pose=true", "photos.background=black"], "object's size"),
+        (["photos.lens=[centre]", "photos.refine=true"], "turns of the cameras"),
+        ([ALL], None),
+    ],
+)
+def test_what_a_lens_trades_with_is_said(taken, settings, told):
+    said = [each for each in problem(*taken, *settings).warnings if "can trade with" in each]
+    assert len(said) == (told is not None) and all(told in each for each in said)
+
+
 def test_the_export_has_the_lens(taken, tmp_path):
     """As Mitsuba's own camera has it, but for the distortion, which is said."""
     made = problem(*taken, ALL)

@@ -206,7 +206,18 @@ def _check_parts(settings: PhotosConfig, names: list[str], own: dict) -> None:
 
 def traded(settings: PhotosConfig, keys: list[str]) -> list[str]:
     """That images hardly tell some of the unknowns ``keys`` apart."""
-    return material.traded(settings, keys, SKY)
+    found = material.traded(settings, keys, SKY)
+    if settings.pose and "focal" in settings.lens:
+        found.append(
+            "the object's size and the focal length ('lens') can trade with each other, and both "
+            "may come out wrong: leave photos.pose or focal out"
+        )
+    if settings.refine and "centre" in settings.lens:
+        found.append(
+            "turns of the cameras and the principal point ('lens') can trade with each other: "
+            "leave photos.refine or centre out"
+        )
+    return found
 
 
 def of_views(taken: Photographs, views: Views, own: Iterable[str] = ()) -> dict:
