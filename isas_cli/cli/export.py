@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .. import records
-from ..config import schema
 from ..engine import resumption
 from ..runtime import backend, interrupt
 
@@ -13,10 +11,7 @@ from ..runtime import backend, interrupt
 def main(folder: Path, output: Path | None) -> int:
     """Write the result of the run in ``folder`` into ``output`` (None: ``folder/result``). Raises
     InputError; returns 0."""
-    run = records.load(folder)
-    arrays = run.parameters()
-    cfg, _ = resumption.configuration(folder, run, {})
-    typed = schema.typed(cfg)
+    typed, arrays = resumption.result(folder)
     with interrupt.prompt():
         backend.start(typed.variant, typed.threads)
         from ..scene import export

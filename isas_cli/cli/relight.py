@@ -7,8 +7,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from .. import records
-from ..config import schema
 from ..config.photographs import UPS, PhotosConfig
 from ..engine import resumption
 from ..records.files import write_json
@@ -37,10 +35,9 @@ def main(
         raise InputError(f"--spp {spp}: at least 1")
     if up not in UPS:
         raise InputError(f"--up {up}: valid: {', '.join(UPS)}")
-    run = records.load(folder)
-    arrays = run.parameters()
-    cfg, _ = resumption.configuration(folder, run, {})
-    typed = schema.typed(cfg)
+    if width is not None and width < 1:
+        raise InputError(f"--width {width}: at least 1")
+    typed, arrays = resumption.result(folder)
     with interrupt.prompt():
         backend.start(typed.variant, typed.threads)
         from ..measure import relighting

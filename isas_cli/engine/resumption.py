@@ -116,6 +116,14 @@ def _budget(cfg: DictConfig) -> Budget:
     return Budget(cfg.budget.seconds, cfg.budget.iterations, cfg.budget.paths)
 
 
+def result(folder: Path) -> tuple[Config, dict[str, np.ndarray]]:
+    """The configuration of the run in ``folder``, and its unknowns' values by key. Raises
+    InputError."""
+    run = records.load(folder)
+    arrays = run.parameters()
+    return schema.typed(configuration(folder, run, {})[0]), arrays
+
+
 def configuration(folder: Path, run: Run, changes: dict) -> tuple[DictConfig, Budget]:
     """The configuration of the ``run`` recorded in ``folder``, as changed, with files where they
     are found from here, and the budget before that."""

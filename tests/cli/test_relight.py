@@ -131,6 +131,7 @@ def test_a_set_that_is_nowhere_is_one_line(run, capsys):
         (["--light", "."], "--light .: no environment for view_0.exr, such as view_0.exr"),
         (["--output", "/dev/null/x"], "/dev/null/x: cannot be written"),
         (["--up", "w"], "--up w: valid: x, y, z, -x, -y, -z"),
+        (["--width", "0"], "--width 0: at least 1"),
         (["--spp", "0"], "--spp 0: at least 1"),
         (["--width", "39"], "39 × 29 rendered, which does not go into its 40 × 30"),
     ],

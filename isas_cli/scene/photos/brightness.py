@@ -33,19 +33,19 @@ _MOST = 40  # views that all others are compared with, evenly among them
 @dataclass(frozen=True)
 class Apart:
     """``exposures (V,)``: their logarithms, of mean 0; ``deviation``: of a place's, between two
-    views; ``doubt``: the standard deviation of what a pair of views tells from these, infinite
-    where so few pairs hardly check each other."""
+    views; ``share``: of what pairs of views tell that these account for; ``doubt``: the standard
+    deviation of what a pair tells from these, infinite where so few hardly check each other."""
 
     exposures: np.ndarray
     deviation: float
+    share: float
     doubt: float
 
 
 def apart(
     photographs: list[Photograph], surface: Surface, channel: int | None = None
 ) -> Apart | None:
-    """How unlike views are exposed, in a ``channel`` or all; None where pairs of them do not tell,
-    or contradict each other: what glosses, or stands elsewhere than it is said to."""
+    """How unlike views are exposed, in a ``channel`` or all; None where no pairs connect them."""
     points, normals = outlines.facing(surface)
     logs = np.stack([_seen(each, points, channel) for each in photographs])
     cosines = np.stack([_cosines(each.camera.centre, points, normals) for each in photographs])
@@ -76,18 +76,18 @@ def apart(
     differences = csr_array((signs, places), (len(pairs), count))
     exposures = lsqr(differences, found, atol=1e-9, btol=1e-9)[0]
     left = found - differences @ exposures
-    if np.sum(left**2) > (1 - _TOLD) * np.sum(found**2):
-        return None
+    share = 1 - np.sum(left**2) / max(np.sum(found**2), 1e-12)
     spare = len(pairs) - (count - 1)
     # Fewer do not check each other.
     doubt = np.sqrt(np.sum(left**2) / spare) if spare >= count - 1 > 0 else np.inf
-    return Apart(exposures, float(np.median(deviation)), float(doubt))
+    return Apart(exposures, float(np.median(deviation)), float(share), float(doubt))
 
 
 def unlike(photographs: list[Photograph], surface: Surface) -> tuple[float, str, str] | None:
     """How many times as bright the brightest view shows the object as the darkest, and their names;
     None where they are alike, or nothing is sure."""
-    if (found := apart(photographs, surface)) is None:
+    found = apart(photographs, surface)
+    if found is None or found.share < _TOLD:
         return None
     low, high = int(found.exposures.argmin()), int(found.exposures.argmax())
     factor = found.exposures[high] - found.exposures[low]
