@@ -211,6 +211,10 @@ class Stepper:
         for key, rate in rates.items():
             if self.filtered[key].moves:
                 self._move(key, before[key], gradient[key], rate, self._fallen(key, spent))
+        for each in self.unknowns.together:
+            if each.lens in before:
+                ends = (dr.detach(self.adam[key]) for key in (each.lens, each.size))
+                self.adam[each.size] = each.follow(before[each.lens], *ends)
         self.steps += 1
         for unknown in self.unknowns:
             if np.isfinite(unknown.low) or np.isfinite(unknown.high):
@@ -224,6 +228,8 @@ class Stepper:
 
     def _directed(self, gradients: dict) -> dict:
         """Where steps go for these. Traced."""
+        for each in self.unknowns.together:
+            gradients = each.directed(gradients, self.adam)
         return {k: self.unknowns[k].kind.directed(g, self.adam[k]) for k, g in gradients.items()}
 
     def _move(self, key: str, before, gradient: mi.Float, rate: float, share: float) -> None:
@@ -341,15 +347,14 @@ class Stepper:
             steps[key] = int(count[0])
         counters = {"nonfinite": int(self.nonfinite[0]), "touched": int(self.touched[0])}
         levels = {"level": self.level, "scales": self.scales, "all_steps": self.steps}
-        return arrays, {"steps": steps, "scale": self.scale, **levels, **counters}
+        return arrays, {"steps": steps, **levels, **counters}
 
     def restore(self, arrays: dict[str, np.ndarray], state: dict) -> None:
         """Take over what ``export`` gave, to the last bit. KeyError where something is missing,
         InputError for what has another shape now."""
         values = {key: arrays[f"value/{key}"] for key in self.unknowns.keys}
-        # Checkpoints of earlier versions have one level.
-        self.scales = [dict(scale) for scale in state.get("scales", [state["scale"]])]
-        self.restart(state.get("level", 0), self.unknowns.recorded(values))
+        self.scales = [dict(scale) for scale in state["scales"]]
+        self.restart(state["level"], self.unknowns.recorded(values))
         for key in self.unknowns.keys:
             value, promoted, rate, (count, first, second, most) = self.adam.state[key]
             moments = [type(first)(arrays[f"{name}/{key}"]) for name in ("first", "second")]
@@ -359,8 +364,7 @@ class Stepper:
             memory = self.filtered[key].memory
             for name in memory:
                 memory[name] = own(mi.Float, arrays[f"filter/{name}/{key}"])
-        # Checkpoints of earlier versions lack it: no rate fell by steps.
-        self.steps = state.get("all_steps", 0)
+        self.steps = state["all_steps"]
         self.nonfinite = mi.UInt64(state["nonfinite"])
         self.touched = mi.UInt64(state["touched"])
         dr.make_opaque(self.nonfinite, self.touched)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import drjit as dr
 import mitsuba as mi
 
 from ..scene.problem import Problem
 from ..scene.topology import Topology
 from ..scene.views import Views
+from ..unknowns.cameras import unknown
 from . import rays
 from .kernels import recorded
 from .outline import Cameras, Crossing, Outline
@@ -21,6 +24,10 @@ class Border:
     ``topologies``: of the mesh, by the number of its vertices in the scene, where it becomes finer
     on the way.
     """
+
+    # Whether nothing else says what cameras have to do with it: renderings that differ by them,
+    # from which their derivative is else found, show edges as well.
+    alone: ClassVar[bool] = False
 
     def __init__(self, problem: Problem, topologies: dict[int, Topology], samples: int, paths: int):
         self.problem, self.samples, self._paths = problem, samples, paths
@@ -43,16 +50,24 @@ class Border:
     def accumulate(self, positions: mi.Float, seeds: list) -> None:
         """Add one estimate to the gradients of the mesh's ``positions``, the scene's attached ones
         where it moves, and of those of what else moves."""
-        p, cameras = self.problem, self.cameras
-        if p.views.lens is not None:
-            cameras = cameras.through(p.views.lens, p.views.axes)
-        if p.views.motion is not None:
-            cameras = cameras.moved(p.views.motion)
+        p = self.problem
         outline = self._outlines[dr.width(positions) // 3]
         self._kernel(
-            p.scene, p.sensors, p.views, positions, outline, cameras, p.targets, p.mask,
+            p.scene, p.sensors, p.views, positions, outline, self._present(), p.targets, p.mask,
             seeds, p.share, *self._own,
         )  # fmt: skip
+
+    def _present(self) -> Cameras:
+        """The cameras as they are now."""
+        unknowns, views, cameras = self.problem.unknowns, self.problem.views, self.cameras
+        now = {field: getattr(views, field) for field in ("lens", "motion")}
+        for each in unknown(unknowns) if self.alone else ():
+            now[each.kind.field] = each.kind.attached(unknowns.leaves[each.key])
+        if now["lens"] is not None:
+            cameras = cameras.through(now["lens"], views.axes)
+        if now["motion"] is not None:
+            cameras = cameras.moved(now["motion"])
+        return cameras
 
 
 def residual(

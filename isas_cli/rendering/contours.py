@@ -23,7 +23,8 @@ _MOST, _SURE = 1 << 18, 0.02
 
 
 class Contours(Border):
-    """Adds to the gradient of one mesh's vertices that of ``weight`` times the coverage term
+    """Adds to the gradient of one mesh's vertices, and of unknown cameras and lenses, that of
+    ``weight`` times the coverage term
 
         C = 1/N Σ_j (c_j - m_j)² ,
 
@@ -40,6 +41,8 @@ class Contours(Border):
     Bias: none for closed meshes, but for what is nearer to an edge than ``_BESIDE`` pixels; edges
     that reach behind a camera are left out.
     """
+
+    alone = True
 
     def __init__(
         self, problem: Problem, topologies: dict[int, Topology], weight: float, samples: int,

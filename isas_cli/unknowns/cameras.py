@@ -24,6 +24,7 @@ class OfCameras(Kind):
 
     They lie with the views and change their rays (``rendering.rays``). Paths do not carry their
     derivative, since what is seen changes: estimators add differences of renderings (``add``).
+    What the outline of moving meshes says of them, ``rendering.border`` adds (``attached``).
 
     ``field``: of ``Views``, where they lie; ``each``: how many a view has.
     """
@@ -49,9 +50,14 @@ class OfCameras(Kind):
         self._put(self._views, self._table, self._sizes, dr.detach(leaf).array)
 
     def _put(self, views: Views, table: mi.Int, sizes: mi.Float, pixels: mi.Float) -> None:
-        found = dr.gather(mi.Float, pixels, mi.UInt32(dr.maximum(table, 0)), table >= 0) * sizes
+        found = _placed(table, sizes, pixels)
         dr.eval(found)
         setattr(views, self.field, found)
+
+    def attached(self, leaf: mi.TensorXf) -> mi.Float:
+        """What ``views`` has of it, with derivatives by ``leaf``, for what knows how a camera
+        projects."""
+        return _placed(self._table, self._sizes, leaf.array)
 
     def jitter(self, seed: list[int]) -> mi.Float:
         """Random offsets of each view's numbers, ``(V each,)`` pixels, Gaussian of ``WIDTH``."""
@@ -64,6 +70,10 @@ class OfCameras(Kind):
         placed = found * self._sizes
         dr.eval(found, placed)
         return found, placed, self._table
+
+
+def _placed(table: mi.Int, sizes: mi.Float, pixels: mi.Float) -> mi.Float:
+    return dr.gather(mi.Float, pixels, mi.UInt32(dr.maximum(table, 0)), table >= 0) * sizes
 
 
 def unknown(unknowns) -> list:

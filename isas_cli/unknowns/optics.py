@@ -12,6 +12,7 @@ from ..config.photographs import LENS
 from ..scene.views import Views
 from .cameras import OfCameras
 from .kind import Loaded
+from .parameters import like
 
 # Numbers of a lens as ``Views.lens`` has them.
 FOCAL, CENTRE_X, CENTRE_Y, RADIAL = range(4)
@@ -72,6 +73,7 @@ class Lens(OfCameras):
 
     name = "camera lens"
     field, each = "lens", 4
+    outlined = True
 
     @classmethod
     def keys(cls, loaded: Loaded) -> list[str]:
@@ -119,3 +121,49 @@ class Lens(OfCameras):
             return {"farthest": float(np.abs(array).max())}
         (said,) = self.told(array).values()
         return said
+
+
+@dataclass(frozen=True)
+class Together:
+    """That an object's ``size``, in doublings, is stepped with the focal lengths of ``lens``: as
+    much larger as these are shorter, so that it stays as large in the pictures.
+
+    Size and focal length do nearly the same to pictures, and only perspective tells them apart.
+    Along each by itself, steps would hardly get on along that valley. With s = s' - log₂ f, f the
+    mean of focal lengths over those of the file, f alone is what perspective tells:
+
+        dℒ/df = ∂ℒ/∂f - ∂ℒ/∂s / (f ln 2),    Δs = Δs' - Δ log₂ f.
+    """
+
+    lens: str
+    size: str
+    glass: Glass
+
+    def _longer(self, leaf: mi.TensorXf) -> mi.Float:
+        columns = len(self.glass.columns)
+        count = len(self.glass.names)
+        entry = dr.arange(mi.UInt32, count) * columns + self.glass.columns.index(FOCAL)
+        pixel = like(mi.Float, self._pixels())
+        return 1 + dr.sum(dr.gather(mi.Float, leaf.array, entry) * pixel) / count
+
+    def _pixels(self) -> np.ndarray:
+        """A pixel as a share of each lens's focal length."""
+        first = [int(np.argmax(self.glass.of == n)) for n in range(len(self.glass.names))]
+        return self.glass.sizes[first, FOCAL].astype(np.float32)
+
+    def directed(self, gradients: dict, values: dict) -> dict:
+        """``gradients`` by these, where the lens takes the size with it. Traced."""
+        leaf = dr.detach(values[self.lens])
+        columns = len(self.glass.columns)
+        slope = np.zeros((len(self.glass.names), columns), np.float32)
+        slope[:, self.glass.columns.index(FOCAL)] = self._pixels() / len(slope) / np.log(2)
+        along = like(mi.Float, slope.ravel()) / self._longer(leaf)
+        lens = gradients[self.lens]
+        found = lens.array - along * gradients[self.size]
+        return gradients | {self.lens: mi.TensorXf(found, lens.shape)}
+
+    def follow(self, before: mi.TensorXf, after: mi.TensorXf, size: mi.Float) -> mi.Float:
+        """``size`` after a step of the lens from ``before`` to ``after``. Traced."""
+        longer = (self._longer(dr.detach(each)) for each in (before, after))
+        old, new = longer
+        return size - dr.log2(new / old)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
@@ -11,6 +12,9 @@ import numpy as np
 from ..config.schema import BlurConfig
 from ..runtime.errors import InputError
 from .kind import Kind
+
+if TYPE_CHECKING:
+    from .optics import Together
 
 
 @dataclass
@@ -89,6 +93,8 @@ class Unknowns:
         self._in_order = sorted((u.kind for u in items), key=lambda kind: kind.order)
         params.keep(list(dict.fromkeys(key for kind in self._in_order for key in kind.writes)))
         self.leaves = self.values_of({u.key: u.kind.present for u in items})
+        # Of those that are stepped together (``optics.Together``).
+        self.together: list[Together] = []
 
     def __iter__(self):
         return iter(self.items)

@@ -13,7 +13,7 @@ from ...config.schema import PhotosConfig, PoseConfig, UnknownConfig
 from ...runtime import images
 from ...runtime.errors import InputError
 from ...scenes import meshes
-from ...unknowns.optics import PARTS, Glass
+from ...unknowns.optics import PARTS, Glass, Together
 from ...unknowns.parameters import own
 from ...unknowns.unknowns import Unknown
 from ..views import Views
@@ -25,10 +25,13 @@ from .shape import OBJECT
 
 SKY = "sky"
 EXPOSURE, CAMERAS, LENS = "exposure", "cameras", "lens"  # the keys of what is the views' own
+SIZE = "size"  # of the pose that photographs ask for
 _CHANNELS = {"fixed": None, "scale": 1, "channels": 3}
 # Rates: of lenses, in pixels; of exposures that start anywhere, and where they are told, as a part
 # of what these may be off.
 _PIXELS, _FROM_ONE, _ACROSS = 0.1, 0.05, 0.3
+# Times as fast where the object takes their focal length up in its size: a pixel moves less then.
+_WITH_SIZE = 3
 _LIGHT = 1.0  # what an unknown environment starts at
 # Rates: of a hull's vertices, of a shift and a size, as shares of the object's size; of a turn, in
 # degrees. And the share of the budget in which shapes and poses follow the outline alone.
@@ -131,7 +134,8 @@ def unknowns(taken: Photographs, own: dict, poses: dict[str, PoseConfig]) -> dic
     if settings.refine:
         found.setdefault(CAMERAS, UnknownConfig(start=0.0))
     if settings.lens:
-        found.setdefault(LENS, UnknownConfig(start=0.0, lr=_PIXELS))
+        rate = _PIXELS * (_WITH_SIZE if _sized(settings) else 1)
+        found.setdefault(LENS, UnknownConfig(start=0.0, lr=rate))
     if not found:
         raise InputError(
             f"photos.texture={settings.texture} and photos.environment={settings.environment} are "
@@ -167,7 +171,7 @@ def poses(taken: Photographs, own: dict[str, PoseConfig]) -> dict[str, PoseConfi
         f"turn_{name}": PoseConfig("rotation", objects, axis=axis, origin=middle)
         for name, axis in zip("xyz", axes)
     }
-    found["size"] = PoseConfig("scale", objects, origin=middle)
+    found[SIZE] = PoseConfig("scale", objects, origin=middle)
     return found | {"shift": PoseConfig("translation", objects)} | own
 
 
@@ -187,12 +191,26 @@ def stage(taken: Photographs, wanted: dict[str, Any], found: list[Unknown]) -> N
             "photos.edges=true: nothing that is unknown moves: photos.pose=true makes the object's "
             f"pose unknown, scene.unknowns its shape ({OBJECT}.vertices)"
         )
-    told = taken.settings.background == BLACK or taken.settings.edges
-    if not told or not any(unknown.moves(0.0) for unknown in moving):
+    masked = taken.settings.background == BLACK
+    if not (masked or taken.settings.edges) or not any(unknown.moves(0.0) for unknown in moving):
         return
     for unknown in found:
-        if not unknown.kind.moves_geometry and wanted[unknown.key].during is None:
-            unknown.during = _BY_OUTLINE, 1.0
+        # Once the object lies where it is seen: before, it has the wrong perspective as well.
+        told = masked and unknown.kind.outlined
+        if wanted[unknown.key].during is None and not unknown.kind.moves_geometry:
+            unknown.during = (_BY_OUTLINE / 2 if told else _BY_OUTLINE), 1.0
+
+
+def together(taken: Photographs, found: list[Unknown]) -> list[Together]:
+    """The object's size and its lenses' focal lengths, where both are unknown."""
+    if not _sized(taken.settings) or not {unknown.key for unknown in found} >= {LENS, SIZE}:
+        return []
+    (lens,) = (unknown.kind for unknown in found if unknown.key == LENS)
+    return [Together(LENS, SIZE, lens.glass)]
+
+
+def _sized(settings: PhotosConfig) -> bool:
+    return settings.pose and "focal" in settings.lens
 
 
 def _check_parts(settings: PhotosConfig, names: list[str], own: dict) -> None:
@@ -207,7 +225,7 @@ def _check_parts(settings: PhotosConfig, names: list[str], own: dict) -> None:
 def traded(settings: PhotosConfig, keys: list[str]) -> list[str]:
     """That images hardly tell some of the unknowns ``keys`` apart."""
     found = material.traded(settings, keys, SKY)
-    if settings.pose and "focal" in settings.lens:
+    if _sized(settings) and settings.background != BLACK:
         found.append(
             "the object's size and the focal length ('lens') can trade with each other, and both "
             "may come out wrong: leave photos.pose or focal out"
