@@ -53,7 +53,23 @@ def facts(results: Path) -> dict:
         "variance": variances(results / "plateau_variance.csv"),
         "residual": variances(results / "plateau_residual.csv"),
         "authors": authors(results / "prdpt_shadows.csv"),
+        "black_box": black_box(results / "black_box.csv"),
     }
+
+
+def black_box(path: Path) -> list[dict]:
+    """Of each way with another renderer, at its best factor and with the seeds that did not choose
+    it, the share of the start's error that is left: median, least, most; and its iterations."""
+    if not path.exists():
+        return []
+    table, rows = pandas.read_csv(path), []
+    judging = table[table["seed"] != table["seed"].iloc[0]]
+    for way, own in judging.groupby("way", sort=False):
+        left = own["end"] / own["start"]
+        row = {"way": way, "factor": own["factor"].iloc[0], "seeds": len(own)}
+        row |= {"left": left.median(), "low": left.min(), "high": left.max()}
+        rows.append(row | {"iterations": int(own["iterations"].median())})
+    return rows
 
 
 def authors(path: Path) -> list[dict]:

@@ -1,0 +1,107 @@
+"""Pictures by a renderer that isas knows nothing of, as paths through their pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..config.schema import TargetConfig
+from ..runtime import streams
+from ..runtime.errors import InputError
+from ..scene.lenses import Lenses
+from ..scene.outside import Outside
+from ..scene.problem import Problem
+from ..unknowns.parameters import own
+from .integrators import Integrator, Paths
+from .stratified import noise
+
+# Pictures of a view that targets are the means of: at first, and at most.
+_FEWEST, _MOST = 4, 1024
+
+
+@dataclass
+class Places(Lenses):
+    """Rays that say where in which picture a point is."""
+
+    @staticmethod
+    def of(views: int) -> "Places":
+        numbers = own(mi.UInt32, np.zeros(views, np.uint32))
+        return Places(own(mi.Float, np.zeros(1, np.float32)), numbers, numbers)
+
+    def only(self, views: mi.UInt32) -> "Places":
+        raise InputError("scene=external: its views are looked at all together")
+
+    def rays(self, view, position, aperture):
+        ray = dr.zeros(mi.RayDifferential3f, dr.width(position.x))
+        ray.o, ray.d = mi.Point3f(position.x, position.y, mi.Float(view)), mi.Vector3f(0, 0, 1)
+        return ray, mi.Color3f(1)
+
+
+class BlackBox(Integrator):
+    """All of a call's paths are of one picture: what is to be independent, is traced in calls of
+    its own. A picture is asked for with a seed that the paths' own random numbers give. Waits, and
+    cannot be recorded."""
+
+    simulates = ()
+    has_forward = samples_lights = False
+    black_box = True
+    derivatives = "none: pictures of another renderer"
+    max_depth, hide_emitters = 1, False
+
+    def __init__(self, outside: Outside):
+        self.outside = outside
+        self.paths = Paths(1, 1)
+
+    @property
+    def name(self) -> str:
+        return self.outside.where
+
+    def primal(self, scene, sampler, ray) -> tuple[mi.Color3f, None]:
+        seed = int(sampler.next_1d()[0] * (1 << 24))
+        view, (width, height) = mi.UInt32(ray.o.z), self.outside.sizes[0]
+        pictures = np.zeros((len(self.outside.sizes), height, width, 3), np.float32)
+        for number in np.unique(np.array(view)):
+            pictures[number] = self.outside.picture(int(number), seed)
+        column = dr.minimum(mi.UInt32(ray.o.x * width), width - 1)
+        row = dr.minimum(mi.UInt32(ray.o.y * height), height - 1)
+        found = own(mi.Float, pictures.ravel())
+        return dr.gather(mi.Color3f, found, (view * height + row) * width + column), None
+
+    def backward(self, scene, sampler, ray, adjoint: mi.Color3f) -> None:
+        raise NotImplementedError("a black box has no derivative")
+
+
+def rendered(
+    problem: Problem, target: TargetConfig, told: Callable[[int, int], None]
+) -> dict[str, np.ndarray]:
+    """Means of pictures at the truth, as many as ``target`` asks for: ``images (n, 3)``, and the
+    ``variance (n,)`` of their pixels, NaN where it is not known. ``told`` counts pixels."""
+    outside = problem.integrator.outside
+    wanted, noisy = target.wanted, outside.settings.noisy
+    first = second = 0.0
+    count, aim = 0, 1 if not noisy else _FEWEST if wanted is not None else target.spp
+    while count < aim:
+        drawn = streams.seed(target.seed, count, "target")
+        views = range(len(outside.sizes))
+        pixels = np.concatenate([outside.picture(v, drawn).reshape(-1, 3) for v in views])
+        first, second = first + pixels.astype(np.float64), second + np.square(pixels, dtype=float)
+        count += 1
+        told(count * len(pixels), aim * len(pixels))
+        if count == aim and noisy and wanted is not None:
+            has = noise(*_means(first, second, count))
+            aim = min(_MOST, max(aim, int(np.ceil(count * (has / wanted) ** 2))))
+    images, variance = _means(first, second, count)
+    if not noisy:
+        variance = np.zeros(len(images), np.float32)
+    found = {"images": images, "variance": variance}
+    return found | {"lost": np.array(0), "paths": np.array(count * len(images))}
+
+
+def _means(first, second, count: int) -> tuple[np.ndarray, np.ndarray]:
+    spread = np.maximum(second - first**2 / count, 0).mean(axis=1)
+    variance = spread / (count * (count - 1)) if count > 1 else np.full(len(spread), np.nan)
+    return (first / count).astype(np.float32), variance.astype(np.float32)

@@ -1,0 +1,191 @@
+"""Renderers that isas knows nothing of: their pictures come through, and their blurred loss is
+differentiated without bias."""
+
+import sys
+
+import numpy as np
+import pytest
+
+import isas_cli
+from isas_cli import losses
+from isas_cli.cli.app import main
+from isas_cli.config.compose import compose, translate
+from isas_cli.config.schema import ExternalConfig
+from isas_cli.engine import experiment
+from isas_cli.engine.choices import Choices
+from isas_cli.engine.display import Display
+from isas_cli.engine.experiment import Phases
+from isas_cli.rendering.pixels import PixelDistribution, Tiles
+from isas_cli.rendering.renderer import Renderer
+from isas_cli.runtime import images
+from isas_cli.runtime.errors import InputError
+from isas_cli.scene import outside
+
+WIDTH, HEIGHT = 12, 8
+FEW = ["frames.views=0", "report=false", "evaluation.count=2", "evaluation.pixels=96"]
+
+
+def steps(parameters, seed, view):
+    """A step at ``x`` and one at ``y``; noise by the seed, alike in all pixels."""
+    x, y = (float(np.ravel(parameters[name])[0]) for name in "xy")
+    across, down = (np.arange(WIDTH) + 0.5) / WIDTH, (np.arange(HEIGHT) + 0.5) / HEIGHT
+    found = 1.0 * (across < x) + 0.5 * (down < y)[:, None] + 0.1 * view
+    noise = 0.2 * np.random.default_rng([seed, view]).normal()
+    return np.repeat(found[..., None] + noise, 3, axis=2)
+
+
+def broken(parameters, seed, view):
+    return parameters["z"]
+
+
+def plain(parameters, seed, view):
+    return steps(parameters, 7, view)
+
+
+@pytest.fixture
+def words(monkeypatch):
+    monkeypatch.setenv("ISAS_ALLOW", __name__)
+    unknown = '{"start": 0.3, "range": [0, 1], "lr": 0.02, "blur": {"start": 0.2, "end": 0.05}}'
+    return [
+        *("scene=external", f"external.function={__name__}.steps", f"external.width={WIDTH}"),
+        *(f"external.height={HEIGHT}", 'external.parameters={"x": 0.7, "y": [0.6]}'),
+        f'scene.unknowns={{"x": {unknown}, "y": {unknown}}}',
+        *("external.views=2", "target.spp=4", "estimator.batch=512"),
+    ]
+
+
+def problem(*settings):
+    cfg = compose(translate([*FEW, *settings]))
+    typed, budget = experiment.checked(cfg)
+    with Display(budget) as display:
+        return experiment.built(typed, Phases(display), [Choices.of(cfg)]), Choices.of(cfg)
+
+
+def test_its_pictures_come_through_pixel_by_pixel(words):
+    made, _ = problem(*words, "external.noisy=false")
+    made.unknowns.write(made.unknowns.truths())
+    truth = {"x": np.array(0.7), "y": np.array([0.6])}
+    for view in (0, 1):
+        np.testing.assert_allclose(made.target_image(view), steps(truth, 0, view), atol=1e-6)
+        shown = Renderer(made).view(view, 1, lambda sample: 3)
+        np.testing.assert_allclose(shown, steps(truth, 0, view), atol=1e-6)
+
+
+def test_targets_are_as_clean_as_asked(words):
+    made, _ = problem(*words[:-2], words[-1], "target.noise=0.02")
+    bright = np.array(made.targets).mean()
+    assert np.sqrt(made.variance.mean()) / bright == pytest.approx(0.02, rel=0.5)
+    truth = plain({"x": 0.7, "y": 0.6}, 0, 0) - 0.2 * np.random.default_rng([7, 0]).normal()
+    assert np.abs(made.target_image(0) - truth).max() < 4 * 0.02 * bright
+
+
+@pytest.mark.parametrize("smooth", ["image", "loss"])
+def test_the_gradient_of_its_blurred_pictures_has_no_bias(words, smooth):
+    """Against sums over the blur, with noise in the pictures, where the target is not met."""
+    made, choices = problem(*words, f"estimator.smooth={smooth}")
+    estimator = choices.estimator.on(made, losses.L2())
+    values, drawn = made.unknowns.starts(), PixelDistribution.uniform(Tiles.over(made.views))
+    rows = []
+    for number in range(400):
+        found = estimator.estimate(values, drawn, 5, number, 0.0)
+        rows.append([float(np.array(found[name])[0]) for name in "xy"])
+    σ, rng = 0.2, np.random.default_rng(1)
+    τ = σ * rng.normal(size=(20_000, 2))
+    target = np.array(made.targets).reshape(2, HEIGHT, WIDTH, 3)[..., 0]
+    across, down = (np.arange(WIDTH) + 0.5) / WIDTH, (np.arange(HEIGHT) + 0.5) / HEIGHT
+    at = np.clip(0.3 + τ, 0, 1)
+    x = 1.0 * (across[None] < at[:, :1])[:, None, :]
+    y = 0.5 * (down[None] < at[:, 1:])[:, :, None]
+    shown = x + y
+    exact = []
+    for entry in range(2):
+        slope = τ[:, entry] / σ**2
+        if smooth == "image":
+            mean = shown.mean(axis=0)
+            changes = np.einsum("n,nhw->hw", slope, shown) / len(τ)
+            residual = mean[None] + 0.1 * np.arange(2)[:, None, None] - target
+            exact.append(2 * (residual * changes).mean())
+        else:
+            losses_ = sum(
+                np.square(shown + 0.1 * view - target[view]).mean(axis=(1, 2)) for view in (0, 1)
+            )
+            exact.append((slope * (losses_ - losses_.mean())).mean() / 2)
+    rows = np.array(rows)
+    error = rows.std(axis=0) / np.sqrt(len(rows))
+    print(rows.mean(axis=0) / exact, error / np.abs(exact))
+    assert np.all(np.abs(rows.mean(axis=0) - exact) < 4 * error + 0.05 * np.abs(exact))
+
+
+def test_a_command_that_writes_an_exr(tmp_path):
+    """With a space and quotes in its words, as a shell would pass them."""
+    script = tmp_path / "draw a bar.py"
+    script.write_text(
+        "import sys\nimport numpy as np\nimport OpenImageIO as oiio\n"
+        "x, seed, out = float(sys.argv[1]), int(sys.argv[2]), sys.argv[3]\n"
+        "picture = np.zeros((8, 12, 3), np.float32)\n"
+        "picture[:, : int(x * 12)] = 1\n"
+        "image = oiio.ImageOutput.create(out)\n"
+        "image.open(out, oiio.ImageSpec(12, 8, 3, 'float'))\nimage.write_image(picture)\n"
+    )
+    command = f"{sys.executable} '{script}' {{x}} {{seed}} {{out}}"
+    run = isas_cli.run(
+        *("scene=external", f"external.command={command}", "external.noisy=false", *FEW),
+        *("external.width=12", "external.height=8", "external.parameters={x: 0.75}"),
+        'scene.unknowns={"x": {"start": 0.4, "range": [0, 1], "blur": {"start": 0.2, "end": 0.1}}}',
+        *("budget.iterations=3", f"hydra.run.dir={tmp_path / 'run'}", "frames.views=1"),
+    )
+    assert run.history.parameter_rmse.iloc[0] == pytest.approx(0.35)
+    assert np.isfinite(run.parameters()["x"]).all()
+    shown = images.read(run.folder / "frames" / "target_v00.exr")
+    assert (shown[:, :9] == 1).all() and (shown[:, 9:] == 0).all()
+
+
+@pytest.mark.parametrize(
+    "changes, told",
+    [
+        (["estimator=two_path"], "scene=external has none: take estimator=plateau"),
+        (["sampler=mitsuba"], "scene=external has none"),
+        (["estimator.gradient=renderer"], "scene=external has none"),
+        (["external.function=null"], "scene=external needs a renderer"),
+        (["external.command=draw"], "one of them"),
+        (["external.function=null", "external.command=draw"], "is to say {out}"),
+        (["external.function=os.system"], "set ISAS_ALLOW=os"),
+        ([f"external.function={__name__}.broken"], "raises KeyError('z') ("),
+        (["external.width=13"], "gives (8, 12, 3), not (8, 13, 3)"),
+        (["external.parameters={x: wide}"], "scene.external.parameters.x=wide: a number"),
+        (['scene.unknowns={"z": {"start": 1}}'], "'z' is no differentiable parameter"),
+        (["effects.max_depth=2"], "effects.…"),
+        (["external.heigth=8"], "did you mean"),
+    ],
+)
+def test_what_cannot_be_is_one_line(words, tmp_path, capsys, changes, told):
+    folder = tmp_path / "run"
+    assert main(["run", *FEW, *words, *changes, f"hydra.run.dir={folder}"]) == 2
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert told in said and not folder.exists()
+
+
+def test_a_command_that_fails_says_what_it_said(tmp_path, capsys):
+    command = f"{sys.executable} -c \"import sys; sys.exit('no licence')\" {{out}}"
+    words = ["scene=external", f"external.command={command}", "external.parameters={x: 1}", *FEW]
+    words += ['scene.unknowns={"x": {"start": 0.5, "blur": {"start": 0.2, "end": 0.1}}}']
+    assert main(["run", *words, f"hydra.run.dir={tmp_path / 'run'}"]) == 2
+    assert "ends with 1: no licence" in capsys.readouterr().err
+
+
+def test_others_have_no_renderer_of_their_own(capsys):
+    assert main(["run", "scene=pottery", "external.width=3"]) == 2
+    assert "only scene=external has it" in capsys.readouterr().err
+
+
+def test_few_pictures_are_kept():
+    asked = []
+    made = outside.Outside(ExternalConfig(command="draw {out}", parameters={"x": 1}, width=2))
+    made._render = lambda view, seed: asked.append(seed) or np.zeros((2, 2, 3))
+    for seed in (1, 2, 1, *range(3, 3 + 2 * outside._KEPT), 1):
+        made.picture(0, seed)
+    assert asked.count(1) == 2 and asked.count(2) == 1
+    assert len(made._pictures) <= outside._KEPT
+    with pytest.raises(InputError, match="gives"):
+        made._render = lambda view, seed: np.zeros(3)
+        made.picture(0, 99)
