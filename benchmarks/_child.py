@@ -15,6 +15,7 @@ from __future__ import annotations
 import statistics
 import sys
 import time
+from dataclasses import replace
 
 from isas_cli.runtime import backend
 
@@ -77,12 +78,12 @@ def isas(side: str, batch: int, overrides: list[str]):
     if side in ("isas-auto", "isas-single"):
         settings = instantiate(chosen.effects, "effects")
         if side == "isas-single":
-            settings.light_samples, settings.directions = [1, 1], 4
+            settings = replace(settings, light_samples=[1, 1], directions=4)
         made = instantiate(chosen.estimator, "estimator")
         plan = effects.decide(problem, settings, made, loss, 60.0)
         print(plan.paths)
         problem = plan.on(problem)
-    sampler.prepare(problem, loss, batch)
+    sampler = sampler.on(problem, loss, batch)
     stepper = Stepper(problem.unknowns, cfg.optimizer)
     estimator = TwoPath(problem, loss, batch)
     distribution = sampler.distribution(sampler.look(stepper.values, 1, 0))

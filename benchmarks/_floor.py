@@ -39,7 +39,7 @@ class Sides:
 
         self.problem, self.batch, loss = problem, batch, losses.L2()
         sampler = instantiate(compose([*overrides, f"sampler={name}"]).sampler, "sampler")
-        sampler.prepare(problem, loss, batch)
+        sampler = sampler.on(problem, loss, batch)
         self.stepper = Stepper(problem.unknowns, cfg.optimizer)
         self.estimator = TwoPath(problem, loss, batch)
         self.distribution = sampler.distribution(sampler.look(self.stepper.values, 1, 0))

@@ -33,6 +33,7 @@ def loops(overrides: dict[str, list[str]]) -> dict:
     """A loop per side, all on one problem, that of the first."""
     from isas_cli.config.compose import compose, translate
     from isas_cli.engine import experiment
+    from isas_cli.engine.choices import Choices
     from isas_cli.engine.display import RaceDisplay
     from isas_cli.engine.workshop import Workshop
 
@@ -42,7 +43,7 @@ def loops(overrides: dict[str, list[str]]) -> dict:
         first = next(iter(checked.values()))[0]
         problem = experiment.built(first, experiment.Phases(display))
     workshop = Workshop(problem)
-    return {side: workshop.loop(cfgs[side], *checked[side]) for side in cfgs}
+    return {side: workshop.loop(Choices.of(cfgs[side]), *checked[side]) for side in cfgs}
 
 
 def step(loop, number: int) -> float:
@@ -78,13 +79,13 @@ def look(loop) -> float:
     """Seconds of one look at the images, for each step until the next."""
     import drjit as dr
 
-    if not loop.sampler.refresh:
+    if not loop.sampler.settings.refresh:
         return 0.0
     dr.sync_thread()
     begun = time.perf_counter()
     loop._look(0)
     dr.sync_thread()
-    return (time.perf_counter() - begun) / loop.sampler.refresh
+    return (time.perf_counter() - begun) / loop.sampler.settings.refresh
 
 
 def main() -> None:

@@ -74,8 +74,8 @@ class Point:
 
         self.problem, self.name, self.number = problem, name, 0
         node = compose(["scene=pottery", f"sampler={name}"]).sampler
-        self.sampler, loss = instantiate(node, "sampler"), losses.L2()
-        self.sampler.prepare(problem, loss, batch)
+        loss = losses.L2()
+        self.sampler = instantiate(node, "sampler").on(problem, loss, batch)
         self.stepper = Stepper(problem.unknowns, OptimizerConfig())
         self.estimator = TwoPath(problem, loss, batch)
         for _ in range(_WARM_UP):
@@ -84,7 +84,7 @@ class Point:
 
     def look(self) -> float:
         moments = None
-        if self.sampler.needs_moments and self.stepper.taken:
+        if "moments" in self.sampler.settings.needs and self.stepper.taken:
             moments = self.stepper.moments()
         return self._timed(lambda: self._look(moments))
 
@@ -123,7 +123,7 @@ class Point:
             "sampler": self.name,
             "step": statistics.median(steps),
             "look": statistics.median(looks),
-            "looks": sum(map(self.sampler.due, range(_RUN))) / _RUN,
+            "looks": sum(map(self.sampler.settings.due, range(_RUN))) / _RUN,
             "memory": psutil.Process().memory_info().rss,
         }
 

@@ -56,8 +56,8 @@ def measured(scene: str, chosen: argparse.Namespace) -> tuple[list[dict], dict]:
     from isas_cli.samplers.sampler import Stage1Settings
 
     problem, _ = problem_of([f"scene={scene}"])
-    sampler = Ours(stage1=Stage1Settings(resolution=chosen.resolution))
-    sampler.prepare(problem, L2(), 65536)
+    stage1 = Stage1Settings(resolution=chosen.resolution)
+    sampler = Ours(stage1=stage1).on(problem, L2(), 65536)
     starts = problem.unknowns.starts()
     total, densities = [mi.Color3f(0), mi.Color3f(0)], {}
     for look in range(1, chosen.most + 1):

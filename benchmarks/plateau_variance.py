@@ -70,13 +70,14 @@ SIDES = {"pixels": pixels, "residual": residuals}
 def look(loop, values: dict, progress: float, base: int) -> float:
     """A new distribution for ``progress``. Returns a look's seconds, for each step until the
     next."""
-    sampler = loop.sampler
-    sampler.scheduled, loop._weights = progress, None
+    sampler, refresh = loop.sampler, loop.sampler.settings.refresh
+    loop._weights = None
     begun = time.perf_counter()
     for number in range(3):
-        loop._weights = sampler.blended(loop._weights, sampler.look(values, base, number))
+        found = sampler.look(values, base, number, None, progress)
+        loop._weights = sampler.blended(loop._weights, found)
     loop._spread()
-    return (time.perf_counter() - begun) / 3 / sampler.refresh if sampler.refresh else 0.0
+    return (time.perf_counter() - begun) / 3 / refresh if refresh else 0.0
 
 
 def estimates(every: dict, progress: float, rounds: int, steps: int) -> tuple[dict, dict]:

@@ -100,6 +100,7 @@ def steps(rounds: int = 5) -> pandas.DataFrame:
 
     from isas_cli.config.compose import compose, translate
     from isas_cli.engine import experiment
+    from isas_cli.engine.choices import Choices
     from isas_cli.engine.display import Display
     from isas_cli.engine.experiment import Phases
     from isas_cli.engine.workshop import Workshop
@@ -117,7 +118,7 @@ def steps(rounds: int = 5) -> pandas.DataFrame:
         if workshop is None:
             with Display(budget) as display:
                 workshop = Workshop(experiment.built(typed, Phases(display)))
-        loops[name] = workshop.loop(cfg, typed, budget)
+        loops[name] = workshop.loop(Choices.of(cfg), typed, budget)
         loops[name].rehearse()
     rows = []
     for number in range(rounds):

@@ -36,9 +36,8 @@ class Side:
         from isas_cli.estimators.two_path import TwoPath
 
         self.problem, self.name, batch = problem, name, cfg.estimator.batch
-        self.sampler = instantiate(compose([*overrides, f"sampler={name}"]).sampler, "sampler")
-        loss = losses.L2()
-        self.sampler.prepare(problem, loss, batch)
+        node, loss = compose([*overrides, f"sampler={name}"]).sampler, losses.L2()
+        self.sampler = instantiate(node, "sampler").on(problem, loss, batch)
         self.stepper = Stepper(problem.unknowns, cfg.optimizer)
         self.estimator = TwoPath(problem, loss, batch)
         self.firsts, self.looks, self.steps = [], [], []
@@ -56,7 +55,7 @@ class Side:
         import drjit as dr
 
         moments = None
-        if self.sampler.needs_moments and iteration and self.stepper.taken:
+        if "moments" in self.sampler.settings.needs and iteration and self.stepper.taken:
             moments = self.stepper.moments(0.1)
         weights = self.sampler.look(self.stepper.values, base, iteration, moments)
         self.distribution = self.sampler.distribution(weights)
@@ -91,7 +90,7 @@ class Side:
     def _share(self, first: float, look: float, step: float, budget: float) -> float:
         spent, looks, iteration = 0.0, 0.0, 0
         while spent < budget:
-            if self.sampler.due(iteration):
+            if self.sampler.settings.due(iteration):
                 more = look if iteration else first
                 looks, spent = looks + more, spent + more
             spent += step
@@ -103,14 +102,17 @@ def one(scene: str, rounds: int, steps: int, more: list[str]) -> None:
     """Prints a row per sampler."""
     from _child import problem_of
 
-    from isas_cli.config.compose import pixel_samplers
+    from isas_cli.config.compose import options
+    from isas_cli.config.presets import PRESETS
     from isas_cli.runtime import backend
 
     backend.start()
     # What a path costs does not depend on how clean the targets are.
     overrides = [f"scene={scene}", "target.spp=1", *more]
     problem, cfg = problem_of(overrides)
-    sides = [Side(problem, cfg, name, overrides) for name in pixel_samplers()]
+    # All that draw pixels for path replay.
+    drawing = [name for name in options("sampler") if name not in (*PRESETS, "differences")]
+    sides = [Side(problem, cfg, name, overrides) for name in drawing]
     for number in range(-1, rounds):
         for side in sides:
             side.round(number + 1, steps)

@@ -1,6 +1,7 @@
 """The rooms of isas_cli and who may know whom: imports run one way."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -57,7 +58,7 @@ def test_a_room_knows_nobody_above_it(room):
 @pytest.mark.parametrize("command", ["check", "format --check"])
 def test_the_code_is_as_the_linter_wants_it(command):
     ruff = [sys.executable, "-m", "ruff", *command.split(), "--no-cache", "--quiet"]
-    ruff += ["isas_cli", "scenes", "benchmarks", "tests", "examples"]
+    ruff += ["isas_cli", "scenes", "benchmarks", "tests", "examples", "docs"]
     done = subprocess.run(ruff, cwd=ROOT.parent, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -81,3 +82,22 @@ def test_the_report_never_renders():
         ]
         assert not {"mitsuba", "drjit"} & set(plain), path
         assert imported(path) <= {"runtime", "config", "records"}, path
+
+
+PAGES = sorted(
+    path
+    for folder in ("*.md", "docs/*.md", "configs/*.md", "scenes/*.md", "isas_cli/*.md")
+    for path in ROOT.parent.glob(folder)
+)
+PAGES += sorted(ROOT.parent.glob("benchmarks/**/*.md")) + sorted(
+    ROOT.parent.glob("examples/*/*.md")
+)
+LONGEST = 120  # words
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT.parent)))
+def test_no_paragraph_is_a_wall(page):
+    text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
+    for paragraph in re.split(r"\n\s*\n|\n(?=[-*|] )|\n(?=\d+\. )", text):
+        words = paragraph.split()
+        assert paragraph.startswith("|") or len(words) <= LONGEST, " ".join(words[:12])

@@ -27,14 +27,14 @@ def main(arguments: list[str]) -> int:
     with one.argv(["isas", "effects", *arguments]), interrupt.prompt():
         cfg = compose(translate(arguments))
         typed, budget = experiment.checked(cfg)
-        experiment.started([cfg], typed)
+        _, (choices,) = experiment.started([cfg], typed)
         with Display(budget) as display:
             phases = experiment.Phases(display)
-            problem = experiment.built(typed, phases, [cfg])
+            problem = experiment.built(typed, phases, [choices])
             phases.begin("probe")
             from ..engine.workshop import plan_of
 
-            plan = plan_of(problem, cfg, budget)
+            plan = plan_of(problem, choices, budget)
             phases.begin(None)
         show(plan, Console())
     return 0

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas
-from omegaconf import DictConfig
 
 from .. import records
-from ..config.compose import instantiate
 from ..engine import experiment, resumption
 from ..engine.display import Display
 from ..records import VALUE_PREFIX, write_atomically
@@ -41,13 +39,13 @@ def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
     names = [name for name in names if _of_unknown(name, keys)]
     chosen = _chosen(along, names, folder)
     typed, _ = experiment.checked(cfg)
-    machine = experiment.started([cfg], typed)
+    machine, (choices,) = experiment.started([cfg], typed)
     with interrupt.prompt(), Display(Budget(iterations=1)) as display:
         phases = experiment.Phases(display)
         problem = experiment.built(typed, phases)
         resumption.check_same(problem, machine, run.manifest, folder)
         phases.begin("landscape")
-        found = _measured(problem, cfg, run, chosen, spp, phases)
+        found = _measured(problem, choices, cfg.seed, run, chosen, spp, phases)
         phases.begin(None)
     _write(found, Path(folder))
     from ..report.landscape_plot import draw
@@ -75,7 +73,7 @@ def _chosen(along: list[str] | None, names: list[str], folder: Path) -> list[str
     return list(chosen)
 
 
-def _measured(problem, cfg: DictConfig, run, names: list[str], spp: int, phases):
+def _measured(problem, choices, seed: int, run, names: list[str], spp: int, phases):
     from ..measure.landscape import measure, points
     from ..unknowns.blur import Blur
 
@@ -99,14 +97,13 @@ def _measured(problem, cfg: DictConfig, run, names: list[str], spp: int, phases)
     spacing = np.array([axis[1] - axis[0] for axis in axes])
     narrower = np.maximum(np.sqrt(start * end)[entries], spacing)
     widths = [tuple(start[entries]), tuple(np.minimum(narrower, start[entries]))]
-    loss = instantiate(cfg.loss, "loss")
-    smooth = cfg.estimator.get("smooth", "image")
+    loss, smooth = choices.loss, getattr(choices.estimator, "smooth", "image")
 
     def done(finished: int, total: int) -> None:
         interrupt.check()
         phases.display.phase(f"landscape {finished} of {total}")
 
-    found = measure(problem, loss, at, entries, names, axes, widths, smooth, spp, cfg.seed, done)
+    found = measure(problem, loss, at, entries, names, axes, widths, smooth, spp, seed, done)
     return found.within(bounds)
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..config.compose import compose, options, pixel_samplers, translate
+from ..config.compose import compose, options, translate
 from ..config.grammar import override
+from ..config.presets import PRESETS
 from ..config.roles import meaning
 from ..runtime import interrupt
 from ..runtime.errors import InputError
@@ -36,7 +37,8 @@ def main(arguments: list[str]) -> int:
         # The first import of Mitsuba, which takes a second.
         from ..measure.variance.run import Plan, run
 
-        return run(Plan(cfgs, folder, **settings))
+        asked = "samplers" in own or "contestants" in own
+        return run(Plan(cfgs, folder, **settings, asked=asked))
 
 
 def _own(arguments: list[str]) -> tuple[dict[str, str], list[str]]:
@@ -65,15 +67,16 @@ def _own(arguments: list[str]) -> tuple[dict[str, str], list[str]]:
 def _configurations(own: dict[str, str], overrides: list[str]) -> dict:
     """What each sampler's configuration is, by its label; the references come first."""
     if "samplers" not in own and "contestants" not in own:
-        own = {**own, "samplers": f"[{','.join(pixel_samplers())}]"}
+        drawing = (name for name in options("sampler") if name not in PRESETS)
+        own = {**own, "samplers": f"[{','.join(drawing)}]"}
     differences = race.differences(own)
     for difference in differences:
         if "sampler" not in difference:
             raise InputError("contestants: each needs its sampler: {sampler:ours,…}")
-        if difference["sampler"] in set(options("sampler")) - set(pixel_samplers()):
+        if difference["sampler"] in PRESETS:
             raise InputError(
-                f"sampler={difference['sampler']}: variances of path replay's gradient are shown, "
-                f"pixels drawn by {', '.join(pixel_samplers())}"
+                f"sampler={difference['sampler']} is short for an estimator, and variances are "
+                "measured of path replay's gradient: name samplers that draw pixels"
             )
         for key in difference:
             if key.split(".")[0] != "sampler":

@@ -16,10 +16,9 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ..runtime import allowed
 from ..runtime.errors import InputError, nearest
-from . import dropped, method, schema
+from . import dropped, method, presets, schema
 from .grammar import literal
 from .method import options
-from .schema import PRESETS
 
 # These take keys that no schema can list; '++' lets Hydra add them.
 _UNKNOWNS = "scene.unknowns="
@@ -27,26 +26,18 @@ _NAMED = {_UNKNOWNS: schema.UnknownConfig, "scene.poses=": schema.PoseConfig}
 _GROUPS = ("scene", "sampler", "estimator", "loss", "prior", "effects")
 # Taken as they stand, whatever letters a path has.
 _PATHS = (
-    *("scene.path", "hydra.run.dir", "hydra.sweep.dir"),
+    *("scene.path", "scene.external.command", "hydra.run.dir", "hydra.sweep.dir"),
     *(f"scene.photos.{name}" for name in ("path", "mesh", "environment", "images", "masks")),
 )
-# Of scene=photos: photos.path is short for scene.photos.path.
-_PHOTOS = "photos."
+# photos.path is short for scene.photos.path.
+_SHORT = "photos.", "external."
+# Names of another renderer, which no schema can list.
+_PARAMETERS = "scene.external.parameters="
 # The sampler that another goes around.
 _BASE = "sampler.base"
 # Choices within choices, as typed and as Hydra takes them.
 _WITHIN = {_BASE: f"sampler@{_BASE}", "optimizer.filter": "filter@optimizer.filter"}
 _CHOICES = ("sampler", "estimator", "loss", "prior", "effects", *_WITHIN)
-# The sampler that looks at blurred renderings instead of paths.
-_BLURRED = "differences"
-# Settings of estimators that were settings of the samplers of the same names, and are still taken.
-_OF_ESTIMATORS = tuple(
-    f"sampler.{name}"
-    for name in (
-        *("gradient", "smooth", "scheme", "pairs", "spp", "common", "residual", "residual_spp"),
-        *("silhouettes", "step"),
-    )
-)
 _LONGEST = 2000  # of a message, which may quote what was typed
 # What OmegaConf says of a value that does not fit; the second, of a number beyond all floats.
 _REFUSALS = (OmegaConfBaseException, OverflowError)
@@ -62,32 +53,7 @@ def translate(overrides: Iterable[str]) -> list[str]:
     the configuration has no effect, or removed with '~', as all that is in it is needed, but for
     unknowns, poses and what the scene takes by itself.
     """
-    return [_translate(override) for override in _unpacked(list(overrides))]
-
-
-def _unpacked(overrides: list[str]) -> list[str]:
-    """What is typed of a preset, such as ``sampler=plateau``, as what it stands for:
-    ``sampler.scheme=…`` is ``estimator.scheme=…``, and with ``sampler.base=gradient`` the pixels
-    are drawn by that sampler."""
-    found = []
-    named = [o.partition("=")[2].split(",") for o in overrides if o.startswith("sampler=")]
-    preset = next((name for name in PRESETS if [name] in named), None)
-    # Of another sampler's setting the answer should name the sampler.
-    other = any(not set(names) & set(PRESETS) for names in named)
-    base = next((o for o in overrides if o.lstrip("+").startswith(f"{_BASE}=")), None)
-    for override in overrides:
-        key, equals, value = override.lstrip("+").partition("=")
-        if preset and base and override == f"sampler={preset}":
-            found.append(f"estimator={preset}")
-        elif preset and override == base:
-            found.append(f"sampler={value}")
-        elif preset and key.startswith(f"{_BASE}."):
-            found.append(f"sampler{key[len(_BASE) :]}={value}")
-        elif equals and not other and key in _OF_ESTIMATORS:
-            found.append(f"estimator.{key.partition('.')[2]}={value}")
-        else:
-            found.append(override)
-    return found
+    return [_translate(override) for override in presets.unpacked(list(overrides), _BASE)]
 
 
 def _exists(path: str) -> bool:
@@ -99,8 +65,10 @@ def _exists(path: str) -> bool:
 
 def _translate(override: str) -> str:
     bare = override.lstrip("+")
-    if bare.startswith(_PHOTOS):
+    if bare.startswith(_SHORT):
         bare = override = f"scene.{bare}"
+    if bare.startswith(_PARAMETERS):
+        return f"++{_PARAMETERS}{_unquoted(bare.removeprefix(_PARAMETERS))}"
     for setting, entry in _NAMED.items():
         if bare.startswith(setting):
             return _translate_named(bare, setting, entry)
@@ -134,6 +102,14 @@ def _translate(override: str) -> str:
         names = options(_WITHIN.get(key, key).partition("@")[0])
         raise InputError(f"{bare}: give one name; valid: {', '.join(names)}")
     return f"{_WITHIN[key]}={value}" if key in _WITHIN else bare
+
+
+def _unquoted(text: str) -> str:
+    """JSON as Hydra's grammar has it; what is none stays."""
+    try:
+        return literal(json.loads(text))
+    except json.JSONDecodeError:
+        return text
 
 
 def _may_be_a_name(word: str) -> bool:
@@ -205,11 +181,6 @@ def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
 def complete(overrides: list[str]) -> list[str]:
     """Translated overrides with what the scene takes by itself, as Hydra composes them."""
     return method.completed(dropped.expanded(overrides))
-
-
-def pixel_samplers() -> list[str]:
-    """The samplers that choose pixels for path replay."""
-    return [name for name in options("sampler") if name not in (*PRESETS, _BLURRED)]
 
 
 def explain(error: Exception, overrides: list[str]) -> str:
@@ -299,7 +270,7 @@ def instantiate(node: DictConfig, where: str):
     inner = [key for key, value in plain.items() if isinstance(value, dict) and "_target_" in value]
     parts = {key: instantiate(OmegaConf.create(plain.pop(key)), f"{where}.{key}") for key in inner}
     try:
-        fields = OmegaConf.merge(OmegaConf.structured(target), plain)
+        fields = OmegaConf.merge(_writable(OmegaConf.structured(target)), plain)
         for key, part in parts.items():
             fields[key] = part
         return OmegaConf.to_object(fields)
@@ -313,3 +284,12 @@ def instantiate(node: DictConfig, where: str):
         message, key = str(error).split("\n")[0], getattr(error, "full_key", "")
         field = f"{where}.{key}" if key else where
         raise InputError(f"{field}: {message}") from error
+
+
+def _writable(node: DictConfig) -> DictConfig:
+    """Settings are frozen, which OmegaConf takes for values that cannot be set even once."""
+    OmegaConf.set_readonly(node, None)
+    for key in node:
+        if isinstance(inner := node._get_node(key), DictConfig) and not inner._is_none():
+            _writable(inner)
+    return node

@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from . import searchpath
 from .grammar import override
-from .schema import PRESETS
+from .presets import PRESETS
 
 # Taken out as a whole.
 NONE = "scene.method=null"

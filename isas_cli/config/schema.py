@@ -12,7 +12,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 
 from ..runtime.errors import InputError
 from ..runtime.schedule import factor
-from . import searchpath
+from . import presets, searchpath
 from .photographs import PhotosConfig
 from .roles import Role, at_least, setting
 
@@ -107,9 +107,6 @@ class UnknownConfig:
                 )
 
 
-# Names of samplers that stand for an estimator with uniform pixels.
-PRESETS = ("plateau", "mitsuba", "finite_differences")
-_BLURRING = ("plateau", "finite_differences")  # estimators that need every unknown's blur
 # Which kinds of pose there are, and which ones a setting is of.
 _KINDS = ("rotation", "translation", "scale")
 _POSE_KINDS = {
@@ -175,6 +172,47 @@ def _is_vector(value) -> bool:
 
 
 @dataclass
+class ExternalConfig:
+    """A renderer that is none of Mitsuba's (``scene.outside``): ``function``, such as
+    ``module.render``, called as render(parameters, seed, view), gives linear pixels (H, W, 3); or
+    ``command``, a command line that writes an EXR, with {out}, {seed}, {view} and each parameter's
+    {NAME} in it. ``parameters``: name → number, or numbers: the truth, where targets are rendered.
+    ``noisy``: whether another seed gives another picture; ``height``: None: as ``width``."""
+
+    function: Optional[str] = None
+    command: Optional[str] = None
+    parameters: Dict[str, Any] = field(default_factory=dict)
+    width: int = 128
+    height: Optional[int] = None
+    views: int = 1
+    noisy: bool = True
+
+    def __post_init__(self) -> None:
+        at_least(1, scene__external__width=self.width, scene__external__views=self.views)
+        if self.height is not None:
+            at_least(1, scene__external__height=self.height)
+        for name, value in self.parameters.items():
+            numbers = value if isinstance(value, (list, tuple)) else [value]
+            fine = [type(x) in (int, float) and math.isfinite(x) for x in numbers]
+            if not (fine and all(fine)):
+                raise InputError(f"scene.external.parameters.{name}={value}: a number, or a list")
+
+    def check(self) -> None:
+        """Raises InputError where it says too little, or too much."""
+        if (self.function is None) == (self.command is None):
+            raise InputError(
+                "scene=external needs a renderer: give scene.external.function=MODULE.NAME, or "
+                "scene.external.command='…', one of them"
+            )
+        if not self.parameters:
+            raise InputError("scene=external: give scene.external.parameters={NAME: VALUE, …}")
+        if self.command is not None and "{out}" not in self.command:
+            raise InputError(
+                f"scene.external.command={self.command}: is to say {{out}}, the EXR that it writes"
+            )
+
+
+@dataclass
 class SceneConfig:
     """Where the scene comes from and what in it is unknown. ``weights``: of the views in the loss,
     see scene/weights.py; ``method``: what a run of it takes where nothing else is said, see
@@ -193,6 +231,7 @@ class SceneConfig:
     masks: Optional[List[str]] = None
     weights: Any = None
     photos: PhotosConfig = field(default_factory=PhotosConfig)
+    external: ExternalConfig = field(default_factory=ExternalConfig)
     poses: Dict[str, Optional[PoseConfig]] = field(default_factory=dict)
     unknowns: Dict[str, Optional[UnknownConfig]] = field(default_factory=dict)
 
@@ -362,8 +401,12 @@ class Config:
             raise InputError("scene=photos needs photographs: give photos.path=DIR")
         elif scene.photos != PhotosConfig():
             raise InputError(f"photos.…: only scene=photos has it, not scene={scene.name}")
+        elif scene.name == "external":
+            scene.external.check()
         elif scene.builder is None and scene.path is None:
             raise InputError(f"scene={scene.name} needs a file: give scene.path=FILE.xml")
+        if scene.name != "external" and scene.external != ExternalConfig():
+            raise InputError(f"scene.external.…: only scene=external has it, not {scene.name}")
         if scene.builder is not None:
             if scene.path is not None:
                 raise InputError(
@@ -373,36 +416,7 @@ class Config:
             raise InputError(
                 f"size={self.size}: scene={scene.name} has no sizes: its films say how large it is"
             )
-        for key in scene.unknowns if self.estimator.get("derivative_sampling") else ():
-            if roughness_of(key) is None:
-                raise InputError(
-                    f"estimator.derivative_sampling=true: '{key}' is no roughness; it draws for "
-                    f"derivatives by {' or '.join(ROUGHNESSES)} alone: leave it out, or this "
-                    "unknown"
-                )
-        for key, unknown in scene.unknowns.items():
-            # Where there are poses, a key that is none of them may be a slip: told with the scene.
-            named = key in scene.poses or not scene.poses
-            if named and unknown.blur is None and self.estimator.get("name") in _BLURRING:
-                raise InputError(
-                    f"scene.unknowns['{key}'] has no blur, which "
-                    f"estimator={self.estimator['name']} needs: "
-                    "give blur: {start: 0.5, end: 0.01}, widths of a Gaussian in its unit"
-                )
-            blurring = self.estimator.get("name") in _BLURRING or self.estimator.get("blurred")
-            if unknown.levels != 1 and blurring:
-                raise InputError(
-                    f"scene.unknowns['{key}'].levels={unknown.levels}: "
-                    f"estimator={self.estimator['name']} blurs and moves whole unknowns; leave "
-                    "levels out"
-                )
-        # A preset names the estimator that it picks.
-        preset, picked = self.sampler.get("name"), self.estimator.get("name")
-        if preset in PRESETS and preset != picked:
-            raise InputError(
-                f"sampler={preset} is a preset for estimator={preset}: with estimator={picked} say "
-                "which pixels are drawn, such as sampler=uniform"
-            )
+        presets.check(self.sampler.get("name"), self.estimator.get("name"))
         if scene.targets is None and scene.masks is not None:
             raise InputError("scene.masks needs scene.targets: rendered targets have no masks")
         if scene.targets is not None and self.target != TargetConfig():
@@ -418,11 +432,6 @@ class Config:
                 )
         if self.target != TargetConfig():
             raise InputError("target.… is for rendered targets, and these are photographs")
-        if self.scene.photos.edges and self.estimator.get("name") != "silhouettes":
-            raise InputError(
-                "photos.edges=true: edges are followed by estimator=silhouettes alone, not by "
-                f"estimator={self.estimator.get('name')}"
-            )
 
 
 def typed(cfg: DictConfig) -> Config:

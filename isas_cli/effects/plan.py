@@ -129,6 +129,9 @@ def decide(
             f"effects.derivative_depth={settings.derivative_depth}: estimator={estimator.name} "
             "differentiates no paths: leave it out"
         )
+    if whole.black_box:
+        told = {"renderer": whole.name, "derivatives": estimator.derivatives(problem)}
+        return Plan(whole.paths, 0.0, told)
     if earlier is not None:
         depth = earlier["max_depth"] or UNLIMITED
         derivative = earlier.get("derivative_depth") or depth
@@ -147,7 +150,7 @@ def decide(
         ):
             settings = dataclasses.replace(settings, directions=1)
         paths = _as_set(problem, settings)
-        crossed = estimator.on(problem).integrator.paths.crossed
+        crossed = estimator.differentiated(problem).integrator.paths.crossed
         found = Plan(dataclasses.replace(paths, crossed=crossed), settings.finish, {})
         carried = any(unknown.kind.carried for unknown in problem.unknowns)
         if settings.probe and carried and estimator.replays and (seconds or 0) >= _WORTH:

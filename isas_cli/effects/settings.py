@@ -11,7 +11,7 @@ from ..runtime.errors import InputError
 _MOST_LIGHTS, _MOST_DIRECTIONS = 64, 256
 
 
-@dataclass
+@dataclass(frozen=True)
 class Effects:
     """``probe``: measure what structure cannot tell. ``max_depth``: edges of the longest path.
     ``derivative_depth``: of the longest that is differentiated. ``light_samples``: of emitters at

@@ -13,10 +13,12 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import SceneConfig, TargetConfig
-from ..rendering import coverage, integrators, light, picture_edges, targets, trial
+from ..rendering import black_box, coverage, integrators, light, picture_edges, targets, trial
+from ..rendering.black_box import Places
 from ..runtime import backend
 from ..runtime.errors import InputError
-from ..scene import built, flat, lenses, mesh_checks, scene_file, stand_ins
+from ..scene import built, flat, lenses, mesh_checks, outside, scene_file, stand_ins
+from ..scene.outside import Outside
 from ..scene.photos import building, importing, noise, photographs
 from ..scene.problem import Problem
 from ..scene.views import Views
@@ -35,8 +37,12 @@ def bare(
     # Earlier scenes that nobody uses: collected in the middle of a frozen kernel, they break it.
     gc.collect()
     taken = None if scene.photos.path is None else photographs.load(scene.photos)
+    other = Outside(scene.external) if scene.name == "external" else None
     with backend.loading():
-        if scene.path is not None:
+        if other is not None:
+            loaded, description = built.load(outside.description(other)), other.description()
+            integrator = loaded.integrator()
+        elif scene.path is not None:
             loaded, integrator, description = scene_file.load(scene.path, scene.max_depth)
         else:
             loaded = built.load(built.description(scene, taken))
@@ -60,6 +66,8 @@ def bare(
         poses = building.poses(taken, scene.poses)
         wanted = building.unknowns(taken, scene.unknowns, poses)
         of_views = building.of_views(taken, views, scene.unknowns)
+    if other is not None:
+        of_views = {"outside": other}
     truth_known = taken is None and scene.targets is None
     found = parsed(params, wanted, truth_known, poses, of_views)
     if taken is not None:
@@ -74,15 +82,20 @@ def bare(
     written = {key for each in found for key in each.kind.writes}
     single = flat.reduce(mi.traverse(loaded), written)
     held = sorted(written & set(params.keys()))
-    adapted = integrators.adapt(integrator, where_of(scene), loaded, held)
+    if other is not None:
+        adapted = black_box.BlackBox(other)
+    else:
+        adapted = integrators.adapt(integrator, where_of(scene), loaded, held)
     lights_stay = not any(isinstance(owner(params, key), mi.Emitter) for key in written)
     light.prepare(loaded, adapted.cuts and adapted.samples_lights and lights_stay)
     unknowns = Unknowns(mi.traverse(loaded), found)
+    if taken is not None:
+        unknowns.together = building.together(taken, found)
     result = Problem(
         scene.name,
         loaded,
         adapted,
-        lenses.of(loaded, range(len(sizes)), written),
+        Places.of(len(sizes)) if other else lenses.of(loaded, range(len(sizes)), written),
         sizes,
         views,
         unknowns,
@@ -100,6 +113,7 @@ def bare(
             *(building.traded(taken.settings, unknowns.keys) if taken is not None else ()),
         ],
         flat=single,
+        freezes=other is None,
     )
     return result, taken, every
 
@@ -121,7 +135,7 @@ def problem(
     truth_known = taken is None and scene.targets is None
     check(result)
     # isas's own scenes hold nothing that cannot be frozen.
-    if taken is None and not str(scene.builder).startswith("isas_cli.scenes."):
+    if taken is None and result.freezes and not str(scene.builder).startswith("isas_cli.scenes."):
         trial.look(result, where_of(scene))
     if taken is not None:
         phase("targets")
@@ -241,7 +255,7 @@ def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:
 
 def _other_pictures(scene: mi.Scene, integrator: integrators.Integrator) -> list[str]:
     """Where a file's own integrator shows something else; never of a medium alone."""
-    alone = isinstance(integrator, integrators.Medium)
+    alone = isinstance(integrator, integrators.Medium) or integrator.black_box
     return [] if alone else stand_ins.warnings(scene, integrator.mitsuba)
 
 
@@ -283,6 +297,8 @@ def _wrong(params: mi.SceneParameters, found: list[Unknown]) -> list[str]:
 def where_of(scene: SceneConfig) -> str:
     if scene.photos.path is not None:
         return f"photos.path={scene.photos.path}"
+    if scene.name == "external":
+        return "scene=external"
     return f"scene.path={scene.path}" if scene.path is not None else f"scene={scene.name}"
 
 

@@ -12,12 +12,12 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from ..config import method, schema
-from ..config.compose import instantiate
 from ..config.schema import Config
 from ..records import trackers
 from ..runtime import backend, interrupt
 from ..runtime.budget import Budget
 from ..runtime.errors import InputError, NumericalError
+from .choices import Choices
 from .display import Display
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ def run(cfg: DictConfig, folder: Path) -> int:
     record, and NumericalError after the record has been finished with the last good state.
     """
     typed, budget = checked(cfg)
-    machine = started([cfg], typed)
-    with _recorder(cfg, typed, budget, Path(folder)) as recorder:
+    machine, (choices,) = started([cfg], typed)
+    with _recorder(cfg, typed, budget, choices, Path(folder)) as recorder:
         return _go(recorder, lambda: recorder.open(machine))
 
 
@@ -51,9 +51,9 @@ def resume(folder: Path, changes: dict | None = None) -> int:
 
     earlier = prepare(Path(folder), changes or {})
     typed, budget = checked(earlier.cfg)
-    machine = started([earlier.cfg], typed)
+    machine, (choices,) = started([earlier.cfg], typed)
     planned = earlier.manifest.get("plan")
-    with _recorder(earlier.cfg, typed, budget, earlier.folder, planned) as recorder:
+    with _recorder(earlier.cfg, typed, budget, choices, earlier.folder, planned) as recorder:
         check_same(recorder.loop.problem, machine, earlier.manifest, earlier.folder)
         return _go(recorder, lambda: recorder.reopen(machine, earlier))
 
@@ -70,30 +70,14 @@ def checked(cfg: DictConfig) -> tuple[Config, Budget]:
     return typed, budget
 
 
-def started(cfgs: list[DictConfig], typed: Config) -> backend.Backend:
-    """The backend, started; then the choices of each configuration are made once, so that they can
-    refuse their settings, and each other, before a scene is loaded."""
+def started(cfgs: Iterable[DictConfig], typed: Config) -> tuple[backend.Backend, list[Choices]]:
+    """The backend, started; then what each configuration chooses, which refuses its settings, and
+    each other, before a scene is loaded."""
     machine = backend.start(typed.variant, typed.threads)
-    for cfg in cfgs:
-        loss, sampler, estimator = (instantiate(cfg[name], name) for name in _CHOSEN)
-        instantiate(cfg.prior, "prior")
-        instantiate(cfg.optimizer.filter, "optimizer.filter")
-        simulated = instantiate(cfg.effects, "effects")
-        estimator.fits(sampler)
-        if cfg.profile and simulated.finish:
-            raise InputError(
-                f"profile=true takes one kind of step apart, and effects.finish={simulated.finish} "
-                "makes two: leave one of them out"
-            )
-        if cfg.profile and not estimator.replays:
-            raise InputError(
-                "profile=true takes path replay's step apart, which estimator="
-                f"{cfg.estimator.name} does not do: leave it out"
-            )
-    return machine
-
-
-_CHOSEN = ("loss", "sampler", "estimator")
+    made = [Choices.of(cfg) for cfg in cfgs]
+    for choices in made:
+        choices.check(typed)
+    return machine, made
 
 
 class Phases:
@@ -121,41 +105,38 @@ class Phases:
         self.display.targets(done, total)
 
 
-def built(typed: Config, phases: Phases, cfgs: Iterable[DictConfig] = ()) -> "Problem":
+def built(typed: Config, phases: Phases, choices: Iterable[Choices] = ()) -> "Problem":
     """The problem of a configuration, its phases timed. Raises InputError before there are targets
-    where the sampler of one of ``cfgs``, which are to run on it, cannot."""
-    from . import assemble, footprint
+    where one of ``choices``, which are to run on it, cannot."""
+    from . import assemble
 
     def check(problem: "Problem") -> None:
-        for cfg in cfgs:
-            loss, sampler, estimator = (instantiate(cfg[name], name) for name in _CHOSEN)
-            estimator.check(problem, sampler, loss)
-            if cfg.profile and not problem.integrator.has_forward:
-                raise InputError(
-                    "profile=true differentiates paths in forward mode, which the scene's "
-                    f"integrator {problem.integrator.name} cannot: leave it out"
-                )
-            footprint.check(problem, estimator.batch)
-            instantiate(cfg.prior, "prior").on(problem.unknowns)
+        for each in choices:
+            each.check_on(problem)
 
     return assemble.problem(typed.scene, typed.target, phases.rendered, phases.begin, check)
 
 
 @contextmanager
 def _recorder(
-    cfg: DictConfig, typed: Config, budget: Budget, folder: Path, planned: dict | None = None
+    cfg: DictConfig,
+    typed: Config,
+    budget: Budget,
+    choices: Choices,
+    folder: Path,
+    planned: dict | None = None,
 ) -> Iterator["Recorder"]:
     """Everything up to the loop, compiled; no folder is written yet. ``planned``: the effects of a
     run that goes on."""
     with Display(budget) as display:
         phases = Phases(display)
-        problem = built(typed, phases, [cfg])
+        problem = built(typed, phases, [choices])
         phases.begin("prepare")
         from .recorder import Recorder
         from .workshop import Workshop
 
         workshop = Workshop(problem)
-        loop = workshop.loop(cfg, typed, budget, planned)
+        loop = workshop.loop(choices, typed, budget, planned)
         phases.begin(None)
         loop.clock.unbilled_seconds.update(phases.seconds)
         yield Recorder(cfg, typed, loop, folder, display, workshop.renderer)

@@ -20,7 +20,7 @@ from ..runtime.budget import Budget
 from ..runtime.clock import Clock
 from ..runtime.errors import NumericalError
 from ..samplers import reliability
-from ..samplers.sampler import Sampler
+from ..samplers.sampler import OnImages
 from ..scene.problem import Problem
 from ..unknowns.parameters import flat
 from .evaluate import Evaluator
@@ -68,7 +68,7 @@ class Loop:
     def __init__(
         self,
         problem: Problem,
-        sampler: Sampler,
+        sampler: OnImages,
         stepper: Stepper,
         evaluator: Evaluator,
         budget: Budget,
@@ -97,13 +97,7 @@ class Loop:
     def _blank(self) -> list[mi.Float]:
         """What an estimator that learns from its steps has learned before the first. Loops that
         take turns may share one: each puts its own in and takes it out again."""
-        known = getattr(self.estimator, "memory", [])
-        return [dr.opaque(mi.Float, 0, dr.width(each)) for each in known]
-
-    @property
-    def _undrawn(self) -> float:
-        """The share of the budget up to which the estimator draws no pixels, nor needs a look."""
-        return getattr(self.estimator, "undrawn", 0.0)
+        return [dr.opaque(mi.Float, 0, dr.width(each)) for each in self.estimator.memory]
 
     @property
     def whole(self) -> Problem:
@@ -146,7 +140,7 @@ class Loop:
             self.warnings = [doubt] if doubt else []
             if not self._affordable():
                 self.warnings.append(
-                    f"sampler={self.sampler.name}: its first look would take more than "
+                    f"sampler={self.sampler.settings.name}: its first look would take more than "
                     f"{_MOST_OF_REST:.0%} of the budget, so pixels are drawn uniformly: give more, "
                     "or take sampler=uniform"
                 )
@@ -173,7 +167,7 @@ class Loop:
             self.stepper.step(gradients[-1], share)
         later = [
             self._estimate(_REHEARSAL_BASE + i, share)
-            for share in getattr(self.estimator, "stages", ())[1:]
+            for share in self.estimator.stages[1:]
             for i in range(_REHEARSAL_STEPS)
         ]
         self.stepper.calibrate(gradients, later)
@@ -223,7 +217,7 @@ class Loop:
 
     def _begin_counting(self) -> None:
         # Loops that take turns may share an estimator, and a rehearsal was there before.
-        self._lost_before = getattr(self.estimator, "nonfinite", 0)
+        self._lost_before = self.estimator.nonfinite
 
     def _count_lost(self) -> None:
         before = self._lost_before
@@ -241,8 +235,8 @@ class Loop:
         p = self.position
         # A level begins as a run does, and so does what had too little time before it went on.
         first = self._finer() or self._weights is None
-        draws = self.scheduled >= self._undrawn
-        if draws and (first or self.sampler.due(p.iteration)) and self._affordable():
+        draws = self.scheduled >= self.estimator.undrawn
+        if draws and (first or self.sampler.settings.due(p.iteration)) and self._affordable():
             seconds, paths = self.clock.seconds, p.paths
             with self.clock.billed("stage1"):
                 self._look(p.iteration, first)
@@ -279,10 +273,10 @@ class Loop:
     def _look(self, iteration: int, first: bool = False) -> None:
         """``first``: of a run or level, as if nothing had been before it."""
         moments = None
-        if self.sampler.needs_moments and self.stepper.taken and not first:
+        if "moments" in self.sampler.settings.needs and self.stepper.taken and not first:
             moments = self.stepper.moments(self.scheduled)
-        self.sampler.scheduled = self.scheduled
-        found = self.sampler.look(self.stepper.values, self.seed, iteration, moments)
+        where = self.stepper.values, self.seed, iteration
+        found = self.sampler.look(*where, moments, self.scheduled)
         self._weights = self.sampler.blended(None if first else self._weights, found)
         self._spread(self._weights)
 
@@ -297,7 +291,7 @@ class Loop:
         if self._distribution is None:
             self._look(iteration)
         before = self._memory
-        found = self._estimate(iteration, max(self.scheduled, self._undrawn))
+        found = self._estimate(iteration, max(self.scheduled, self.estimator.undrawn))
         self._memory = before
         return found
 
@@ -412,23 +406,16 @@ class Loop:
         """Go on where ``export`` was called: after ``rehearse``, before ``run``. Raises KeyError
         or ValueError where something is missing or does not fit."""
         self.stepper.restore(arrays, state)
-        # Earlier versions kept what was not found by a look.
-        if "cells" in arrays and not state.get("glanced"):
+        if "cells" in arrays:
             self._weights = mi.Float(arrays["cells"])
             self._spread(self._weights)
-        # Checkpoints of earlier versions lack it: their steps began with lengths alone.
-        if "met/0" in arrays:
-            known = range(len(self._memory))
-            self._memory = [mi.Float(arrays[f"met/{i}"]) for i in known]
-        # Checkpoints of earlier versions lack it: their schedule began with the budget.
-        seconds, paths = state.get("before", (0.0, 0))
-        rehearsed = self.position.looked
+        known = range(len(self._memory))
+        self._memory = [mi.Float(arrays[f"met/{i}"]) for i in known]
+        before, looked = ((float(s), int(paths)) for s, paths in (state["before"], state["looked"]))
         self.position = Position(int(state["iteration"]), int(state["paths"]))
-        self.position.before = float(seconds), int(paths)
-        seconds, paths = state.get("looked", rehearsed)
-        self.position.looked = float(seconds), int(paths)
+        self.position.before, self.position.looked = before, looked
         self._counted, self.lost = tuple(state["counted"]), state["lost"]
-        self.lost_in_steps = state.get("lost_in_steps", 0)
+        self.lost_in_steps = state["lost_in_steps"]
         self.clock.billed_seconds.update(state["billed"])
         for phase, seconds in state["unbilled"].items():
             self.clock.unbilled_seconds[phase] += seconds

@@ -14,6 +14,7 @@ from ..scene.problem import Problem
 _RGB = ["R", "G", "B"]
 # Snapshots: about a million paths each, whatever the films' size.
 _SNAPSHOT_SIDE, _SNAPSHOT_SPP = 256, 16
+_FEW = 4
 
 
 class Pictures:
@@ -33,7 +34,9 @@ class Pictures:
         chosen = np.linspace(0, count, min(views, count), endpoint=False)
         self.views = [int(v) for v in chosen]
         self.problem, self.writer, self.tags = problem, writer, tags
-        self.spp, self.seed = spp, seed
+        # Of another renderer each path is a whole picture, which may take long.
+        self.most = _FEW if problem.integrator.black_box else max(spp, _SNAPSHOT_SPP)
+        self.spp, self.seed = min(spp, self.most), seed
         self.renderer = Renderer(problem, renderer)
         # One exposure for all pictures of a run, so that they can be compared.
         self.exposure = images.exposure_for([problem.target_image(v) for v in self.views])
@@ -95,7 +98,7 @@ class Pictures:
         rows, columns = np.arange(step // 2, height, step), np.arange(step // 2, width, step)
         pixel = mi.UInt32((rows[:, None] * width + columns).astype(np.uint32).ravel())
         mean = self.renderer.pixels(
-            pixel, _SNAPSHOT_SPP, lambda s: streams.seed(self.seed, s, "snapshot")
+            pixel, min(_SNAPSHOT_SPP, self.most), lambda s: streams.seed(self.seed, s, "snapshot")
         )
         image = np.array(mean).T.reshape(rows.size, columns.size, 3)
         tags = {"view": 0, "iteration": iteration, "seconds": seconds}

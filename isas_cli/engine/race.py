@@ -14,6 +14,7 @@ from ..runtime import backend, interrupt
 from ..runtime.budget import Budget
 from ..runtime.errors import InputError, NumericalError
 from . import resumption
+from .choices import Choices
 from .display import RaceDisplay
 from .experiment import Phases, built, checked, started
 
@@ -67,9 +68,9 @@ def run(entries: list[Entry], slice_seconds: float, begin: Callable[[], None]) -
     the machine falls on all alike. One that fails numerically is recorded as such and the others
     go on. Returns 0, the first failure's status, or 130 after Ctrl-C.
     """
-    machine = started([entry.cfg for entry in entries], entries[0].typed)
+    machine, made = started([entry.cfg for entry in entries], entries[0].typed)
     with RaceDisplay(len(entries)) as display:
-        lanes = _Lanes(entries, display, machine)
+        lanes = _Lanes(entries, made, display, machine)
         with interrupt.graceful(display.interrupted) as stop:
             begin()
             lanes.open()
@@ -79,7 +80,13 @@ def run(entries: list[Entry], slice_seconds: float, begin: Callable[[], None]) -
 class _Lanes:
     """The loops of a race and their records, side by side."""
 
-    def __init__(self, entries: list[Entry], display: RaceDisplay, machine: backend.Backend):
+    def __init__(
+        self,
+        entries: list[Entry],
+        made: list[Choices],
+        display: RaceDisplay,
+        machine: backend.Backend,
+    ):
         from .recorder import Recorder
         from .workshop import Workshop
 
@@ -89,12 +96,12 @@ class _Lanes:
         # All scenes before the first kernel: a material that comes later compiles all anew.
         for entry in entries:
             if entry.problem_key not in problems:
-                sharing = [e.cfg for e in entries if e.problem_key == entry.problem_key]
+                sharing = [c for c, e in zip(made, entries) if e.problem_key == entry.problem_key]
                 problems[entry.problem_key] = built(entry.typed, phases, sharing)
         phases.begin("prepare")
         workshops = {key: Workshop(problem) for key, problem in problems.items()}
         self.recorders: list[Recorder] = []
-        for entry in entries:
+        for entry, choices in zip(entries, made):
             interrupt.check()
             workshop = workshops[entry.problem_key]
             planned = None
@@ -102,7 +109,7 @@ class _Lanes:
                 earlier = entry.earlier.manifest
                 planned = earlier.get("plan")
                 resumption.check_same(workshop.problem, machine, earlier, entry.folder)
-            loop = workshop.loop(entry.cfg, entry.typed, entry.budget, planned)
+            loop = workshop.loop(choices, entry.typed, entry.budget, planned)
             lane = display.lane(entry.name)
             renderer = workshop.renderer
             self.recorders.append(

@@ -71,13 +71,13 @@ def of(folder: Path, iteration: int | None = None) -> Replay:
     arrays, state = records.load_checkpoint(folder)
     cfg, _ = resumption.configuration(folder, run, {})
     typed, budget = experiment.checked(cfg)
-    machine = experiment.started([cfg], typed)
+    machine, (choices,) = experiment.started([cfg], typed)
     with Display(budget) as display:
         phases = experiment.Phases(display)
-        problem = experiment.built(typed, phases, [cfg])
+        problem = experiment.built(typed, phases, [choices])
         resumption.check_same(problem, machine, run.manifest, folder)
         phases.begin("replay")
-        loop = Workshop(problem).loop(cfg, typed, budget, run.manifest.get("plan"))
+        loop = Workshop(problem).loop(choices, typed, budget, run.manifest.get("plan"))
         try:
             loop.restore(arrays, state)
         except (KeyError, ValueError, TypeError) as error:

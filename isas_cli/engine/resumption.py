@@ -18,7 +18,6 @@ from ..config import paths, schema
 from ..config.roles import meaning, resuming
 from ..config.schema import Config
 from ..records import Run, manifest
-from ..records.files import RELATIVE
 from ..runtime.budget import Budget
 from ..runtime.errors import InputError
 
@@ -159,11 +158,6 @@ def check_same(problem: "Problem", machine: "Backend", earlier: dict, folder: Pa
         raise InputError(
             f"{folder} began with variant={earlier.get('variant')}, and this machine takes "
             f"{machine.variant}: billed seconds of both would not be comparable"
-        )
-    if problem.unknowns.unit is None and earlier.get("parameter_rmse_is") != RELATIVE:
-        raise InputError(
-            f"{folder}: its parameter_rmse averages errors in unlike units, as an earlier version "
-            "did: start a new run"
         )
     now = {"scene_hash": problem.content_hash, "target_hash": problem.target_hash}
     for name, value in now.items():

@@ -4,31 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from omegaconf import DictConfig, OmegaConf
-
-from ..config.compose import instantiate
 from ..config.schema import Config
 from ..effects import Plan, decide
+from ..estimators.estimator import Gradients
 from ..estimators.staged import Staged
 from ..rendering.renderer import Renderer
 from ..runtime.budget import Budget
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
+from .choices import Choices
 from .evaluate import Evaluator
 from .loop import Loop
 from .optimiser import Stepper
 
 
-def plan_of(problem: Problem, cfg: DictConfig, budget: Budget, planned: dict | None = None) -> Plan:
-    """The plan of effects of the run that ``cfg`` describes. ``planned``: its record, of a run that
-    goes on. Raises InputError, see ``effects.decide``."""
-    loss, estimator, settings = (
-        instantiate(cfg[name], name) for name in ("loss", "estimator", "effects")
-    )
+def plan_of(
+    problem: Problem, choices: Choices, budget: Budget, planned: dict | None = None
+) -> Plan:
+    """The plan of effects of a run. ``planned``: its record, of a run that goes on. Raises
+    InputError, see ``effects.decide``."""
     # What a clock decides would make other runs differ from machine to machine.
     timed = budget.seconds if budget.iterations is budget.paths is None else None
-    described = OmegaConf.to_yaml(cfg.loss, resolve=True)
-    return decide(problem, settings, estimator, loss, timed, planned, described)
+    how = choices.effects, choices.estimator, choices.loss
+    return decide(problem, *how, timed, planned, str(_told(choices.loss)))
+
+
+def _told(choice) -> tuple[str, str]:
+    """A choice in words, the same for the same settings."""
+    return f"{type(choice).__module__}.{type(choice).__qualname__}", repr(choice)
 
 
 class Workshop:
@@ -51,61 +54,44 @@ class Workshop:
         return self._made[key]
 
     def loop(
-        self, cfg: DictConfig, typed: Config, budget: Budget, planned: dict | None = None
+        self, choices: Choices, typed: Config, budget: Budget, planned: dict | None = None
     ) -> Loop:
-        """The loop that ``cfg`` (``typed``: the same, checked) describes. Renders references.
-        ``planned``: the record of the plan of effects of a run that goes on.
+        """The loop of these choices. Renders references. ``planned``: the record of the plan of
+        effects of a run that goes on.
 
         Raises InputError for settings that do not fit.
         """
-        nodes = cfg.loss, cfg.estimator, cfg.sampler, cfg.prior, cfg.effects
-        named, how, chosen, held, simulated = (OmegaConf.to_yaml(n, resolve=True) for n in nodes)
-        loss = self._once("loss", (named,), lambda: instantiate(cfg.loss, "loss"))
-        settings = self._once("settings", (how,), lambda: instantiate(cfg.estimator, "estimator"))
+        loss, estimator = choices.loss, choices.estimator
+        how = _told(loss), _told(estimator)
         plan = self._once(
             "plan",
-            (simulated, named, how, str(budget), str(planned)),
-            lambda: plan_of(self.problem, cfg, budget, planned),
+            (_told(choices.effects), *how, str(budget), str(planned)),
+            lambda: plan_of(self.problem, choices, budget, planned),
         )
-        paths = plan.paths, plan.views
-        problem = self._once("problem", (how, paths), lambda: settings.on(plan.on(self.problem)))
 
-        def sampler():
-            made = instantiate(cfg.sampler, "sampler")
-            settings.prepare(problem, made, loss)
-            return made
+        def estimating(finish: bool) -> Gradients:
+            on = plan.on(self.problem, finish=finish)
+            key = *how, on.integrator.paths, on.kept
+            return self._once("estimator", key, lambda: estimator.on(on, loss))
 
-        def estimator(problem):
-            key = named, how, problem.integrator.paths, problem.kept
-            return self._once("estimator", key, lambda: settings.made(problem, loss))
-
-        gradients = estimator(problem)
+        gradients = estimating(False)
+        problem = gradients.problem
         if plan.staged(self.problem):
-            finish = lambda: settings.on(plan.on(self.problem, finish=True))
-            whole = self._once("problem", (how, paths, "finish"), finish)
-            gradients = Staged(gradients, estimator(whole), 1 - plan.finish)
-
-        measuring = named, typed.evaluation.pixels, typed.evaluation.spp, typed.seed
+            gradients = Staged(gradients, estimating(True), 1 - plan.finish)
         loop = Loop(
             problem,
-            self._once("sampler", (chosen, named, how, paths), sampler),
-            Stepper(
-                self.problem.unknowns,
-                typed.optimizer,
-                instantiate(cfg.optimizer.filter, "optimizer.filter"),
-            ),
             self._once(
-                "evaluator",
-                measuring,
-                lambda: Evaluator(self.problem, loss, *measuring[1:], self.renderer),
+                "sampler",
+                (_told(choices.sampler), *how, plan.paths, plan.views),
+                lambda: estimator.looks(choices.sampler, problem, loss),
             ),
+            Stepper(self.problem.unknowns, typed.optimizer, choices.filter),
+            self._evaluator(loss, typed),
             budget,
             gradients,
             typed.seed,
             typed.evaluation.count,
-            self._once(
-                "prior", (held,), lambda: instantiate(cfg.prior, "prior").on(problem.unknowns)
-            ),
+            self._once("prior", _told(choices.prior), lambda: choices.prior.on(problem.unknowns)),
             plan,
             typed.budget.converged,
         )
@@ -117,3 +103,8 @@ class Workshop:
         if plan.seconds:
             loop.clock.billed_seconds["probe"] = plan.seconds
         return loop
+
+    def _evaluator(self, loss, typed: Config) -> Evaluator:
+        how = typed.evaluation.pixels, typed.evaluation.spp, typed.seed
+        make = lambda: Evaluator(self.problem, loss, *how, self.renderer)
+        return self._once("evaluator", (_told(loss), *how), make)

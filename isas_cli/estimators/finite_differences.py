@@ -11,17 +11,16 @@ import numpy as np
 from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
 from ..runtime.errors import InputError
-from ..samplers.sampler import Sampler
 from ..unknowns import smoothing
 from ..unknowns.blur import Blur
-from .estimator import Comparing
+from .estimator import Comparing, Gradients
 from .renderings import Renderings
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
 
 
-@dataclass
+@dataclass(frozen=True)
 class Settings(Comparing):
     """``FiniteDifferences``. ``step``: in widths of the unknown's last blur; ``spp``: paths of
     each drawn pixel in each rendering."""
@@ -35,14 +34,6 @@ class Settings(Comparing):
         if not 0 < self.step < math.inf:
             raise InputError(f"estimator.step={self.step}: must be a finite number above 0")
 
-    def fits(self, sampler: Sampler) -> None:
-        super().fits(sampler)
-        if "blur" in sampler.needs:
-            raise InputError(
-                f"sampler={sampler.name} looks where pairs of estimator=plateau differ; valid with "
-                f"estimator=finite_differences: {', '.join(self.samplers)}"
-            )
-
     def made(self, problem: "Problem", loss) -> "FiniteDifferences":
         return FiniteDifferences(problem, loss, self.batch, self.step, self.freeze, self.spp)
 
@@ -50,7 +41,7 @@ class Settings(Comparing):
         return "none taken: difference quotients of the loss of plain renderings"
 
 
-class FiniteDifferences:
+class FiniteDifferences(Gradients):
     """(ℒ(θ + h_k e_k) - ℒ(θ - h_k e_k)) / 2 h_k for each entry k of the unknowns, h_k ``step``
     times the last width of the unknown's blur; less where a side would leave the legal range.
 
@@ -63,7 +54,7 @@ class FiniteDifferences:
     def __init__(
         self, problem: "Problem", loss, batch: int, step: float, freeze: bool = True, spp: int = 1
     ):
-        self.batch, self.spp = batch, spp
+        self.problem, self.batch, self.spp = problem, batch, spp
         self.blur = Blur(problem, "estimator=finite_differences")
         self.blur.check_single("estimator=finite_differences")
         self.step = step

@@ -16,11 +16,10 @@ from ..rendering.projective import projective
 from ..rendering.volume import only_emits
 from ..runtime import streams
 from ..runtime.errors import InputError
-from ..samplers.sampler import Sampler
 from ..unknowns import smoothing
 from ..unknowns.blur import Blur
 from ..unknowns.parameters import owner
-from .estimator import Estimator, choice, whole_images
+from .estimator import Estimator, choice
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
@@ -34,7 +33,7 @@ SILHOUETTES = {
 }
 
 
-@dataclass
+@dataclass(frozen=True)
 class Settings(Estimator):
     """``WholeImages``: Mitsuba's own derivative, by the scene's integrator, and where an unknown
     moves objects by ``prb_projective``. A baseline. ``silhouettes``: how those are sampled that are
@@ -43,15 +42,13 @@ class Settings(Estimator):
 
     name: ClassVar[str] = "mitsuba"
     plannable: ClassVar[bool] = False
+    draws: ClassVar[bool] = False
 
     silhouettes: str = "uniform"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         choice("silhouettes", self.silhouettes, SILHOUETTES)
-
-    def fits(self, sampler: Sampler) -> None:
-        whole_images(sampler, "estimator=mitsuba")
 
     def made(self, problem: "Problem", loss) -> "WholeImages":
         return WholeImages(problem, loss, self.batch, silhouettes=self.silhouettes)

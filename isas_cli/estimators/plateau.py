@@ -11,10 +11,10 @@ from ..config.schema import MOST_LANES
 from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
 from ..runtime.errors import InputError
-from ..samplers.sampler import Sampler
+from ..samplers.sampler import Blurred, Sampler
 from ..unknowns import smoothing
 from ..unknowns.blur import Blur
-from .estimator import Comparing, at_least_one, choice, whole_images
+from .estimator import Comparing, Gradients, at_least_one, choice
 from .mitsuba import SILHOUETTES, WholeImages
 from .renderings import Renderings
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 SCHEMES = {"joint": smoothing.joint, "separate": smoothing.separate}
 
 
-@dataclass
+@dataclass(frozen=True)
 class Settings(Comparing):
     """Plateau-reduced gradients (PRDPT): of the objective blurred over the unknowns.
 
@@ -38,12 +38,23 @@ class Settings(Comparing):
     """
 
     name: ClassVar[str] = "plateau"
+    gives: ClassVar[frozenset[str]] = frozenset(("blur",))
 
     @property
     def plannable(self) -> bool:
         return self.gradient == "kernel"
 
-    samplers: ClassVar[tuple[str, ...]] = ("uniform", "gradient", "differences")
+    @property
+    def black_box(self) -> bool:
+        return self.gradient == "kernel"
+
+    @property
+    def draws(self) -> bool:
+        return self.gradient == "kernel"
+
+    @property
+    def chosen(self) -> str:
+        return super().chosen if self.draws else "estimator.gradient=renderer"
 
     gradient: str = "kernel"
     smooth: str = "image"
@@ -91,17 +102,12 @@ class Settings(Comparing):
                 "either rendering"
             )
 
-    def fits(self, sampler: Sampler) -> None:
-        super().fits(sampler)
-        if self.gradient == "renderer":
-            whole_images(sampler, "estimator.gradient=renderer")
+    def blurred_on(self, problem: "Problem", sampler: Sampler) -> Blurred | None:
+        if "blur" not in sampler.needs:
+            return None
+        return Blurred(Blur(problem, "estimator=plateau"), self.smooth)
 
-    def prepare(self, problem: "Problem", sampler: Sampler, loss) -> None:
-        if "blur" in sampler.needs:
-            sampler.follow(Blur(problem, "estimator=plateau"), self.smooth)
-        super().prepare(problem, sampler, loss)
-
-    def made(self, problem: "Problem", loss):
+    def made(self, problem: "Problem", loss) -> Gradients:
         if self.gradient == "renderer":
             return WholeImages(problem, loss, self.batch, self.smooth, self.pairs, self.silhouettes)
         settings = self.smooth, self.scheme, self.pairs, self.common, self.freeze, self.spp
@@ -113,7 +119,7 @@ class Settings(Comparing):
         return "none taken: plain renderings, weighted by the blur's derivative (PRDPT Eq. 9)"
 
 
-class Plateau:
+class Plateau(Gradients):
     """Estimates the gradient of a smoothed objective from values of the objective alone, by the
     derivative of the smoothing kernel. No rendering is differentiated.
 
@@ -167,7 +173,8 @@ class Plateau:
         residual: str = "pair",
         residual_spp: int | None = None,
     ):
-        self.batch, self.smooth, self.pairs, self.common = batch, smooth, pairs, common
+        self.problem, self.batch, self.smooth = problem, batch, smooth
+        self.pairs, self.common = pairs, common
         self.blur = Blur(problem, "estimator=plateau")
         self._scheme, self._mirrored = SCHEMES[scheme], residual == "pair"
         if scheme == "separate":

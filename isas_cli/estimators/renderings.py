@@ -49,8 +49,10 @@ class Renderings:
         wrap = partial(recorded, problem=problem, freeze=freeze)
         self._draw = wrap(_draw_kernel(batch))
         self.spp, self.half = spp, half
+        # Of another renderer, what one call traces is of one picture.
+        kernel = _apart if problem.integrator.black_box else _trace_kernel
         self._trace = {
-            (count, paths): wrap(_trace_kernel(problem.integrator, batch, count, paths))
+            (count, paths): wrap(kernel(problem.integrator, batch, count, paths))
             for count, paths in ((1, spp), (2, spp), (1, half))
         }
         self._adjoints = wrap(_adjoint_kernel(loss))
@@ -150,6 +152,23 @@ def _trace_kernel(integrator, batch: int, count: int, spp: int):
                 means.append(sum(found[1:], start=found[0]) / spp)
             dr.eval(means)
             return means
+
+    return kernel
+
+
+def _apart(integrator, batch: int, count: int, spp: int):
+    """As ``_trace_kernel``, path after path in calls of its own."""
+
+    def kernel(scene, sensors, views, leaves, place, seed):
+        found = []
+        for number in range(count * spp):
+            stream = rays.stream(seed + number * 0x9E3779B9, batch)
+            ray, weight = rays.spawn(sensors, views, *place, stream)
+            found.append(integrator.primal(scene, stream, ray)[0] * weight)
+        parts = [found[first : first + spp] for first in range(0, len(found), spp)]
+        means = [sum(part[1:], start=part[0]) / spp for part in parts]
+        dr.eval(means)
+        return means
 
     return kernel
 

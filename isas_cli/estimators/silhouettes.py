@@ -22,10 +22,9 @@ from ..rendering.silhouettes import Silhouettes
 from ..rendering.standing import meshes_of, others, triangles
 from ..runtime import streams
 from ..runtime.errors import InputError
-from ..samplers.sampler import Sampler
 from ..scene.topology import Topology
 from ..unknowns import parameters
-from .estimator import Estimator, at_least_one
+from .estimator import Estimator, Gradients, at_least_one
 from .two_path import TwoPath
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ _BY_OUTLINE = Contours, PictureEdges
 _SHADOW = "lamp", "shadow_edge", "shadow_residual"
 
 
-@dataclass
+@dataclass(frozen=True)
 class Settings(Estimator):
     """``ByShape``. ``edges``: samples of silhouettes a step; ``adaptive``: drawn by the residuals
     around them; ``shadows``: samples of the edges of shadows a step, 0 to leave these out, None
@@ -53,7 +52,10 @@ class Settings(Estimator):
     ``freeze``: record kernels once instead of tracing every iteration."""
 
     name: ClassVar[str] = "silhouettes"
+    # A shape's steps are spread over its mesh: no entry has moments of its own.
+    gives: ClassVar[frozenset[str]] = frozenset(("forward", "backward"))
     plannable: ClassVar[bool] = False
+    outlines: ClassVar[bool] = True
 
     batch: int = 16384
     edges: int = 4096
@@ -75,19 +77,7 @@ class Settings(Estimator):
         if self.reflections < 0:
             raise InputError(f"estimator.reflections must be 0 or more, not {self.reflections}")
 
-    def fits(self, sampler: Sampler) -> None:
-        if "blur" in sampler.needs:
-            raise InputError(
-                f"sampler={sampler.name} looks at blurred renderings, which "
-                "estimator=silhouettes does not make: take estimator=plateau"
-            )
-        if sampler.needs_moments:
-            raise InputError(
-                f"sampler={sampler.name} reads Adam's moments entry by entry, and a shape's steps "
-                "are spread over its mesh: take sampler=ours, relevant or uniform"
-            )
-
-    def on(self, problem: "Problem") -> "Problem":
+    def differentiated(self, problem: "Problem") -> "Problem":
         if "media" in problem.integrator.simulates:
             raise InputError(
                 "estimator=silhouettes: what moves is followed by Mitsuba's projective integrators,"
@@ -132,7 +122,7 @@ class Settings(Estimator):
         return told
 
 
-class ByShape:
+class ByShape(Gradients):
     """dℒ/dθ for unknowns that move meshes, beside others: the part at fixed visibility from
     ``batch`` drawn pixels (``TwoPath`` with paths that follow the surfaces, ``Attached``), the part
     of moving silhouettes from ``edges`` samples (``Silhouettes``) and that of the edges of shadows
@@ -184,7 +174,8 @@ class ByShape:
                 each = max(1, reflections // len(meshes)), chosen.paths, not shadows, chosen.freeze
                 self.borders.append((key, _REFLECTED, Reflections(*where, *each)))
         if any(isinstance(each, _BY_OUTLINE) for _, _, each in self.borders):
-            self.undrawn = _geometry_alone(problem)
+            told = any(isinstance(each, Contours) for _, _, each in self.borders)
+            self.undrawn = _geometry_alone(problem, told)
         self._still: dict[str, mi.Float] = {}
         if shadows and (found := others(problem)):
             self._still[""], topology = found
@@ -266,9 +257,11 @@ class ByShape:
         return total
 
 
-def _geometry_alone(problem: "Problem") -> float:
-    """The share of the budget up to which nothing but shapes and poses moves."""
+def _geometry_alone(problem: "Problem", cameras: bool) -> float:
+    """The share of the budget up to which nothing moves but shapes and poses, and, where outlines
+    tell them, ``cameras``."""
     others = [u for u in problem.unknowns if not u.kind.moves_geometry]
+    others = [u for u in others if not (cameras and u.kind.outlined)]
     return min((share for u in others for share in u.during[:1]), default=0.0)
 
 

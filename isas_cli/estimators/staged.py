@@ -9,7 +9,7 @@ from .estimator import Gradients
 
 
 @dataclass
-class Staged:
+class Staged(Gradients):
     """``first`` up to the share ``until`` of the budget, ``second`` from there on."""
 
     first: Gradients
@@ -19,7 +19,7 @@ class Staged:
     def __post_init__(self) -> None:
         # Shares of the budget at which kernels differ, for a rehearsal.
         self.stages = (0.0, self.until)
-        self.present = self.first
+        self.present, self.problem = self.first, self.first.problem
 
     @property
     def paths_per_step(self) -> int:

@@ -14,18 +14,17 @@ from ..rendering.kernels import recorded
 from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
 from ..runtime.errors import InputError
-from ..samplers.sampler import Sampler
 from ..unknowns import cameras, exposure, smoothing
 from ..unknowns.blur import Blur
 from ..unknowns.exposure import Exposure
 from .aside import Aside
-from .estimator import Estimator
+from .estimator import Estimator, Gradients
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
 
 
-@dataclass
+@dataclass(frozen=True)
 class Settings(Estimator):
     """``TwoPath``. ``crossed``: both paths of a pixel are differentiated, each with the other's
     residual, where that pays (``Integrator.crosses``); ``blurred``: the gradient of the objective
@@ -35,6 +34,7 @@ class Settings(Estimator):
     iteration."""
 
     name: ClassVar[str] = "two_path"
+    gives: ClassVar[frozenset[str]] = frozenset(("forward", "backward", "moments"))
     replays: ClassVar[bool] = True
 
     freeze: bool = True
@@ -42,14 +42,11 @@ class Settings(Estimator):
     blurred: bool = False
     derivative_sampling: bool = False
 
-    def fits(self, sampler: Sampler) -> None:
-        if "blur" in sampler.needs:
-            raise InputError(
-                f"sampler={sampler.name} looks at blurred renderings, which estimator=two_path "
-                "does not make: take estimator=plateau"
-            )
+    @property
+    def whole(self) -> bool:
+        return self.blurred
 
-    def on(self, problem: "Problem") -> "Problem":
+    def differentiated(self, problem: "Problem") -> "Problem":
         if self.derivative_sampling:
             return derivative_sampling.sampled(problem)
         integrator = problem.integrator
@@ -65,7 +62,7 @@ class Settings(Estimator):
         return problem.integrator.derivatives
 
 
-class TwoPath:
+class TwoPath(Gradients):
     """Estimates dℒ/dθ from N pixels drawn from any distribution, two independent paths a pixel.
 
     ISAS Eq. (4), averaged over N draws j_i ~ p:

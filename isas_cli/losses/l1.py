@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+from .loss import Loss
 
-@dataclass
-class L1:
+
+@dataclass(frozen=True)
+class L1(Loss):
     """Absolute error, ℓ = |I - T|, ∂ℓ/∂I = sign(I - T).
 
     Bias: the sign of a noisy radiance is not the sign of its mean. With single samples the
@@ -22,10 +24,6 @@ class L1:
 
     def value(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
         return dr.abs(image - target)
-
-    def measured(self, a: mi.Color3f, b: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
-        """At the mean of both, whose noise it contains."""
-        return self.value(0.5 * (a + b), target)
 
     def derivative(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
         difference = image - target

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+from .loss import Loss
 
-@dataclass
-class L2:
+
+@dataclass(frozen=True)
+class L2(Loss):
     """Squared error, ℓ = (I - T)², ∂ℓ/∂I = 2 (I - T) (ISAS Eq. 17).
 
     Bias: none. The derivative is linear in I, so an unbiased radiance gives an unbiased gradient.

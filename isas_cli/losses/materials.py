@@ -21,11 +21,11 @@ from ..config.schema import roughness_of
 from ..runtime.errors import InputError
 from ..unknowns.parameters import flat, unflat
 from ..unknowns.unknowns import Unknowns
-from .priors import Smoothness, check_factors
+from .priors import OnUnknowns, Prior, Smoothness, check_factors
 
 
-@dataclass
-class Materials:
+@dataclass(frozen=True)
+class Materials(Prior):
     """``smooth``, ``metallic``, ``roughness``: the terms' weights, at least 0; ``expected``: the
     roughness that is expected, in [0, 1]. Raises InputError for other numbers."""
 
@@ -44,7 +44,6 @@ class Materials:
             raise InputError(f"prior.expected={self.expected}: a roughness, in [0, 1]")
 
     def on(self, unknowns: Unknowns) -> "OnMaterials":
-        """The prior of these unknowns. Raises InputError where none of the terms has any."""
         rough = [key for key in unknowns.keys if roughness_of(key)]
         metal = [key for key in unknowns.keys if "metallic" in key.split(".")]
         wide = any(u.kind.axes for u in unknowns)
@@ -59,8 +58,8 @@ class Materials:
         return OnMaterials(self, smooth, metal, rough, factors)
 
 
-class OnMaterials:
-    """The prior on the unknowns of one problem."""
+class OnMaterials(OnUnknowns):
+    """``Materials`` at work."""
 
     def __init__(self, prior: Materials, smooth, metal: list[str], rough: list[str], factors: dict):
         self.smooth = smooth
@@ -80,7 +79,6 @@ class OnMaterials:
         ]
 
     def value(self, values: dict) -> float:
-        """R at ``values``. Waits."""
         total = 0.0 if self.smooth is None else self.smooth.value(values)
         for key, weight, energy, _ in self.terms:
             x = flat(values[key])
@@ -88,7 +86,6 @@ class OnMaterials:
         return total
 
     def add(self, values: dict, gradients: dict) -> dict:
-        """``gradients`` with ∂R/∂θ added, by key."""
         result = dict(gradients) if self.smooth is None else self.smooth.add(values, gradients)
         for key, weight, _, slope in self.terms:
             x = flat(values[key])

@@ -26,16 +26,38 @@ from ..unknowns.parameters import flat, unflat
 from ..unknowns.unknowns import Unknowns
 
 
-@dataclass
-class Nothing:
+class OnUnknowns:
+    """A prior on the unknowns of one problem."""
+
+    def value(self, values: dict) -> float:
+        """R at ``values``, weighed. Waits."""
+        raise NotImplementedError
+
+    def add(self, values: dict, gradients: dict) -> dict:
+        """``gradients`` with ∂R/∂θ, weighed, added, by key."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Base of the priors' settings; ``on`` gives the prior at work."""
+
+    def on(self, unknowns: Unknowns) -> OnUnknowns | None:
+        """The prior of these unknowns, None for none. Raises InputError where it has nothing to say
+        of them, and for a factor on one that it has no part of."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Nothing(Prior):
     """No prior: R = 0."""
 
     def on(self, unknowns: Unknowns) -> None:
         check_factors(unknowns, [])
 
 
-@dataclass
-class Prior:
+@dataclass(frozen=True)
+class OfNeighbours(Prior):
     """Base of priors on neighbours.
 
     ``weight``: of R beside ℒ, at least 0; ``keys``: of which unknowns, None for all that have
@@ -49,14 +71,14 @@ class Prior:
         if not 0 <= self.weight < np.inf:
             raise InputError(f"prior.weight={self.weight}: must be a finite number, at least 0")
 
-    def on(self, unknowns: Unknowns) -> "OnUnknowns":
-        """The prior of these unknowns. Raises InputError where none of them has neighbours, for a
-        key that is no unknown or has none, and for a factor on one that is not chosen."""
+    def on(self, unknowns: Unknowns) -> "OnNeighbours":
+        """Raises InputError where none of them has neighbours, for a key that is no unknown or has
+        none, and for a factor on one that is not chosen."""
         found = self.over(unknowns)
         check_factors(unknowns, list(found.laid_out))
         return found
 
-    def over(self, unknowns: Unknowns) -> "OnUnknowns":
+    def over(self, unknowns: Unknowns) -> "OnNeighbours":
         """The same, whatever factors the others have."""
         axes = {u.key: u.kind.axes for u in unknowns}
         valid = [key for key in axes if axes[key]]
@@ -73,7 +95,7 @@ class Prior:
             )
         chosen = self.keys or valid
         laid_out = {key: (unknowns[key].start.shape, axes[key]) for key in chosen}
-        return OnUnknowns(self, laid_out, {key: unknowns[key].prior for key in chosen})
+        return OnNeighbours(self, laid_out, {key: unknowns[key].prior for key in chosen})
 
     def energy(self, steps: list[mi.Float]) -> mi.Float:
         """ρ of every entry from its steps to the next entry along each axis. Traced."""
@@ -95,8 +117,8 @@ def check_factors(unknowns: Unknowns, keys: list[str]) -> None:
             )
 
 
-@dataclass
-class Smoothness(Prior):
+@dataclass(frozen=True)
+class Smoothness(OfNeighbours):
     """ρ = Σ_a d_a²: the gradient of R is, but for its scale, the grid's Laplacian."""
 
     def energy(self, steps: list[mi.Float]) -> mi.Float:
@@ -106,8 +128,8 @@ class Smoothness(Prior):
         return [2 * d for d in steps]
 
 
-@dataclass
-class TotalVariation(Prior):
+@dataclass(frozen=True)
+class TotalVariation(OfNeighbours):
     """ρ = √(Σ_a d_a² + ε²) - ε: one large step costs no more than many small ones that make it.
 
     ``epsilon``: ε, in the unknown's unit; below it ρ is quadratic, so that it has a derivative.
@@ -165,11 +187,10 @@ class Neighbours:
         return Neighbours(following, preceding, closer, index.size)
 
 
-class OnUnknowns:
-    """A prior on the unknowns of one problem. ``laid_out``: shape and axes by key; ``factors``: on
-    the weight, by key."""
+class OnNeighbours(OnUnknowns):
+    """``laid_out``: shape and axes by key; ``factors``: on the weight, by key."""
 
-    def __init__(self, prior: Prior, laid_out: dict[str, tuple], factors: dict[str, float]):
+    def __init__(self, prior: OfNeighbours, laid_out: dict[str, tuple], factors: dict[str, float]):
         self.prior, self.laid_out, self.factors = prior, laid_out, factors
         self._slope = recorded(self._traced_slope, None)
         self._found: dict[tuple, Neighbours] = {}
@@ -182,7 +203,6 @@ class OnUnknowns:
         return self._found[key, shape]
 
     def value(self, values: dict) -> float:
-        """``weight`` R at ``values``. Waits."""
         total = 0.0
         for key in self.laid_out:
             x, around = flat(values[key]), self._around(key, values[key])
@@ -191,7 +211,6 @@ class OnUnknowns:
         return self.prior.weight * total
 
     def add(self, values: dict, gradients: dict) -> dict:
-        """``gradients`` with ``weight`` ∂R/∂θ added, by key."""
         result = dict(gradients)
         for key in self.laid_out:
             around = self._around(key, values[key])

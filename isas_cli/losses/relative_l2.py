@@ -8,10 +8,11 @@ import drjit as dr
 import mitsuba as mi
 
 from ..runtime.errors import InputError
+from .loss import Loss
 
 
-@dataclass
-class RelativeL2:
+@dataclass(frozen=True)
+class RelativeL2(Loss):
     """Squared error relative to the target, ℓ = (I - T)² / (T² + epsilon).
 
     The denominator holds the target, not the rendering, so that ∂ℓ/∂I = 2 (I - T)/(T² + epsilon)

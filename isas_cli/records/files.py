@@ -15,9 +15,8 @@ import yaml
 from ..runtime.errors import InputError
 from ..runtime.files import write_atomically
 
-# 2: history.csv has gradient_noise; checkpoints hold counters, times and the weights of moments.
-SCHEMA_VERSION = 2
-READABLE = (1, 2)
+# One number until a version is released: records of earlier commits are refused in one line.
+SCHEMA_VERSION = 3
 
 KEY_PREFIX, VALUE_PREFIX = "parameter_rmse/", "value/"
 BEFORE_KEYS = ["iteration", "seconds", "paths", "loss", "image_rmse", "parameter_rmse"]
@@ -78,12 +77,11 @@ def scalar(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} does not fit into a JSON file")
 
 
-def check_schema(path: Path, content: Any, readable: tuple[int, ...] = READABLE) -> None:
-    """Raises InputError for a file of a schema version that is not ``readable``."""
+def check_schema(path: Path, content: Any) -> None:
+    """Raises InputError for a file of another schema version."""
     found = content.get("schema") if isinstance(content, dict) else None
-    if found not in readable:
-        known = " and ".join(str(version) for version in readable)
-        raise InputError(f"{path}: schema version {found}; this isas reads {known}")
+    if found != SCHEMA_VERSION:
+        raise InputError(f"{path}: schema version {found}; this isas reads {SCHEMA_VERSION}")
 
 
 def parsed(path: Path, parse: Callable[[], Any]) -> Any:

@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from ..config.earlier import modern
 from ..runtime.errors import InputError, nearest
 from .files import (
     AFTER_KEYS,
     BEFORE_KEYS,
     KEY_PREFIX,
     OWN_UNIT,
-    SCHEMA_VERSION,
     WHOLE_NUMBERS,
     check_schema,
     one_line,
@@ -71,8 +69,7 @@ class Run:
 
     @property
     def parameter_rmse_is(self) -> str:
-        """What the column `parameter_rmse` is in: a unit, or what else its values are. Records of
-        earlier versions do not say, and are in the parameters' own units, mixed or not."""
+        """What the column `parameter_rmse` is in: a unit, or what else its values are."""
         return self.manifest.get("parameter_rmse_is") or OWN_UNIT
 
     @property
@@ -112,8 +109,7 @@ def load_checkpoint(folder: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]
         wrapped = json.loads(members.pop("state").tobytes().decode())
     except Exception as error:  # numpy, zipfile and json each have their own kinds for damage
         raise InputError(f"{path}: damaged: {one_line(error)}") from error
-    # Only of this version: an older one lacks what a bit-identical continuation needs.
-    check_schema(path, wrapped, (SCHEMA_VERSION,))
+    check_schema(path, wrapped)
     return {name[len("array/") :]: array for name, array in members.items()}, wrapped["state"]
 
 
@@ -127,7 +123,7 @@ def _read_config(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
     content = parsed(path, lambda: yaml.safe_load(path.read_text(encoding="utf-8")))
-    return modern(content) if isinstance(content, dict) else {}
+    return content if isinstance(content, dict) else {}
 
 
 def _read_history(path: Path) -> pandas.DataFrame:
@@ -138,9 +134,6 @@ def _read_history(path: Path) -> pandas.DataFrame:
         table = parsed(path, lambda: pandas.read_csv(path, dtype=str).fillna("nan"))
     else:
         table = pandas.DataFrame({name: [] for name in BEFORE_KEYS + AFTER_KEYS})
-    for name in AFTER_KEYS:  # of an older schema
-        if name not in table:
-            table[name] = "nan"
     kinds = {c: "int64" if c in WHOLE_NUMBERS else "float64" for c in table.columns}
     return parsed(path, lambda: table.astype(kinds))
 

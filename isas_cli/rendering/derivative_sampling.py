@@ -89,7 +89,12 @@ class DerivativeSampling(InOneGo):
         self._scene = scene
         self._bsdfs = {word: [] for word in _ALPHA}
         for key in unknowns.keys:
-            word = roughness_of(key)
+            if (word := roughness_of(key)) is None:
+                raise InputError(
+                    f"estimator.derivative_sampling=true: '{key}' is no roughness; it draws for "
+                    f"derivatives by {' or '.join(ROUGHNESSES)} alone: leave it out, or this "
+                    "unknown"
+                )
             found = _holding(scene, unknowns.params.properties[key][2])
             # Mixed and masked materials do not tell the roughness of what they are made of.
             if not found or not all(np.all(bsdf.has_attribute(word)) for bsdf in found):

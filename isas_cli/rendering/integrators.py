@@ -59,6 +59,8 @@ class Integrator:
     moves = False
     samples_lights = True
     crosses = False
+    # Whether it is none that traces paths, but another renderer's pictures (``black_box``).
+    black_box = False
 
     lobes: Lobes | None = None
     misses: tuple[str, ...] = ()

@@ -15,7 +15,7 @@ from ..runtime import images
 from ..runtime.cache import cached, digest, unfinished
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
-from . import rays, stratified
+from . import black_box, rays, stratified
 from .stratified import Sums
 
 # Raised when what a cached target means changes.
@@ -41,6 +41,8 @@ def render(
 
     def compute() -> dict[str, np.ndarray]:
         problem.unknowns.write(problem.unknowns.truths())
+        if problem.integrator.black_box:
+            return black_box.rendered(problem, target, told)
         with unfinished(f"target-{key}-part") as (part, keep):
             begun = Sums.of(part) if part else None
             sums = stratified.render(

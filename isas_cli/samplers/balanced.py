@@ -10,12 +10,42 @@ import mitsuba as mi
 
 from ..runtime.errors import InputError
 from ..unknowns.parameters import unflat
-from .sampler import Sampler, Stage1Settings
-from .stage1.cell_moments import Stage1
-from .stage1.denoise import Denoiser
+from .sampler import Looking, Sampler, Stage1Settings
 
 
-@dataclass
+class Shares(Looking):
+    """``Balanced`` at work."""
+
+    def usual_resolution(self, batch: int) -> int:
+        # One look is for the whole run: fine cells, as long as all views together stay cheap.
+        return min(128, self._resolution_for(1 << 19))
+
+    def look(self, values, seed, iteration, moments=None, spent=0.0) -> mi.Float:
+        own = self.settings
+        sensitivity = self._stage1.sensitivity(values, own.passes, seed, iteration)
+        tangents = {}
+        for key, c in sensitivity.items():
+            seen = (c > 0) & dr.isfinite(c)  # one entry that is not must not spoil the mean
+            c = dr.select(seen, c, 0)
+            mean = dr.sum(c) / dr.maximum(dr.sum(dr.select(seen, mi.Float(1), 0)), 1)
+            inverse = dr.select(seen, dr.rcp(dr.maximum(c, own.least * mean)), 0)
+            tangents[key] = unflat(values[key], inverse)
+            dr.eval(tangents[key])
+        first = dr.zeros(mi.Color3f, self.cells.count)
+        for probe in range(own.stage1.probes):
+            number = iteration * own.stage1.probes + probe
+            first += self._stage1.derivative(values, tangents, seed, number)[0]
+        weights = dr.power(dr.sum(self._denoise(first)), own.power)
+        dr.eval(weights)
+        return weights
+
+    @property
+    def paths_per_look(self) -> int:
+        passes = self.settings.passes + self.settings.stage1.probes
+        return self.paths_per_pass * self.paths_per_derivative * passes
+
+
+@dataclass(frozen=True)
 class Balanced(Sampler):
     """p_j ∝ (Σ_k J_jk / c_k)^power, J_jk = |∂I_j/∂θ_k|, c_k = Σ_j J_jk.
 
@@ -36,6 +66,7 @@ class Balanced(Sampler):
     """
 
     needs = frozenset(("forward", "backward"))
+    works = Shares
 
     refresh: int = 0
     power: float = 0.5
@@ -51,36 +82,3 @@ class Balanced(Sampler):
             raise InputError(f"sampler.passes={self.passes}: at least 1")
         if not 0 < self.least < math.inf:
             raise InputError(f"sampler.least={self.least}: must be above 0")
-
-    def resolution(self, problem, batch: int) -> int:
-        # One look is for the whole run: fine cells, as long as all views together stay cheap.
-        return self.stage1.resolution or min(128, self._resolution_for(problem, 1 << 19))
-
-    def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
-        super().prepare(problem, loss, batch, freeze)
-        self._stage1 = Stage1(problem, loss, self.cells, self.stage1.spp, freeze)
-        denoise = self.stage1.denoise
-        self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
-
-    def look(self, values: dict, seed: int, iteration: int, moments=None) -> mi.Float:
-        sensitivity = self._stage1.sensitivity(values, self.passes, seed, iteration)
-        tangents = {}
-        for key, c in sensitivity.items():
-            seen = (c > 0) & dr.isfinite(c)  # one entry that is not must not spoil the mean
-            c = dr.select(seen, c, 0)
-            mean = dr.sum(c) / dr.maximum(dr.sum(dr.select(seen, mi.Float(1), 0)), 1)
-            inverse = dr.select(seen, dr.rcp(dr.maximum(c, self.least * mean)), 0)
-            tangents[key] = unflat(values[key], inverse)
-            dr.eval(tangents[key])
-        first = dr.zeros(mi.Color3f, self.cells.count)
-        for probe in range(self.stage1.probes):
-            number = iteration * self.stage1.probes + probe
-            first += self._stage1.derivative(values, tangents, seed, number)[0]
-        weights = dr.power(dr.sum(self._denoise(first)), self.power)
-        dr.eval(weights)
-        return weights
-
-    @property
-    def paths_per_look(self) -> int:
-        derivatives = self.paths_per_derivative * (self.passes + self.stage1.probes)
-        return self.cells.count * self.stage1.spp * derivatives

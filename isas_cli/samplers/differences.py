@@ -12,55 +12,32 @@ import numpy as np
 from ..rendering.kernels import recorded
 from ..runtime import streams
 from ..unknowns import smoothing
-from ..unknowns.blur import Blur
-from .gradient import Gradient
+from .gradient import Gradient, Residuals
 from .sampler import Sampler, Stage1Settings
 from .stage1.cell_moments import cell_mean, cell_moments, spawned
 
 
-@dataclass
-class Differences(Gradient):
-    """p_j of least variance for the differences that ``estimators.plateau`` sums over pixels, with
-    pairs of its scheme joint, one path a pixel, common random numbers, a residual from one
-    rendering and no ``reach`` (else an approximation).
+class Pairs(Residuals):
+    """``Differences`` at work."""
 
-    In image space a drawn pixel j gives Σ_c r_jc D_jc / p_j, r = ∂ℒ/∂I at P(θ + τ') and
-    D = P(θ + τ) - P(θ - τ), τ' and τ independent, hence
-
-        p_j ∝ √(Σ_c E[r_jc²] E[D_jc²])
-
-    (with Σ_c as in ``Ours``); in loss space Δℓ_j / p_j, hence p_j ∝ √E[(Σ_c Δℓ_jc)²]. Moments over
-    paths and offsets at present, per cell as in stage 1 of ISAS Algorithm 1: ``stage1.probes``
-    offsets a look, both of a pair with the same random numbers, denoised, refreshed every
-    ``refresh`` iterations. Only for ``estimator=plateau``.
-    """
-
-    uses = Sampler.uses
-    needs = frozenset(("blur",))
-
-    # One offset shows where that one's pair differs; averages over many, where pairs do.
-    stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(probes=8, average=0.7))
-
-    def follow(self, blur: Blur, smooth: str) -> None:
-        """What is blurred how: before ``prepare``."""
-        self.blur, self.smooth = blur, smooth
-
-    def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
-        super().prepare(problem, loss, batch, freeze)
+    def __init__(self, settings, problem, loss, batch, freeze=True, blurred=None):
+        super().__init__(settings, problem, loss, batch, freeze, blurred)
+        self.blur, self.smooth = blurred
         wrap = partial(recorded, problem=problem, freeze=freeze)
-        samples = self.stage1.spp
+        samples = settings.stage1.spp
         paths = 1 if self.smooth == "image" else 2
         self._trace = wrap(_trace_kernel(problem.integrator, samples, paths))
         self._moments = wrap(_difference_kernel(samples))
         self._losses = wrap(_loss_kernel(loss, samples))
 
-    def look(self, values: dict, seed: int, iteration: int, moments=None) -> mi.Float:
+    def look(self, values, seed, iteration, moments=None, spent=0.0) -> mi.Float:
         θ = self.blur.vector(values)
-        σ = self.blur.widths(θ, self.scheduled)
+        σ = self.blur.widths(θ, spent)
         rng = np.random.default_rng(streams.seed(seed, iteration, "offset_look"))
+        probes = self.settings.stage1.probes
         found = [
-            self._pair(θ, σ, pair, seed, iteration * self.stage1.probes + probe, rng)
-            for probe, pair in enumerate(smoothing.joint(σ, self.stage1.probes, rng))
+            self._pair(θ, σ, pair, seed, iteration * probes + probe, rng)
+            for probe, pair in enumerate(smoothing.joint(σ, probes, rng))
         ]
         images = [sum(kind) / len(found) for kind in zip(*found)]
         weights = dr.sqrt(dr.sum(_product([self._denoise(image) for image in images])))
@@ -91,7 +68,32 @@ class Differences(Gradient):
     @property
     def paths_per_look(self) -> int:
         paths = 3 if self.smooth == "image" else 4
-        return self.cells.count * self.stage1.spp * self.stage1.probes * paths
+        return self.paths_per_pass * self.settings.stage1.probes * paths
+
+
+@dataclass(frozen=True)
+class Differences(Gradient):
+    """p_j of least variance for the differences that ``estimators.plateau`` sums over pixels, with
+    pairs of its scheme joint, one path a pixel, common random numbers, a residual from one
+    rendering and no ``reach`` (else an approximation).
+
+    In image space a drawn pixel j gives Σ_c r_jc D_jc / p_j, r = ∂ℒ/∂I at P(θ + τ') and
+    D = P(θ + τ) - P(θ - τ), τ' and τ independent, hence
+
+        p_j ∝ √(Σ_c E[r_jc²] E[D_jc²])
+
+    (with Σ_c as in ``Ours``); in loss space Δℓ_j / p_j, hence p_j ∝ √E[(Σ_c Δℓ_jc)²]. Moments over
+    paths and offsets at present, per cell as in stage 1 of ISAS Algorithm 1: ``stage1.probes``
+    offsets a look, both of a pair with the same random numbers, denoised, refreshed every
+    ``refresh`` iterations. Only for ``estimator=plateau``.
+    """
+
+    uses = Sampler.uses
+    needs = frozenset(("blur",))
+    works = Pairs
+
+    # One offset shows where that one's pair differs; averages over many, where pairs do.
+    stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(probes=8, average=0.7))
 
 
 def _product(images: list[mi.Color3f]) -> mi.Color3f:

@@ -7,12 +7,37 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from .sampler import Sampler
-from .stage1.denoise import Denoiser
+from .sampler import Looking, Sampler
 from .stage1.product import Product
 
 
-@dataclass
+class PerPath(Looking):
+    """``Joint`` at work."""
+
+    def __init__(self, settings, problem, loss, batch, freeze=True, blurred=None):
+        super().__init__(settings, problem, loss, batch, freeze, blurred)
+        self._product = Product(problem, loss, self.cells, settings.stage1.spp, freeze)
+
+    def look(self, values, seed, iteration, moments=None, spent=0.0) -> mi.Float:
+        return self.weighed(self.measured(values, seed, iteration))
+
+    def measured(self, values: dict, seed: int, iteration: int) -> list[mi.Color3f]:
+        # The denoiser's images have three channels.
+        probes = self.settings.stage1.probes
+        return [mi.Color3f(self._product.second_moment(values, probes, seed, iteration))]
+
+    def weighed(self, images: list[mi.Color3f]) -> mi.Float:
+        weights = dr.sqrt(self._denoise(images[0]).x)
+        dr.eval(weights)
+        return weights
+
+    @property
+    def paths_per_look(self) -> int:
+        pair = 1 + self.paths_per_derivative
+        return self.paths_per_pass * self.settings.stage1.probes * pair
+
+
+@dataclass(frozen=True)
 class Joint(Sampler):
     """p_j ∝ √A_j, A_j = E‖Σ_c ⟨∂ℒ/∂I⟩_jc ⟨dI_jc/dθ⟩‖², residual and derivative from two paths.
 
@@ -41,27 +66,4 @@ class Joint(Sampler):
     """
 
     needs = frozenset(("forward",))
-
-    def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
-        super().prepare(problem, loss, batch, freeze)
-        self._product = Product(problem, loss, self.cells, self.stage1.spp, freeze)
-        denoise = self.stage1.denoise
-        self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
-
-    def look(self, values: dict, seed: int, iteration: int, moments=None) -> mi.Float:
-        return self.weighed(self.measured(values, seed, iteration))
-
-    def measured(self, values: dict, seed: int, iteration: int) -> list[mi.Color3f]:
-        # The denoiser's images have three channels.
-        probes = self.stage1.probes
-        return [mi.Color3f(self._product.second_moment(values, probes, seed, iteration))]
-
-    def weighed(self, images: list[mi.Color3f]) -> mi.Float:
-        weights = dr.sqrt(self._denoise(images[0]).x)
-        dr.eval(weights)
-        return weights
-
-    @property
-    def paths_per_look(self) -> int:
-        pair = 1 + self.paths_per_derivative
-        return self.cells.count * self.stage1.spp * self.stage1.probes * pair
+    works = PerPath

@@ -11,11 +11,50 @@ import mitsuba as mi
 from ..rendering.kernels import recorded
 from ..runtime.errors import InputError
 from .ours import Ours
-from .sampler import Sampler
+from .sampler import OnImages, Sampler
 from .stage1.cells import Cells
 
 
-@dataclass
+class Pyramid(OnImages):
+    """``Multiresolution`` at work."""
+
+    def __init__(self, settings, problem, loss, batch, freeze=True, blurred=None):
+        self.base = settings.base.on(problem, loss, batch, freeze, blurred)
+        super().__init__(settings, problem, loss, batch, freeze, blurred)
+        levels, share = settings.levels, 4 * settings.factor
+
+        def combine(weights, cells):
+            return pyramid(weights, cells, [share**d for d in range(levels + 1)])
+
+        self._combine = recorded(combine, problem, freeze)
+
+    def resolution(self, batch: int) -> int:
+        return self.base.resolution(batch)
+
+    def look(self, values, seed, iteration, moments=None, spent=0.0) -> mi.Float:
+        return self._combined(self.base.look(values, seed, iteration, moments, spent))
+
+    def measured(self, values: dict, seed: int, iteration: int) -> list[mi.Color3f] | None:
+        return self.base.measured(values, seed, iteration)
+
+    def weighed(self, images: list[mi.Color3f]) -> mi.Float:
+        return self._combined(self.base.weighed(images))
+
+    def _combined(self, weights: mi.Float) -> mi.Float:
+        weights = self._combine(weights, self.cells)
+        dr.eval(weights)
+        return weights
+
+    @property
+    def paths_per_look(self) -> int:
+        return self.base.paths_per_look
+
+    @property
+    def paths_before(self) -> int:
+        return self.base.paths_before
+
+
+@dataclass(frozen=True)
 class Multiresolution(Sampler):
     """p_j ∝ Σ_{d=0}^D 4^d p_{j_d,d} (ISAS Eq. 18), D = ``levels``, around the sampler ``base``.
 
@@ -46,6 +85,7 @@ class Multiresolution(Sampler):
     """
 
     uses: ClassVar[frozenset[str]] = frozenset()
+    works = Pyramid
 
     base: Sampler = field(default_factory=Ours)
     levels: int = 4
@@ -67,53 +107,15 @@ class Multiresolution(Sampler):
             raise InputError(f"sampler.levels={self.levels}: must lie in [0, 16]")
         if not 0 < self.factor <= 1024:
             raise InputError(f"sampler.factor={self.factor}: must lie in (0, 1024]")
-        self.floor, self.refresh, self.stage1 = self.base.floor, self.base.refresh, self.base.stage1
+        for name in ("floor", "refresh", "stage1"):
+            object.__setattr__(self, name, getattr(self.base, name))
 
     @property
     def needs(self) -> frozenset[str]:
         return self.base.needs
 
-    @property
-    def needs_moments(self) -> bool:
-        return self.base.needs_moments
-
-    def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
-        super().prepare(problem, loss, batch, freeze)
-        self.base.prepare(problem, loss, batch, freeze)
-        levels, share = self.levels, 4 * self.factor
-
-        def combine(weights, cells):
-            return pyramid(weights, cells, [share**d for d in range(levels + 1)])
-
-        self._combine = recorded(combine, problem, freeze)
-
-    def resolution(self, problem, batch: int) -> int:
-        return self.base.resolution(problem, batch)
-
     def due(self, iteration: int) -> bool:
         return self.base.due(iteration)
-
-    def look(self, values: dict, seed: int, iteration: int, moments=None) -> mi.Float:
-        return self._combined(self.base.look(values, seed, iteration, moments))
-
-    def measured(self, values: dict, seed: int, iteration: int) -> list[mi.Color3f] | None:
-        return self.base.measured(values, seed, iteration)
-
-    def weighed(self, images: list[mi.Color3f]) -> mi.Float:
-        return self._combined(self.base.weighed(images))
-
-    def _combined(self, weights: mi.Float) -> mi.Float:
-        weights = self._combine(weights, self.cells)
-        dr.eval(weights)
-        return weights
-
-    @property
-    def paths_per_look(self) -> int:
-        return self.base.paths_per_look
-
-    @property
-    def paths_before(self) -> int:
-        return self.base.paths_before
 
 
 def pyramid(weights: mi.Float, cells: Cells, shares: list[float]) -> mi.Float:

@@ -4,17 +4,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
 
 from ..runtime.errors import InputError
-from .ours import Ours
-from .sampler import Moments
+from .ours import Ours, Product
 
 
-@dataclass
+class Weighted(Product):
+    """``Preconditioned`` at work."""
+
+    def look(self, values, seed, iteration, moments=None, spent=0.0) -> mi.Float:
+        own = self.settings
+        scale = None if moments is None else root_weights(moments.second, own.least)
+        _, first = self._stage1.residual(values, seed, iteration)
+        second = self._stage1.second_moment(values, own.stage1.probes, seed, iteration, scale)
+        weights = dr.sqrt(dr.sum(self._denoise(first) * self._denoise(second)))
+        dr.eval(weights)
+        return weights
+
+
+@dataclass(frozen=True)
 class Preconditioned(Ours):
     """Eq. (12) with unknowns weighted as Adam weights them: p_j2 = Σ_k w_k E[⟨∂I_j/∂θ_k⟩²].
 
@@ -59,7 +70,8 @@ class Preconditioned(Ours):
     ``refresh``, then every ``refresh``. On pottery this gained more than any setting did.
     """
 
-    needs_moments: ClassVar[bool] = True
+    needs = Ours.needs | {"moments"}
+    works = Weighted
 
     least: float = 1e-5
 
@@ -75,16 +87,6 @@ class Preconditioned(Ours):
     def due(self, iteration: int) -> bool:
         early = iteration < self.refresh and iteration & (iteration - 1) == 0
         return early or super().due(iteration)
-
-    def look(
-        self, values: dict, seed: int, iteration: int, moments: Moments | None = None
-    ) -> mi.Float:
-        scale = None if moments is None else root_weights(moments.second, self.least)
-        _, first = self._stage1.residual(values, seed, iteration)
-        second = self._stage1.second_moment(values, self.stage1.probes, seed, iteration, scale)
-        weights = dr.sqrt(dr.sum(self._denoise(first) * self._denoise(second)))
-        dr.eval(weights)
-        return weights
 
 
 def root_weights(second: dict, least: float) -> dict:

@@ -11,9 +11,7 @@ import mitsuba as mi
 from ..runtime.errors import InputError
 from ..unknowns.parameters import flat, unflat
 from .allocation import tangents
-from .sampler import Moments, Sampler, Stage1Settings
-from .stage1.cell_moments import Stage1
-from .stage1.denoise import Denoiser
+from .sampler import Looking, Sampler, Stage1Settings
 from .stage1.path_cost import PathCost
 
 # Paths of one pass over the cells, about: in batches, and at most.
@@ -24,7 +22,117 @@ _FEW = 8
 _SURVEY = (1 << 27) - (1 << 16)
 
 
-@dataclass
+class Masses(Looking):
+    """``Progress`` at work."""
+
+    def __init__(self, settings, problem, loss, batch, freeze=True, blurred=None):
+        super().__init__(settings, problem, loss, batch, freeze, blurred)
+        self._cost = PathCost(problem, self.cells, settings.stage1.spp, freeze)
+        self._surveys: dict = {}  # by base seed and the unknowns' shapes
+        rates = {u.key: u.lr for u in problem.unknowns}
+        # Some without their own have the optimiser's, which is not known here.
+        self._rates = rates if all(rates.values()) else None
+
+    def usual_resolution(self, batch: int) -> int:
+        # Fine cells: coarse ones cost more than noisy ones.
+        return self._resolution_for(min(_LANES, _BATCHES * batch))
+
+    def look(self, values, seed, iteration, moments=None, spent=0.0) -> mi.Float:
+        # Anew at the first look of a run and of a level, which has no moments yet, and is billed
+        # there. A continued run has none and finds the same numbers again.
+        shapes = {k: tuple(value.shape) for k, value in values.items()}
+        key = seed, *shapes.items()
+        if moments is None or key not in self._surveys:
+            self._surveys[key] = self._survey(seed, shapes)
+        curvature, cost = self._surveys[key]
+        # As many in a rehearsal, so that nothing is left to compile in a run's first look.
+        passes = self.settings.passes if moments is None else 1
+        first = iteration * self.settings.passes
+        noise = sum(
+            (self._stage1.residual(values, seed, first + i)[1] for i in range(passes)),
+            mi.Color3f(0),
+        )
+        noise = dr.sqrt(self._denoise(noise))
+        dr.eval(noise)
+        weighted = noise * dr.sqrt(cost)
+        dr.eval(weighted)
+        sensitivity = self._stage1.sensitivity(values, passes, seed, first, weighted)
+        along = tangents(sensitivity, curvature, moments, self.settings.least, self._rates)
+        weights = mi.Float(0)
+        for key, tangent in along.items():
+            mean, second = self._along(values, key, tangent, passes, seed, first)
+            image = dr.sum(noise * self._denoise(mean))
+            if dr.width(tangent) <= _FEW:
+                image = self._spread(image, second, noise, cost)
+            weights += image
+        weights *= dr.rsqrt(cost)
+        dr.eval(weights)
+        return weights
+
+    def _spread(self, image, second, noise, cost) -> mi.Float:
+        """The key's share of the weights in ``image``, spread by the root mean square of J."""
+        exact = dr.sum(noise * dr.sqrt(self._denoise(second)))
+        dr.eval(image, exact)
+        share = [dr.sum(dr.sqrt(cost) * weights) for weights in (image, exact)]
+        return exact * dr.select(share[1] > 0, share[0] / share[1], 0)
+
+    def _survey(self, seed: int, shapes: dict) -> tuple[dict, mi.Float]:
+        """h by key, flat, and c per cell, at the start values in these shapes."""
+        unknowns, passes = self.problem.unknowns, self.settings.passes
+        starts = unknowns.starts(shapes)
+        unknowns.write(starts)
+        cost = sum(self._cost(seed, i) for i in range(passes)) / passes + self.settings.overhead
+        weight = self._stage1.curvature(seed, _SURVEY) * self.problem.share
+        curvature = {}
+        for key in unknowns.keys:
+            ones = dr.opaque(mi.Float, 1, dr.width(flat(starts[key])))
+            # A sum over its cells is next: noise in single ones is of no account.
+            image = self._along(starts, key, ones, passes, seed, _SURVEY)[0] * weight
+            dr.eval(image)
+            found = self._stage1.sensitivity(starts, passes, seed, _SURVEY, image)
+            curvature[key] = found[key]
+        dr.eval(curvature, cost)
+        return curvature, cost
+
+    def _along(
+        self, values: dict, key: str, tangent: mi.Float, passes: int, seed: int, first: int
+    ) -> tuple[mi.Color3f, mi.Color3f]:
+        """Means of |∂I_j/∂θ · tangent| and of its square per cell, ``(3, C)``, the tangent on one
+        key."""
+        tangents = {}
+        for other, value in values.items():
+            entries = dr.opaque(mi.Float, 0, dr.width(flat(value)))
+            tangents[other] = unflat(value, tangent if other == key else entries)
+        dr.eval(tangents)
+        mean, second = mi.Color3f(0), mi.Color3f(0)
+        for i in range(passes):
+            found = self._stage1.derivative(values, tangents, seed, first + i)
+            mean, second = mean + found[0] / passes, second + found[1] / passes
+        dr.eval(mean, second)
+        return mean, second
+
+    def measured(self, values: dict, seed: int, iteration: int) -> list[mi.Color3f]:
+        """The residual's second moment alone, which the noise of a look comes from."""
+        return [self._stage1.residual(values, seed, iteration)[1]]
+
+    def weighed(self, images: list[mi.Color3f]) -> mi.Float:
+        weights = dr.sum(dr.sqrt(self._denoise(images[0])))
+        dr.eval(weights)
+        return weights
+
+    @property
+    def paths_per_look(self) -> int:
+        derivatives = self.paths_per_derivative * (1 + len(self.problem.unknowns.keys))
+        return self.paths_per_pass * (1 + derivatives)
+
+    @property
+    def paths_before(self) -> int:
+        derivatives = self.paths_per_derivative * 2 * len(self.problem.unknowns.keys)
+        survey, passes = self.paths_per_pass * (1 + derivatives), self.settings.passes
+        return passes * survey + (passes - 1) * self.paths_per_look
+
+
+@dataclass(frozen=True)
 class Progress(Sampler):
     """p_j = Σ_k P_k p_j|k: every unknown has a mass P_k, spread by least variance per time.
 
@@ -83,9 +191,8 @@ class Progress(Sampler):
     stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(average=0.75))
 
     uses = Sampler.uses - {"probes"}
-    needs = frozenset(("forward", "backward"))
-
-    needs_moments = True
+    needs = frozenset(("forward", "backward", "moments"))
+    works = Masses
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -96,121 +203,7 @@ class Progress(Sampler):
             if not (value > 0 and math.isfinite(value)):
                 raise InputError(f"sampler.{name}={value}: must be a finite number above 0")
 
-    def resolution(self, problem, batch: int) -> int:
-        # Fine cells: coarse ones cost more than noisy ones.
-        return self.stage1.resolution or self._resolution_for(
-            problem, min(_LANES, _BATCHES * batch)
-        )
-
     def due(self, iteration: int) -> bool:
         times = iteration // self.refresh if self.refresh else 0
         doubled = times * self.refresh == iteration and times & (times - 1) == 0
         return iteration == 0 or (times > 0 and doubled)
-
-    def prepare(self, problem, loss, batch: int, freeze: bool = True) -> None:
-        super().prepare(problem, loss, batch, freeze)
-        spp = self.stage1.spp
-        self._stage1 = Stage1(problem, loss, self.cells, spp, freeze)
-        self._cost = PathCost(problem, self.cells, spp, freeze)
-        denoise = self.stage1.denoise
-        self._denoise = Denoiser(self.cells, denoise) if denoise != "none" else (lambda x: x)
-        self._surveys: dict = {}  # by base seed and the unknowns' shapes
-        rates = {u.key: u.lr for u in problem.unknowns}
-        # Some without their own have the optimiser's, which is not known here.
-        self._rates = rates if all(rates.values()) else None
-
-    def look(
-        self, values: dict, seed: int, iteration: int, moments: Moments | None = None
-    ) -> mi.Float:
-        # Anew at the first look of a run and of a level, which has no moments yet, and is billed
-        # there. A continued run has none and finds the same numbers again.
-        shapes = {k: tuple(value.shape) for k, value in values.items()}
-        key = seed, *shapes.items()
-        if moments is None or key not in self._surveys:
-            self._surveys[key] = self._survey(seed, shapes)
-        curvature, cost = self._surveys[key]
-        # As many in a rehearsal, so that nothing is left to compile in a run's first look.
-        passes = self.passes if moments is None else 1
-        first = iteration * self.passes
-        noise = sum(
-            (self._stage1.residual(values, seed, first + i)[1] for i in range(passes)),
-            mi.Color3f(0),
-        )
-        noise = dr.sqrt(self._denoise(noise))
-        dr.eval(noise)
-        weighted = noise * dr.sqrt(cost)
-        dr.eval(weighted)
-        sensitivity = self._stage1.sensitivity(values, passes, seed, first, weighted)
-        along = tangents(sensitivity, curvature, moments, self.least, self._rates)
-        weights = mi.Float(0)
-        for key, tangent in along.items():
-            mean, second = self._along(values, key, tangent, passes, seed, first)
-            image = dr.sum(noise * self._denoise(mean))
-            if dr.width(tangent) <= _FEW:
-                image = self._spread(image, second, noise, cost)
-            weights += image
-        weights *= dr.rsqrt(cost)
-        dr.eval(weights)
-        return weights
-
-    def _spread(self, image, second, noise, cost) -> mi.Float:
-        """The key's share of the weights in ``image``, spread by the root mean square of J."""
-        exact = dr.sum(noise * dr.sqrt(self._denoise(second)))
-        dr.eval(image, exact)
-        share = [dr.sum(dr.sqrt(cost) * weights) for weights in (image, exact)]
-        return exact * dr.select(share[1] > 0, share[0] / share[1], 0)
-
-    def _survey(self, seed: int, shapes: dict) -> tuple[dict, mi.Float]:
-        """h by key, flat, and c per cell, at the start values in these shapes."""
-        unknowns = self.problem.unknowns
-        starts = unknowns.starts(shapes)
-        unknowns.write(starts)
-        cost = sum(self._cost(seed, i) for i in range(self.passes)) / self.passes + self.overhead
-        weight = self._stage1.curvature(seed, _SURVEY) * self.problem.share
-        curvature = {}
-        first = _SURVEY
-        for key in unknowns.keys:
-            ones = dr.opaque(mi.Float, 1, dr.width(flat(starts[key])))
-            # A sum over its cells is next: noise in single ones is of no account.
-            image = self._along(starts, key, ones, self.passes, seed, first)[0] * weight
-            dr.eval(image)
-            curvature[key] = self._stage1.sensitivity(starts, self.passes, seed, first, image)[key]
-        dr.eval(curvature, cost)
-        return curvature, cost
-
-    def _along(
-        self, values: dict, key: str, tangent: mi.Float, passes: int, seed: int, first: int
-    ) -> tuple[mi.Color3f, mi.Color3f]:
-        """Means of |∂I_j/∂θ · tangent| and of its square per cell, ``(3, C)``, the tangent on one
-        key."""
-        tangents = {}
-        for other, value in values.items():
-            entries = dr.opaque(mi.Float, 0, dr.width(flat(value)))
-            tangents[other] = unflat(value, tangent if other == key else entries)
-        dr.eval(tangents)
-        mean, second = mi.Color3f(0), mi.Color3f(0)
-        for i in range(passes):
-            found = self._stage1.derivative(values, tangents, seed, first + i)
-            mean, second = mean + found[0] / passes, second + found[1] / passes
-        dr.eval(mean, second)
-        return mean, second
-
-    def measured(self, values: dict, seed: int, iteration: int) -> list[mi.Color3f]:
-        """The residual's second moment alone, which the noise of a look comes from."""
-        return [self._stage1.residual(values, seed, iteration)[1]]
-
-    def weighed(self, images: list[mi.Color3f]) -> mi.Float:
-        weights = dr.sum(dr.sqrt(self._denoise(images[0])))
-        dr.eval(weights)
-        return weights
-
-    @property
-    def paths_per_look(self) -> int:
-        derivatives = self.paths_per_derivative * (1 + len(self.problem.unknowns.keys))
-        return self.cells.count * self.stage1.spp * (1 + derivatives)
-
-    @property
-    def paths_before(self) -> int:
-        derivatives = self.paths_per_derivative * 2 * len(self.problem.unknowns.keys)
-        survey = self.cells.count * self.stage1.spp * (1 + derivatives)
-        return self.passes * survey + (self.passes - 1) * self.paths_per_look

@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from .gradient import Gradient
-from .sampler import Sampler
+from .sampler import OnImages
 
 # Share of the draws that a density of one look sends elsewhere than that of LOOKS looks. Single
 # measurements at the start of five scenes, at two sizes and two batches: `ours` 0.1 to 0.3; on
@@ -17,14 +17,14 @@ LOOKS = 32
 _SINGLE = 4  # of them, each by itself against all
 
 
-def warning(sampler: Sampler, values: dict, seed: int, first: int) -> str | None:
+def warning(sampler: OnImages, values: dict, seed: int, first: int) -> str | None:
     """A line for the reader where stage 1 of ``sampler`` at ``values`` finds something else with
     every look; None where it does not, or where it has no statistics to tell.
 
     ``seed``, ``first``: the random streams, of iterations from ``first`` on.
     """
     share = disagreement(sampler, values, seed, first)
-    own = getattr(sampler, "base", sampler)
+    own = getattr(sampler.settings, "base", sampler.settings)
     instead = " or sampler=gradient, whose density rests on means and not on squares"
     if share is None or not share > LARGEST:
         return None
@@ -36,7 +36,7 @@ def warning(sampler: Sampler, values: dict, seed: int, first: int) -> str | None
     )
 
 
-def disagreement(sampler: Sampler, values: dict, seed: int, first: int) -> float | None:
+def disagreement(sampler: OnImages, values: dict, seed: int, first: int) -> float | None:
     """Total variation distance between the pmf over cells of one look and that of LOOKS whose
     measurements are averaged, in [0, 1]; the median over some single looks. The uniform share
     (``floor``) is in both."""
@@ -50,7 +50,7 @@ def disagreement(sampler: Sampler, values: dict, seed: int, first: int) -> float
     dr.eval(pooled)
     all_ = _pmf(sampler.weighed(pooled))
     distances = [0.5 * np.abs(_pmf(sampler.weighed(i)) - all_).sum() for i in looks[:_SINGLE]]
-    return float(np.median(distances)) * (1 - sampler.floor)
+    return float(np.median(distances)) * (1 - sampler.settings.floor)
 
 
 def _pmf(weights: mi.Float) -> np.ndarray:

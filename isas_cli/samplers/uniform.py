@@ -8,22 +8,27 @@ import drjit as dr
 import mitsuba as mi
 
 from ..rendering.pixels import PixelDistribution
-from .sampler import Sampler
+from .sampler import OnImages, Sampler
 
 
-@dataclass
-class Uniform(Sampler):
-    """p_j = 1/n. Needs no look at the images; stratified draws all the same."""
+class Alike(OnImages):
+    """``Uniform`` at work."""
 
-    uses = frozenset()
-
-    refresh: int = 0
-
-    def resolution(self, problem, batch: int) -> int:
+    def resolution(self, batch: int) -> int:
         return 1
 
-    def look(self, values: dict, seed: int, iteration: int, moments=None) -> mi.Float:
+    def look(self, values, seed, iteration, moments=None, spent=0.0) -> mi.Float:
         return dr.opaque(mi.Float, 1, self.cells.count)
 
     def distribution(self, weights: mi.Float) -> PixelDistribution:
         return PixelDistribution.uniform(self.tiles)
+
+
+@dataclass(frozen=True)
+class Uniform(Sampler):
+    """p_j = 1/n. Needs no look at the images; stratified draws all the same."""
+
+    uses = frozenset()
+    works = Alike
+
+    refresh: int = 0

@@ -57,6 +57,11 @@ def write(
     ``arrays``: the unknowns' values by key. Raises InputError where ``folder`` cannot be written,
     and for what Mitsuba's format cannot hold.
     """
+    if scene.name == "external":
+        raise InputError(
+            "scene=external: another renderer's result is its parameters, no scene for Mitsuba: "
+            "isas_cli.load(DIR).parameters() has them"
+        )
     if scene.path is not None and Path(scene.path).resolve().parent == folder.resolve():
         raise InputError(f"{folder} is where the scene's own files are: take another --output")
     taken = _taken(scene)

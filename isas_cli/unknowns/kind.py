@@ -23,6 +23,7 @@ from .parameters import as_numpy, like
 from .ranges import bare, role, usual
 
 if TYPE_CHECKING:
+    from ..scene.outside import Outside
     from ..scene.topology import Topology
     from ..scene.views import Views
     from .optics import Glass
@@ -43,7 +44,7 @@ class Loaded:
     ``told``: these, ``(V, channels)``, and by which share they may be off, where places of the
     object tell them; ``pixel``: ``(V, 2)`` radians and scene units that are a pixel of each, where
     poses may be; ``glass``: the lenses of these views and of those that are held out after them,
-    where something of them may be."""
+    where something of them may be; ``outside``: a renderer that is none of Mitsuba's."""
 
     params: mi.SceneParameters
     poses: dict[str, PoseConfig] = field(default_factory=dict)
@@ -52,6 +53,7 @@ class Loaded:
     told: tuple[np.ndarray, float] | None = None
     pixel: np.ndarray | None = None
     glass: Glass | None = None
+    outside: Outside | None = None
 
 
 class Surface(NamedTuple):
@@ -81,6 +83,9 @@ class Kind:
     of the array, whether its last entry is the first one's neighbour), for each axis along which
     neighbours are alike.
 
+    ``outlined``: whether alpha and masks tell it by the outline of what moves (``Contours``),
+    as they do shapes and poses.
+
     ``order``: of those that write the same parameter, the lower comes first. ``settings``: what the
     configuration says of it beside ``scene.unknowns``, in a text that changes as that does.
     ``doublings``: how often a coarser version of it may double its resolution before it is whole;
@@ -101,6 +106,7 @@ class Kind:
     affine: bool = False
     deforms: bool = False
     hides: bool = False
+    outlined: bool = False
     period: float | None = None
     scale: float = 1.0
     axes: tuple[tuple[int, bool], ...] = ()

@@ -12,6 +12,7 @@ from .grid import Grid
 from .kind import Kind, Loaded
 from .motion import Motion
 from .optics import Lens
+from .outer import Outer
 from .poses import Pose
 from .poses import movable_in as movable  # noqa: F401  (ids of what poses can move)
 from .texture import Texture
@@ -20,7 +21,7 @@ from .vertices import Vertices
 
 _KINDS: list[type[Kind]] = [
     *guests.loaded(guests.KINDS),
-    *(Pose, Vertices, Exposure, Motion, Lens, Direction, Environment, Bumps, Texture, Grid),
+    *(Pose, Vertices, Exposure, Motion, Lens, Outer, Direction, Environment, Bumps, Texture, Grid),
     Value,  # whatever no other kind has taken
 ]
 

@@ -306,7 +306,10 @@ def test_a_killed_run_leaves_readable_files(tmp_path):
     process.kill()
     process.communicate()
     assert list(csv.DictReader(history.open()))[0]["iteration"] == "0"
-    assert json.loads((tmp_path / "r" / "manifest.json").read_text())["schema"] == 2
+    assert (
+        json.loads((tmp_path / "r" / "manifest.json").read_text())["schema"]
+        == records.SCHEMA_VERSION
+    )
     assert records.load(tmp_path / "r").summary is None
     assert main(["report", str(tmp_path / "r")]) == 0
 

@@ -13,8 +13,9 @@ from isas_cli.config.compose import compose, instantiate, options, translate
 from isas_cli.runtime.errors import InputError
 
 GROUPS = ("sampler", "estimator", "loss", "prior")
-PHOTOS = ["photos", "chessboard"]
-SCENES = [name for name in options("scene") if name not in ("file", *PHOTOS)]
+# Those that need a file, or another program.
+GIVEN = ("file", "external", "photos", "chessboard")
+SCENES = [name for name in options("scene") if name not in GIVEN]
 
 
 def typed(*overrides: str) -> schema.Config:

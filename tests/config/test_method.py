@@ -10,7 +10,8 @@ from isas_cli.runtime.budget import Budget
 from isas_cli.runtime.errors import InputError
 
 GROUPS = {"sampler", "estimator", "optimizer", "target", "budget"}
-OWN = [name for name in options("scene") if method.said(name, "method")]
+# Another renderer is one only with more words: tests/scene/test_outside.py.
+OWN = [n for n in options("scene") if method.said(n, "method") and n != "external"]
 # What path replay does not differentiate.
 MOVING = ["caustic", "cup", "dodoco_b", "global_illumination", "kirby", "object_joint_shape"]
 MOVING += ["occlusion", "shadowplay", "shadows", "shadows_prdpt", "sort"]

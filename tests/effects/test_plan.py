@@ -1,7 +1,6 @@
 """The plan of effects: what decides it, what it changes, and what is refused."""
 
 import dataclasses
-import json
 import math
 
 import mitsuba as mi
@@ -12,7 +11,6 @@ from scenes_for_tests import ROUGHNESS, TEXTURE, problem, render_targets, withou
 
 from isas_cli import effects, records
 from isas_cli.cli.app import main
-from isas_cli.config.compose import compose
 from isas_cli.config.schema import BlurConfig, PoseConfig, UnknownConfig
 from isas_cli.effects import plan as planning
 from isas_cli.effects import probe, rules
@@ -39,8 +37,7 @@ def as_many_batches(monkeypatch):
 
 
 def decided(p, seconds=None, estimator="two_path", crossed=True, **settings):
-    made = configured("estimator", estimator)
-    made.crossed = crossed
+    made = configured("estimator", estimator, {} if crossed else {"crossed": False})
     return effects.decide(p, Effects(**settings), made, L2(), seconds)
 
 
@@ -419,6 +416,8 @@ def test_what_leaves_paths_to_mitsuba_cannot_be_planned():
 
 def test_a_staged_run_takes_the_second_estimator_at_the_end():
     class Named:
+        problem = None
+
         def __init__(self, name, paths):
             self.name, self.paths_per_step = name, paths
 
@@ -474,14 +473,3 @@ def test_effects_are_printed_alone(capsys, monkeypatch, tmp_path):
     assert main(["effects", "--foo"]) == 2
     assert main(["variance", "scene=pottery", "effects.max_depth=2"]) == 2
     assert "no use for it" in capsys.readouterr().err
-
-
-def test_earlier_records_had_all_effects():
-    from isas_cli.config.earlier import modern
-
-    now = compose(["scene=pottery", "effects=full"])
-    before = modern({"sampler": {"name": "uniform"}, "estimator": {"name": "two_path"}})
-    assert json.loads(json.dumps(before["effects"])) == dict(now.effects)
-    for name, directions in ("full", 1), ("auto", None):
-        earlier = modern({**before, "effects": {"name": name, "probe": False}})
-        assert earlier["effects"] == {"name": name, "probe": False, "directions": directions}

@@ -19,10 +19,11 @@ import psutil
 import pytest
 from crosses import some
 from poses_for_tests import blurred_problem
+from samplers_for_tests import pixel_samplers
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
 from isas_cli import losses
-from isas_cli.config.compose import compose, instantiate, pixel_samplers, translate
+from isas_cli.config.compose import compose, instantiate, translate
 from isas_cli.config.schema import OptimizerConfig
 from isas_cli.engine.evaluate import Evaluator
 from isas_cli.engine.loop import Loop
@@ -38,16 +39,21 @@ BYTES, OBJECTS = 16 << 20, 10  # in all, and of Python's objects per iteration
 def loop(p, name: str) -> Loop:
     sampler = instantiate(compose(["scene=pottery", f"sampler={name}"]).sampler, "sampler")
     loss, batch = losses.L2(), 256
-    sampler.prepare(p, loss, batch)
-    if sampler.refresh:
-        looking = getattr(sampler, "base", sampler)  # multiresolution looks through another
-        looking.refresh = BLOCK // 4  # so that looks are met often
+    looking_often(sampler)
+    sampler = sampler.on(p, loss, batch)
     stepper = Stepper(p.unknowns, OptimizerConfig())
     evaluator = Evaluator(p, loss, 50, 2, 1)
     budget, estimator = Budget(iterations=10_000), TwoPath(p, loss, batch)
     made = Loop(p, sampler, stepper, evaluator, budget, estimator, 1, 1)
     made.rehearse()
     return made
+
+
+def looking_often(sampler) -> None:
+    """Settings are frozen, and not every sampler takes this one."""
+    looking = getattr(sampler, "base", sampler)  # multiresolution looks through another
+    if looking.refresh:
+        object.__setattr__(looking, "refresh", BLOCK // 4)
 
 
 def variables() -> int:
@@ -116,7 +122,7 @@ def iterations_of(name: str):
     running = loop(p, name)
 
     def iterate(i: int) -> bool:
-        looks = running.sampler.due(running.position.iteration)
+        looks = running.sampler.settings.due(running.position.iteration)
         running._iterate()
         return looks
 
@@ -224,13 +230,12 @@ def test_nothing_grows_while_objects_move(settings):
     cfg = compose(translate(["scene=cup", *settings, "estimator.batch=256"]))
     sampler, settings = (instantiate(cfg[name], name) for name in ("sampler", "estimator"))
     loss = losses.L2()
-    settings.prepare(p, sampler, loss)
-    if sampler.refresh:
-        sampler.refresh = BLOCK // 4
+    looking_often(sampler)
     evaluator = Evaluator(p, loss, 50, 2, 1)
-    estimator = settings.made(p, loss)
+    estimator = settings.on(p, loss)
+    looks = settings.looks(sampler, estimator.problem, loss)
     stepper, budget = Stepper(p.unknowns, OptimizerConfig()), Budget(iterations=10_000)
-    running = Loop(p, sampler, stepper, evaluator, budget, estimator, 1, 1)
+    running = Loop(p, looks, stepper, evaluator, budget, estimator, 1, 1)
     running.rehearse()
 
     def iterate(i: int) -> bool:

@@ -22,7 +22,7 @@ from isas_cli.samplers.gradient import Gradient
 from isas_cli.samplers.ours import Ours
 from isas_cli.samplers.progress import Progress
 from isas_cli.samplers.relevant import Relevant
-from isas_cli.samplers.sampler import Stage1Settings
+from isas_cli.samplers.sampler import OnImages, Stage1Settings
 from isas_cli.samplers.uniform import Uniform
 from isas_cli.unknowns.parameters import as_numpy, unflat
 
@@ -38,7 +38,8 @@ SAMPLERS = {
 
 def assembled(p, loss, stepper, evaluator, budget, sampler=None, batch=256, seed=1, count=5):
     sampler = sampler or Uniform()
-    sampler.prepare(p, loss, batch)
+    if not isinstance(sampler, OnImages):
+        sampler = sampler.on(p, loss, batch)
     estimator = TwoPath(p, loss, batch)
     result = Loop(p, sampler, stepper, evaluator, budget, estimator, seed, count)
     result.rehearse()
@@ -83,8 +84,8 @@ def test_rows_say_what_was_spent():
     assert [r["iteration"] for r in rows][0] == 0 and rows[-1]["iteration"] == 10
     assert rows[0]["seconds"] == 0 and rows[0]["paths"] == 0, "the rehearsal is not billed"
     looks = 3  # before iterations 0, 4 and 8
-    assert rows[-1]["paths"] == 10 * 2 * 256 + looks * ours.paths_per_look
-    assert ours.paths_per_look == ours.cells.count * 2 * 2
+    assert rows[-1]["paths"] == 10 * 2 * 256 + looks * l.sampler.paths_per_look
+    assert l.sampler.paths_per_look == l.sampler.cells.count * 2 * 2
     assert all(a["seconds"] < b["seconds"] for a, b in zip(rows, rows[1:]))
     assert rows[-1]["seconds"] == pytest.approx(sum(l.clock.billed_seconds.values()))
     assert set(l.clock.billed_seconds) == {"stage1", "step"}
@@ -95,8 +96,7 @@ def test_rows_say_what_was_spent():
 def test_a_first_look_is_left_out_where_it_costs_a_quarter_of_the_budget(times, looked):
     """Paths are counted as they are traced."""
     p = problem({TEXTURE: 0.5})
-    progress = Progress(refresh=1000, stage1=STAGE1)
-    progress.prepare(p, losses.L2(), 256)
+    progress = Progress(refresh=1000, stage1=STAGE1).on(p, losses.L2(), 256)
     own = progress.paths_before + progress.paths_per_look
     l = loop(p, progress, Budget(paths=times * own))
     look, when = progress.look, []
@@ -117,8 +117,7 @@ def test_a_first_look_is_left_out_where_it_costs_a_quarter_of_the_budget(times, 
 
 def test_a_first_look_that_takes_long_is_left_out_of_a_short_time(monkeypatch):
     p = problem({TEXTURE: 0.5})
-    progress = Progress(stage1=STAGE1)
-    progress.prepare(p, losses.L2(), 256)
+    progress = Progress(stage1=STAGE1).on(p, losses.L2(), 256)
     look, when = progress.look, []
     monkeypatch.setattr(
         progress, "look", lambda *given: when.append(given[2]) or time.sleep(0.1) or look(*given)
@@ -130,8 +129,7 @@ def test_a_first_look_that_takes_long_is_left_out_of_a_short_time(monkeypatch):
 @pytest.mark.parametrize("rest, looked", [(3.5, False), (4.5, True)])
 def test_a_later_look_is_left_out_where_it_costs_a_quarter_of_what_is_left(rest, looked):
     p = problem({TEXTURE: 0.5})
-    ours = Ours(refresh=10, stage1=STAGE1)
-    ours.prepare(p, losses.L2(), 256)
+    ours = Ours(refresh=10, stage1=STAGE1).on(p, losses.L2(), 256)
     paths = ours.paths_per_look + 10 * 2 * 256 + rest * ours.paths_per_look
     l = loop(p, ours, Budget(paths=paths))
     look, when = ours.look, []
@@ -164,8 +162,8 @@ class Learns(TwoPath):
 
 
 def test_what_an_estimator_learns_is_each_runs_own():
-    p, loss, sampler = problem({TEXTURE: 0.5}), losses.L2(), Uniform()
-    sampler.prepare(p, loss, 256)
+    p, loss = problem({TEXTURE: 0.5}), losses.L2()
+    sampler = Uniform().on(p, loss, 256)
     estimator, evaluator = Learns(p, loss, 256), Evaluator(p, loss, 64, 2, 1)
     loops = []
     for iterations in (3, 5):
@@ -217,8 +215,7 @@ def test_the_learning_rate_falls_from_the_first_step_on(monkeypatch):
     """A first look that takes a fifth of the budget must not cost a fifth of the schedule, nor a
     continued run go back to its beginning."""
     p = problem({TEXTURE: 0.5}, constant_target=None)
-    ours = Ours(refresh=0, stage1=STAGE1)
-    ours.prepare(p, losses.L2(), 16)
+    ours = Ours(refresh=0, stage1=STAGE1).on(p, losses.L2(), 16)
     budget = Budget(paths=5 * ours.paths_per_look)
     same = {"budget": budget, "batch": 16}  # some dozen steps
 

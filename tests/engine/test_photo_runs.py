@@ -18,6 +18,7 @@ import isas_cli
 from isas_cli.config.compose import compose, translate
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.engine import experiment
+from isas_cli.engine.choices import Choices
 from isas_cli.engine.display import Display
 from isas_cli.engine.experiment import Phases
 from isas_cli.estimators import two_path
@@ -109,7 +110,7 @@ def problem(*settings: str):
     cfg = compose(translate([*SMALL, *settings]))
     typed, _ = experiment.checked(cfg)
     with Display(typed.budget) as display:
-        return experiment.built(typed, Phases(display), [cfg])
+        return experiment.built(typed, Phases(display), [Choices.of(cfg)])
 
 
 @pytest.mark.slow

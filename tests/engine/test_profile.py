@@ -11,11 +11,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from samplers_for_tests import pixel_samplers
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
 from isas_cli import losses, records
 from isas_cli.cli.app import main
-from isas_cli.config.compose import compose, instantiate, pixel_samplers
+from isas_cli.config.compose import compose, instantiate
 from isas_cli.config.schema import OptimizerConfig
 from isas_cli.engine import profiling
 from isas_cli.engine.evaluate import Evaluator
@@ -36,10 +37,9 @@ def few_rounds(monkeypatch):
 def rehearsed(p, name: str, freeze: bool = True, iterations: int = 8, steps=Stepper) -> Loop:
     sampler = instantiate(compose(["scene=pottery", f"sampler={name}"]).sampler, "sampler")
     loss = losses.L2()
-    sampler.prepare(p, loss, BATCH, freeze)
     made = Loop(
         p,
-        sampler,
+        sampler.on(p, loss, BATCH, freeze),
         steps(p.unknowns, OptimizerConfig(lr=0.05)),
         Evaluator(p, loss, 50, 2, 1),
         Budget(iterations=iterations),

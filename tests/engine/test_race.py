@@ -19,6 +19,7 @@ from isas_cli.cli import app, compare
 from isas_cli.cli.race import _contestants, _values
 from isas_cli.config.compose import compose
 from isas_cli.engine import race
+from isas_cli.engine.choices import Choices
 from isas_cli.engine.experiment import checked
 from isas_cli.engine.loop import Hooks, Loop
 from isas_cli.engine.workshop import Workshop
@@ -50,7 +51,7 @@ def loops(workshop: Workshop, *chosen: tuple[str, int]) -> list[Loop]:
     made = []
     for sampler, seed in chosen:
         cfg = compose([*SETTINGS, f"sampler={sampler}", f"seed={seed}"])
-        made.append(workshop.loop(cfg, *checked(cfg)))
+        made.append(workshop.loop(Choices.of(cfg), *checked(cfg)))
         made[-1].rehearse()
     return made
 
@@ -89,7 +90,7 @@ def test_equal_settings_share_and_different_ones_do_not():
 
     def made(*changes: str) -> Loop:
         cfg = compose([*SETTINGS, *changes])
-        return workshop.loop(cfg, *checked(cfg))
+        return workshop.loop(Choices.of(cfg), *checked(cfg))
 
     a, b = made("sampler=ours", "seed=1"), made("sampler=ours", "seed=2", "optimizer.lr=0.5")
     assert a.sampler is b.sampler and a.estimator is b.estimator
@@ -107,7 +108,7 @@ def test_a_turn_is_about_a_slice_long_and_the_order_rotates(monkeypatch, tmp_pat
     def advance(self, hooks, seconds):
         before = self.clock.seconds
         result = original(self, hooks, seconds)
-        turns.append((type(self.sampler).__name__, self.clock.seconds - before))
+        turns.append((type(self.sampler.settings).__name__, self.clock.seconds - before))
         return result
 
     monkeypatch.setattr(Loop, "advance", advance)
@@ -166,7 +167,7 @@ def test_one_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeypatch, 
     original = Loop._check
 
     def check(self, nonfinite, touched):
-        if type(self.sampler).__name__ == "Relevant" and self.position.iteration > 2:
+        if type(self.sampler.settings).__name__ == "Relevant" and self.position.iteration > 2:
             raise NumericalError("made up")
         original(self, nonfinite, touched)
 

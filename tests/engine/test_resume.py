@@ -10,16 +10,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from isas_cli import records
 from isas_cli.cli import app
-from isas_cli.engine.resumption import check_same
 from isas_cli.records import manifest
-from isas_cli.records.files import RELATIVE
 from isas_cli.runtime.errors import InputError
 
 TINY = [
@@ -260,16 +257,3 @@ def test_a_process_number_that_went_to_another_does_not_count():
     assert not manifest.alive(noted)
     assert manifest.alive({**noted, **manifest.process(), "pid": os.getppid()})
     assert not manifest.alive({**manifest.process(), "host": "elsewhere", "pid": os.getppid()})
-
-
-def test_errors_averaged_in_unlike_units_are_not_gone_on_with(tmp_path):
-    """Of an earlier version: its rows and those to come would not be of one measure."""
-    hashes = {"content_hash": "s", "target_hash": "t"}
-    now = SimpleNamespace(**hashes, unknowns=SimpleNamespace(unit=None))
-    machine = SimpleNamespace(variant="v")
-    earlier = {"variant": "v", "scene_hash": "s", "target_hash": "t"}
-    with pytest.raises(InputError, match="unlike units"):
-        check_same(now, machine, earlier, tmp_path)
-    check_same(now, machine, earlier | {"parameter_rmse_is": RELATIVE}, tmp_path)
-    now.unknowns.unit = "degrees"
-    check_same(now, machine, earlier, tmp_path)

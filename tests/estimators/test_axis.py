@@ -11,7 +11,8 @@ from scenes_for_tests import ROUGHNESS, TEXTURE, dictionary, without_targets
 
 from isas_cli import losses
 from isas_cli.config.compose import compose, instantiate, options, translate
-from isas_cli.config.schema import PRESETS, typed
+from isas_cli.config.presets import PRESETS
+from isas_cli.config.schema import typed
 from isas_cli.estimators.finite_differences import FiniteDifferences
 from isas_cli.estimators.mitsuba import WholeImages
 from isas_cli.estimators.plateau import Plateau
@@ -48,7 +49,7 @@ def test_a_preset_is_an_estimator_with_uniform_pixels(name):
     cfg = chosen(f"sampler={name}")
     assert cfg.estimator.name == cfg.sampler.name == name
     assert type(instantiate(cfg.sampler, "sampler")).__name__ == "Uniform"
-    made = instantiate(cfg.estimator, "estimator").made(blurred_problem(), losses.L2())
+    made = instantiate(cfg.estimator, "estimator").on(blurred_problem(), losses.L2())
     assert type(made) is MADE[name]
 
 

@@ -134,7 +134,7 @@ def test_the_distance_from_masks():
 
 def test_shapes_follow_it_alone_before_anything_else_moves():
     p = masked()
-    estimator = Settings(batch=256, edges=4096).made(Settings().on(p), losses.L2())
+    estimator = Settings(batch=256, edges=4096).on(p, losses.L2())
     assert estimator.stages == (0.0,)  # nothing else is unknown
     estimator.undrawn = 0.3
     uniform = PixelDistribution.uniform(Tiles.over(p.views))

@@ -22,7 +22,7 @@ from isas_cli.rendering.pixels import PixelDistribution
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime.errors import InputError
 from isas_cli.samplers.differences import Differences
-from isas_cli.samplers.sampler import Stage1Settings
+from isas_cli.samplers.sampler import Blurred, Stage1Settings
 from isas_cli.unknowns import blur, smoothing
 from isas_cli.unknowns.blur import Blur
 
@@ -171,8 +171,7 @@ def test_pixels_drawn_where_renderings_differ(problem, references, smooth):
 
 def drawn_by_differences(estimator, p, smooth: str) -> PixelDistribution:
     sampler = Differences(stage1=Stage1Settings(resolution=8, spp=8, probes=8, denoise="none"))
-    sampler.follow(estimator.blur, smooth)
-    sampler.prepare(p, losses.L2(), BATCH)
+    sampler = sampler.on(p, losses.L2(), BATCH, blurred=Blurred(estimator.blur, smooth))
     return sampler.distribution(sampler.look(p.unknowns.starts(), 3, 0))
 
 

@@ -179,7 +179,7 @@ def test_frozen_kernels_see_every_update_and_nothing_is_nan():
     steps = []
     for freeze in (True, False):
         chosen = Settings(batch=512, edges=512, shadows=0, reflections=2048, freeze=freeze)
-        estimator = chosen.made(chosen.on(p), losses.L2())
+        estimator = chosen.on(p, losses.L2())
         found = []
         for i, place in enumerate((x, x * np.float32(1.1), beyond, flat)):
             values = p.unknowns.values_of({KEY: place})

@@ -182,7 +182,7 @@ def test_replayed_paths_have_the_same_derivatives():
     found = []
     for direct in (True, False):
         chosen = Settings(batch=1 << 14, edges=16)
-        q = chosen.on(p)
+        q = chosen.differentiated(p)
         if not direct:
             q.integrator.direct = False
             q.integrator.projective = mi.load_dict(
@@ -211,7 +211,7 @@ def test_frozen_kernels_see_every_update(small):
     steps = []
     for freeze in (True, False):
         chosen = Settings(batch=1024, edges=1024, freeze=freeze)
-        estimator = chosen.made(chosen.on(p), losses.L2())
+        estimator = chosen.on(p, losses.L2())
         found: list[np.ndarray] = []
         for i in range(5):
             values = p.unknowns.values_of({KEY: egg(p) * np.float32(1 + 0.05 * i)})
@@ -226,7 +226,7 @@ def test_what_a_run_met_is_its_own(small):
     """Steps of one run with another's in between, on one estimator, are those without."""
     p = small
     chosen = Settings(batch=1024, edges=1024)
-    estimator = chosen.made(chosen.on(p), losses.L2())
+    estimator = chosen.on(p, losses.L2())
     uniform = PixelDistribution.uniform(Tiles.over(p.views))
     values = p.unknowns.values_of({KEY: egg(p)})
 
@@ -256,7 +256,7 @@ def test_a_pose_of_a_mesh():
     p = without_targets(kirby.build(2, 32, 2), unknowns, poses)
     render_targets(p, 256)
     chosen = Settings(batch=1 << 14, edges=1 << 14)
-    estimator = chosen.made(chosen.on(p), losses.L2())
+    estimator = chosen.on(p, losses.L2())
     uniform = PixelDistribution.uniform(Tiles.over(p.views))
     values = p.unknowns.starts()
     found = [estimator.estimate(values, uniform, 1, i, 0.0) for i in range(COUNT)]
@@ -301,7 +301,7 @@ def test_a_mesh_that_moves_before_another():
         "scale": {KEY: egg(p), "shift": np.zeros(1)},
     }
     chosen = Settings(batch=1 << 16, edges=1 << 16, shadows=1 << 15, lamps=64)
-    estimator = chosen.made(chosen.on(p), losses.L2())
+    estimator = chosen.on(p, losses.L2())
     uniform = PixelDistribution.uniform(Tiles.over(p.views))
     place = {KEY: egg(p), "shift": np.array([0.1], np.float32)}
     values = p.unknowns.values_of(place)
@@ -327,7 +327,7 @@ def test_a_mesh_that_moves_before_another():
 def test_out_of_view_there_is_nothing_and_no_nan():
     p = problem(views=2, side=16)
     chosen = Settings(batch=512, edges=512)
-    estimator = chosen.made(chosen.on(p), losses.L2())
+    estimator = chosen.on(p, losses.L2())
     uniform = PixelDistribution.uniform(Tiles.over(p.views))
     beyond = (egg(p) + np.float32(50)).astype(np.float32)
     flat = egg(p) * np.float32([1, 1, 0])
@@ -344,4 +344,4 @@ def test_what_it_cannot_follow_is_refused(plain):
     p = blurred_problem()  # a sphere, which is no mesh
     chosen = Settings()
     with pytest.raises(InputError, match="which is no mesh: estimator=silhouettes follows meshes"):
-        chosen.made(chosen.on(p), losses.L2())
+        chosen.on(p, losses.L2())

@@ -9,7 +9,7 @@ from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
 from isas_cli import losses
 from isas_cli.losses import priors
-from isas_cli.losses.priors import Nothing, OnUnknowns, Smoothness, TotalVariation
+from isas_cli.losses.priors import Nothing, OnNeighbours, Smoothness, TotalVariation
 from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns.parameters import as_numpy, flat
 
@@ -42,8 +42,8 @@ def reference(prior, x: np.ndarray, axes) -> float:
     return prior.weight * total / x.size
 
 
-def on(prior, x: np.ndarray, axes, whole: tuple | None = None) -> tuple[OnUnknowns, dict]:
-    made = OnUnknowns(prior, {"x": (whole or x.shape, axes)}, {"x": 1.0})
+def on(prior, x: np.ndarray, axes, whole: tuple | None = None) -> tuple[OnNeighbours, dict]:
+    made = OnNeighbours(prior, {"x": (whole or x.shape, axes)}, {"x": 1.0})
     return made, {"x": mi.TensorXf(np.ascontiguousarray(x, np.float32))}
 
 
@@ -73,7 +73,7 @@ def test_a_gradient_without_the_step_before_is_noticed(rng, monkeypatch):
         slopes = self.prior.slopes(priors._steps(x, following, closer))
         return -sum(slopes, mi.Float(0)) * scale
 
-    monkeypatch.setattr(OnUnknowns, "_traced_slope", careless)
+    monkeypatch.setattr(OnNeighbours, "_traced_slope", careless)
     with pytest.raises(AssertionError):
         test_value_and_gradient_are_those_of_the_formula("smoothness", "map", rng)
 

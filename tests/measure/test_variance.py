@@ -193,8 +193,7 @@ def test_no_sampler_beats_the_best_pmf(small, measured):
     reached = judge.second_moment(found.distribution)
     starts = small.unknowns.starts()
     for name in ("uniform", "relevant", "gradient", "ours", "joint", "balanced"):
-        sampler = configured("sampler", name)
-        sampler.prepare(small, L2(), 4096)
+        sampler = configured("sampler", name).on(small, L2(), 4096)
         pmf = sampler.distribution(sampler.look(starts, 5, 1))
         assert judge.second_moment(pmf) > 0.99 * reached, name
     small.unknowns.write(starts)

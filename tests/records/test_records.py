@@ -172,27 +172,6 @@ def test_another_schema_version_is_refused_by_name(tmp_path, name):
         records.load(tmp_path)
 
 
-def test_a_run_of_schema_1_is_read_and_its_checkpoint_refused_by_name(tmp_path):
-    writer = records.RunWriter(tmp_path)
-    writer.manifest({})
-    writer.evaluation({k: v for k, v in ROW.items() if k != "gradient_noise"})
-    writer.checkpoint({"x": np.zeros(3)}, {})
-    path = tmp_path / "manifest.json"
-    path.write_text(path.read_text().replace('"schema": 2', '"schema": 1'))
-    old = pandas.read_csv(tmp_path / "history.csv").drop(columns="gradient_noise")
-    old.to_csv(tmp_path / "history.csv", index=False)
-    run = records.load(tmp_path)
-    assert run.manifest["schema"] == 1 and run.history["gradient_noise"].isna().all()
-    assert run.history["paths"][0] == ROW["paths"]
-    with np.load(tmp_path / "checkpoint" / "state.npz") as file:
-        members = dict(file)
-    state = members["state"].tobytes().replace(b'"schema": 2', b'"schema": 1')
-    members["state"] = np.frombuffer(state, np.uint8)
-    np.savez(tmp_path / "checkpoint" / "state.npz", **members)
-    with pytest.raises(InputError, match="state.npz: schema version 1; this isas reads 2"):
-        records.load_checkpoint(tmp_path)
-
-
 def test_a_reopened_record_keeps_the_rows_up_to_its_checkpoint(tmp_path):
     writer = records.RunWriter(tmp_path)
     writer.manifest({})

@@ -8,10 +8,11 @@ from crosses import some
 from gradient_estimates import Gradients, configured, difference_quotients
 from hard_scenes import SCENES, assemble
 from montecarlo import welch
+from samplers_for_tests import pixel_samplers
 from scenes_for_tests import dictionary, texture
 from scipy import stats
 
-from isas_cli.config.compose import compose, pixel_samplers
+from isas_cli.config.compose import compose
 from isas_cli.engine.experiment import checked
 from isas_cli.losses import L2
 from isas_cli.rendering import derivative_sampling, rays

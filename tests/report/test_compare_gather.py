@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import synthetic_runs as synthetic
 
-from isas_cli.records.files import OWN_UNIT
+from isas_cli.records.files import OWN_UNIT, SCHEMA_VERSION
 from isas_cli.report.compare import content, labels
 from isas_cli.report.compare.gather import Method, by_scene, gather
 from isas_cli.runtime.errors import InputError
@@ -232,7 +232,7 @@ def test_a_folder_named_twice_counts_once(tmp_path):
 def test_measurements_of_variance_beside_runs_are_passed_over_in_silence(tmp_path):
     run(tmp_path / "uniform", sampler="uniform", seed=7)
     (tmp_path / "variance").mkdir()
-    manifest = {"schema": 2, "variance": {"repeats": 8}}
+    manifest = {"schema": SCHEMA_VERSION, "variance": {"repeats": 8}}
     (tmp_path / "variance" / "manifest.json").write_text(json.dumps(manifest))
     assert found(tmp_path) == [("pottery", "uniform", [7])]
     assert warnings(tmp_path) == warnings(tmp_path / "uniform")

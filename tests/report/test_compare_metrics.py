@@ -10,7 +10,6 @@ import pandas
 import pytest
 import synthetic_runs as synthetic
 
-from isas_cli.records import load
 from isas_cli.report.compare import build, metrics
 
 INF = math.inf
@@ -60,16 +59,6 @@ def test_gradient_noise_is_the_mean_over_evaluated_iterations(tmp_path):
     noise = {"gradient_noise": [None, 4.0, math.nan, 1.0]}
     run = synthetic.run(tmp_path, range(4), [1, 0.5, 0.4, 0.3], columns=noise)
     assert metrics.gradient_noise(run) == 2.5
-
-
-def test_runs_that_did_not_record_gradient_noise_have_none(tmp_path):
-    folder = synthetic.write(tmp_path, range(2), [1, 0.5])
-    table = pandas.read_csv(folder / "history.csv", dtype=str)
-    table.drop(columns="gradient_noise").to_csv(folder / "history.csv", index=False)
-    for name in ("manifest.json", "summary.json"):
-        text = (folder / name).read_text()
-        (folder / name).write_text(text.replace('"schema": 2', '"schema": 1'))
-    assert math.isnan(metrics.gradient_noise(load(folder)))
 
 
 def summary(folder: Path) -> pandas.DataFrame:

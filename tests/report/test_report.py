@@ -14,7 +14,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from isas_cli import report
-from isas_cli.records import RunWriter, load, safe_name
+from isas_cli.records import SCHEMA_VERSION, RunWriter, load, safe_name
 from isas_cli.report import cells, figures, page, plots
 from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
@@ -167,7 +167,12 @@ def test_a_run_that_was_killed_is_reported_from_its_history(tmp_path, count):
 
 def test_a_job_whose_process_died_is_reported_from_its_history(tmp_path):
     evaluate(begin(tmp_path), 5)
-    died = {"schema": 1, "status": "failed", "error": "killed by signal 9", "killed": True}
+    died = {
+        "schema": SCHEMA_VERSION,
+        "status": "failed",
+        "error": "killed by signal 9",
+        "killed": True,
+    }
     (tmp_path / "summary.json").write_text(json.dumps(died))
     assert f"{0.3 * 0.8**4:.4g}" in check(report.write(tmp_path)).text
 

@@ -123,8 +123,7 @@ def test_a_look_is_the_root_of_the_moment():
     settings = Stage1Settings(resolution=4, spp=4, probes=3, denoise="none")
     starts, found = p.unknowns.starts(), []
     for freeze in (True, False):
-        sampler = Joint(stage1=settings)
-        sampler.prepare(p, loss, 512, freeze)
+        sampler = Joint(stage1=settings).on(p, loss, 512, freeze)
         found += [np.array(sampler.look(starts, 3, i)) for i in (0, 7, 14)]
     moment = Product(p, loss, sampler.cells, 4).second_moment(starts, 3, 3, 14)
     p.unknowns.write(starts)
@@ -139,7 +138,7 @@ def test_masked_pixels_draw_nothing():
     mask[: p.views.total // 2] = 0  # the first view
     p.set_targets(p.targets, mi.Float(mask), "test")
     sampler = Joint(stage1=Stage1Settings(resolution=4, spp=4, denoise="none"))
-    sampler.prepare(p, losses.L2(), 512)
+    sampler = sampler.on(p, losses.L2(), 512)
     weights = np.array(sampler.look(p.unknowns.starts(), 1, 0))
     p.unknowns.write(p.unknowns.starts())
     half = sampler.cells.sizes[0][0] * sampler.cells.sizes[0][1]

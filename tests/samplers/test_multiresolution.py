@@ -100,7 +100,7 @@ def test_what_is_no_weight_counts_as_zero():
 
 
 def looked(p, sampler, iteration: int = 0, moments=None) -> np.ndarray:
-    sampler.prepare(p, losses.L2(), 512)
+    sampler = sampler.on(p, losses.L2(), 512)
     starts = p.unknowns.starts()
     weights = np.array(sampler.look(starts, 3, iteration, moments))
     p.unknowns.write(starts)
@@ -117,7 +117,7 @@ def test_level_0_alone_is_the_base(kind):
 def test_base_gets_its_moments():
     p = problem(UNKNOWNS)
     sampler = Multiresolution(base=Preconditioned(stage1=STAGE1), levels=0)
-    assert sampler.needs_moments and not COARSE.needs_moments
+    assert "moments" in sampler.needs and "moments" not in COARSE.needs
     v = {}
     for key, value in p.unknowns.starts().items():
         v[key] = mi.Float(np.logspace(-8, -4, dr.width(flat(value))).astype(np.float32))
@@ -129,10 +129,10 @@ def test_base_gets_its_moments():
 
 def test_base_keeps_its_settings():
     base = Gradient(floor=0.3, refresh=7, stage1=Stage1Settings(resolution=6, spp=2, average=0.5))
-    sampler = Multiresolution(base=base)
     p = problem(UNKNOWNS)
-    weights = looked(p, sampler)
-    assert [i for i in range(20) if sampler.due(i)] == [0, 7, 14]
+    weights = looked(p, Multiresolution(base=base))
+    base, sampler = (each.on(p, losses.L2(), 512) for each in (base, Multiresolution(base=base)))
+    assert [i for i in range(20) if sampler.settings.due(i)] == [0, 7, 14]
     assert sampler.paths_per_look == base.paths_per_look > 0
     assert sampler.paths_before == base.paths_before
     assert sampler.cells.sizes == base.cells.sizes
@@ -145,8 +145,7 @@ def test_base_keeps_its_settings():
 
 def test_floor_is_mixed_in_once():
     p = problem(UNKNOWNS)
-    sampler = Multiresolution(base=Ours(floor=0.2, stage1=STAGE1))
-    sampler.prepare(p, losses.L2(), 512)
+    sampler = Multiresolution(base=Ours(floor=0.2, stage1=STAGE1)).on(p, losses.L2(), 512)
     weights = np.zeros(sampler.cells.count, np.float32)
     weights[-1] = 1
     distribution = sampler.distribution(mi.Float(weights))

@@ -113,12 +113,12 @@ def test_weighted_moment_matches_brute_force(rng):
 def test_a_look_is_the_root_of_the_product(rng):
     p = problem(UNKNOWNS)
     sampler = Preconditioned(stage1=Stage1Settings(resolution=4, spp=4, probes=2, denoise="none"))
-    sampler.prepare(p, losses.L2(), 512)
+    sampler = sampler.on(p, losses.L2(), 512)
     starts, v = p.unknowns.starts(), second(p, rng)
     weights = np.array(sampler.look(starts, 3, 7, moments_of(v)))
     stage1 = Stage1(p, losses.L2(), sampler.cells, 4)
     _, first = stage1.residual(starts, 3, 7)
-    moment = stage1.second_moment(starts, 2, 3, 7, root_weights(v, sampler.least))
+    moment = stage1.second_moment(starts, 2, 3, 7, root_weights(v, sampler.settings.least))
     p.unknowns.write(starts)
     exact = np.sqrt((np.array(first) * np.array(moment)).sum(axis=0))
     assert np.allclose(weights, exact, rtol=1e-3, atol=1e-6 * exact.max())
@@ -128,8 +128,7 @@ def test_without_moments_it_is_eq_12():
     p = problem(UNKNOWNS)
     starts, found = p.unknowns.starts(), []
     for kind in (Ours, Preconditioned):
-        sampler = kind(stage1=STAGE1)
-        sampler.prepare(p, losses.L2(), 512)
+        sampler = kind(stage1=STAGE1).on(p, losses.L2(), 512)
         found.append(np.array(sampler.look(starts, 3, 7)))
     p.unknowns.write(starts)
     assert np.allclose(*found, rtol=1e-5)
@@ -190,7 +189,7 @@ def test_fixed_point_of_a_rendered_texture():
     p, loss = problem({TEXTURE: 0.5}, size=4, resolution=(48, 32), depth=2, floor=4.0), losses.L2()
     settings = Stage1Settings(resolution=48, spp=8, probes=8, denoise="none")
     sampler = Preconditioned(least=1e-4, stage1=settings)
-    sampler.prepare(p, loss, 512)
+    sampler = sampler.on(p, loss, 512)
     starts, spp = p.unknowns.starts(), 32
     paths = PerPath(p, loss, sampler.cells, spp)
     derivative = cell_means(paths.derivatives(9, 0) ** 2, spp)

@@ -14,26 +14,24 @@ from isas_cli.engine.optimiser import Stepper
 from isas_cli.rendering import rays
 from isas_cli.runtime.errors import InputError
 from isas_cli.samplers.allocation import masses, tangents
-from isas_cli.samplers.progress import Progress
+from isas_cli.samplers.progress import Masses, Progress
 from isas_cli.samplers.sampler import Moments, Stage1Settings
 from isas_cli.samplers.stage1.cells import Cells
 from isas_cli.samplers.stage1.path_cost import PathCost
 
 
-def prepared(p, resolution: int, spp: int, batch: int = 512, **settings) -> Progress:
+def prepared(p, resolution: int, spp: int, batch: int = 512, **settings) -> Masses:
     stage1 = Stage1Settings(resolution=resolution, spp=spp, denoise="none", average=0.5)
-    sampler = Progress(stage1=stage1, **settings)
-    sampler.prepare(p, losses.L2(), batch)
-    return sampler
+    return Progress(stage1=stage1, **settings).on(p, losses.L2(), batch)
 
 
-def first_look(p, sampler: Progress, base: int = 1) -> np.ndarray:
+def first_look(p, sampler: Masses, base: int = 1) -> np.ndarray:
     weights = np.array(sampler.look(p.unknowns.starts(), base, 0), np.float64)
     p.unknowns.write(p.unknowns.starts())
     return weights / weights.sum()
 
 
-def _survey(sampler: Progress) -> tuple:
+def _survey(sampler: Masses) -> tuple:
     (found,) = sampler._surveys.values()
     return found
 
@@ -305,8 +303,7 @@ def test_paths_are_counted_as_they_are_traced(monkeypatch):
     """What the record bills as paths: every lane of every stream that a look makes."""
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5})
     stage1 = Stage1Settings(resolution=4, spp=2, denoise="none")
-    sampler = Progress(stage1=stage1)
-    sampler.prepare(p, losses.L2(), 512, freeze=False)
+    sampler = Progress(stage1=stage1).on(p, losses.L2(), 512, freeze=False)
     traced = []
     honest = rays.stream
     monkeypatch.setattr(

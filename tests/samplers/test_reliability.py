@@ -7,10 +7,12 @@ from crosses import some
 
 from isas_cli.config.compose import compose
 from isas_cli.engine import experiment
+from isas_cli.engine.choices import Choices
 from isas_cli.engine.display import Display
 from isas_cli.engine.experiment import Phases
 from isas_cli.engine.workshop import Workshop
 from isas_cli.samplers import reliability
+from isas_cli.samplers.ours import Ours
 
 SQUARES = ["ours", "preconditioned", "progress", "multiresolution"]
 CELLS = 64 * 64
@@ -20,7 +22,7 @@ class Looks:
     """Stands for a sampler whose looks find ``image(rng)``, and weigh it as it is."""
 
     def __init__(self, image, floor: float = 0.0):
-        self.image, self.floor = image, floor
+        self.image, self.settings = image, Ours(floor=floor)
 
     def measured(self, values, base, iteration):
         rng = np.random.default_rng((base, iteration))
@@ -73,7 +75,7 @@ SMALL += ["evaluation.spp=2", "effects=full"]  # picked light samples find more
 
 def configured(*settings: str):
     cfg = compose([*SMALL, *settings])
-    return cfg, *experiment.checked(cfg)
+    return Choices.of(cfg), *experiment.checked(cfg)
 
 
 @pytest.fixture(scope="module")

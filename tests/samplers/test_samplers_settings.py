@@ -11,12 +11,14 @@ import pytest
 from crosses import crossed
 from gradient_estimates import Gradients, configured, shared_settings
 from hard_scenes import assemble
+from samplers_for_tests import pixel_samplers
 from scenes_for_tests import dictionary
 
 from isas_cli import losses
-from isas_cli.config.compose import compose, instantiate, pixel_samplers
+from isas_cli.config.compose import compose, instantiate
 from isas_cli.rendering.integrators import Unrolled
 from isas_cli.runtime.errors import InputError
+from isas_cli.samplers.sampler import OnImages
 from isas_cli.scene.problem import Problem
 
 BATCH = 512
@@ -61,9 +63,8 @@ def bench() -> Gradients:
     return Gradients(assemble(plain(), START), losses.L2(), BATCH)
 
 
-def looks(sampler, bench: Gradients, freeze: bool = True) -> list[mi.Float]:
+def looks(sampler: OnImages, bench: Gradients) -> list[mi.Float]:
     """Cells' weights found at a run's start and later, with the random numbers of these times."""
-    sampler.prepare(bench.problem, bench.loss, BATCH, freeze)
     moments = bench.moments()
     found = [sampler.look(bench.values, 5, i, moments if i else None) for i in (0, 100)]
     bench.problem.unknowns.write(bench.values)
@@ -83,7 +84,8 @@ def check(sampler, weights: mi.Float) -> np.ndarray:
     p, count = probabilities(distribution), sampler.problem.views.total
     assert np.all(np.isfinite(p))
     assert p.sum() == pytest.approx(1, abs=1e-6)
-    floor = sampler.floor if "floor" in sampler.uses or hasattr(sampler, "base") else 1.0
+    own = sampler.settings
+    floor = own.floor if "floor" in own.uses or hasattr(own, "base") else 1.0
     assert np.all(p >= floor / count * (1 - 1e-6))
     view, column, row, probability = distribution.draw(BATCH, dr.opaque(mi.UInt32, 1))
     pixel = np.array(sampler.problem.views.index(view, column, row))
@@ -91,14 +93,14 @@ def check(sampler, weights: mi.Float) -> np.ndarray:
     return p * count
 
 
-def effects(sampler, found: list[mi.Float]) -> dict[str, np.ndarray]:
-    """All that a run sees of a sampler, prepared, with such looks: when it looks, and the pmf after
-    one look and after two."""
+def effects(sampler: OnImages, found: list[mi.Float]) -> dict[str, np.ndarray]:
+    """All that a run sees of a sampler with such looks: when it looks, and the pmf after one look
+    and after two."""
     first, second = found
     check(sampler, first)
     blended = sampler.blended(first, second)
     return {
-        "due": np.array([sampler.due(i) for i in range(200)]),
+        "due": np.array([sampler.settings.due(i) for i in range(200)]),
         "first": probabilities(sampler.distribution(first)),
         "second": probabilities(sampler.distribution(blended)),
     }
@@ -106,10 +108,11 @@ def effects(sampler, found: list[mi.Float]) -> dict[str, np.ndarray]:
 
 def check_all(sampler, bench: Gradients, freeze: bool = True) -> None:
     """Two looks, and their mean."""
-    first, second = looks(sampler, bench, freeze)
-    sampler.stage1.average = 0.5
-    for weights in (first, second, sampler.blended(first, second)):
-        check(sampler, weights)
+    at_work = bench.prepared(sampler, freeze)
+    first, second = looks(at_work, bench)
+    object.__setattr__(sampler.stage1, "average", 0.5)  # frozen: asked about one number alone
+    for weights in (first, second, at_work.blended(first, second)):
+        check(at_work, weights)
 
 
 def differ(a: dict, b: dict) -> bool:
@@ -119,7 +122,7 @@ def differ(a: dict, b: dict) -> bool:
 @pytest.fixture(scope="module")
 def seen(bench):
     """What each sampler's looks find as configured, asked for by name."""
-    return {name: looks(configured("sampler", name), bench) for name in NAMES}
+    return {name: looks(bench.prepared(configured("sampler", name)), bench) for name in NAMES}
 
 
 @pytest.fixture(scope="module")
@@ -133,18 +136,16 @@ def usual(bench, seen):
 def test_the_same_settings_have_the_same_effects(bench, usual):
     """Otherwise a difference would say nothing about a setting."""
     for name in NAMES:
-        again = configured("sampler", name)
+        again = bench.prepared(configured("sampler", name))
         assert not differ(effects(again, looks(again, bench)), usual[name])
 
 
 @pytest.mark.parametrize("name, setting", [pair for pair in PAIRS if used(*pair)])
 def test_settings_have_an_effect(name, setting, bench, seen, usual):
     changed = configured("sampler", name, {shared_settings(name)[0] + setting: OTHER[setting]})
-    if setting in AFTERWARDS:
-        found = effects(bench.prepared(changed), seen[name])
-    else:
-        found = effects(changed, looks(changed, bench))
-    assert differ(found, usual[name])
+    changed = bench.prepared(changed)
+    found = seen[name] if setting in AFTERWARDS else looks(changed, bench)
+    assert differ(effects(changed, found), usual[name])
 
 
 @pytest.mark.parametrize("name, setting", [pair for pair in PAIRS if not used(*pair)])
@@ -184,7 +185,7 @@ def test_own_settings_have_an_effect(name, setting, bench, usual):
     others = [1e6 * value, 1e-3 * value] if isinstance(value, float) else [value + 3, value - 2]
     for other in others:
         try:
-            changed = configured("sampler", name, {setting: other})
+            changed = bench.prepared(configured("sampler", name, {setting: other}))
         except InputError as error:
             assert setting in str(error) and "\n" not in str(error)
             continue
@@ -198,10 +199,10 @@ def test_every_pixel_keeps_the_floor(name, bench, seen):
     """Cells as small as pixels, and larger ones; films of two sizes."""
     small = bench.prepared(configured("sampler", name))
     prefix, _ = shared_settings(name)
-    large = configured("sampler", name, {prefix + "stage1.resolution": 5})
+    large = bench.prepared(configured("sampler", name, {prefix + "stage1.resolution": 5}))
     for sampler, found in ((small, seen[name]), (large, looks(large, bench))):
         for floor in (0.0, 0.05, 0.7, 1.0):
-            sampler.floor = floor
+            object.__setattr__(sampler.settings, "floor", floor)  # frozen, as in check_all
             density = check(sampler, found[1])
             # Little where coarse cells are summed over coarser ones still.
             assert np.ptp(density) >= 0.01 * (1 - floor)
@@ -307,6 +308,12 @@ def test_paths_of_stage_1_that_are_not_finite_leave_a_pmf(name, every, bench, mo
 )
 def test_a_look_at_many_views_takes_no_more_cells_than_at_few(name, views, side):
     """Cells along a view's longer side by default, at the default batch, and as configured."""
-    p = types.SimpleNamespace(film_sizes=[(4096, 4096)] * views)
-    assert configured("sampler", name).resolution(p, 65536) == side
-    assert configured("sampler", name, {"stage1.resolution": 200}).resolution(p, 65536) == 200
+    films = types.SimpleNamespace(film_sizes=[(4096, 4096)] * views)
+
+    def cells(settings: dict | None = None) -> int:
+        chosen = configured("sampler", name, settings)
+        looks = chosen.works.__new__(chosen.works)  # nothing is built for so many pixels
+        looks.settings, looks.problem = chosen, films
+        return looks.resolution(65536)
+
+    assert cells() == side and cells({"stage1.resolution": 200}) == 200

@@ -63,7 +63,7 @@ def test_residual_moment_counts_the_noise_of_the_paths():
 def test_ours_is_the_root_of_the_product():
     p = problem({ROUGHNESS: 0.5})
     sampler = Ours(stage1=Stage1Settings(resolution=4, spp=4, denoise="none"))
-    sampler.prepare(p, losses.L2(), 512)
+    sampler = sampler.on(p, losses.L2(), 512)
     starts = p.unknowns.starts()
     weights = np.array(sampler.look(starts, 3, 7))
     stage1 = Stage1(p, losses.L2(), sampler.cells, 4)
@@ -77,7 +77,7 @@ def test_ours_is_the_root_of_the_product():
 def test_relevant_leaves_out_the_sky_only():
     p = problem({ROUGHNESS: 0.5}, resolution=(32, 32), depth=2)
     sampler = Relevant(stage1=Stage1Settings(resolution=32, spp=4, denoise="none"))
-    sampler.prepare(p, losses.L2(), 512)
+    sampler = sampler.on(p, losses.L2(), 512)
     weights = np.array(sampler.look(p.unknowns.starts(), 1, 0)).reshape(2, 32, 32)
     p.unknowns.write(p.unknowns.starts())
     assert set(np.unique(weights)) == {0.0, 1.0}
@@ -91,7 +91,7 @@ def test_balanced_matches_brute_force():
     p = problem({TEXTURE: 0.5}, size=4, resolution=(48, 32), depth=2)
     settings = Stage1Settings(resolution=48, spp=32, denoise="none")
     sampler = Balanced(floor=0.0, power=1.0, passes=4, least=1e-3, stage1=settings)
-    sampler.prepare(p, losses.L2(), 512)
+    sampler = sampler.on(p, losses.L2(), 512)
     starts = p.unknowns.starts()
     weights = np.array(sampler.look(starts, 1, 0), np.float64)
     exact = np.abs(PerPath(p, losses.L2(), sampler.cells, 32).derivatives(9, 0)).sum(axis=1)

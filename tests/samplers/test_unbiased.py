@@ -19,10 +19,10 @@ from gradient_estimates import (
 )
 from hard_scenes import SCENES, hard_problem
 from montecarlo import welch
+from samplers_for_tests import pixel_samplers
 from scenes_for_tests import without_targets
 from weights import as_mitsuba
 
-from isas_cli.config.compose import pixel_samplers
 from isas_cli.rendering import rays
 from isas_cli.rendering.integrators import Integrator, Unrolled
 from isas_cli.rendering.pixels import PixelDistribution, Tiles

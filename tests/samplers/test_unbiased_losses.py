@@ -10,9 +10,10 @@ from crosses import some
 from gradient_estimates import Gradients, configured, moved, radiances
 from hard_scenes import assemble, hard_problem
 from montecarlo import welch, z_against
+from samplers_for_tests import pixel_samplers
 
 from isas_cli import losses
-from isas_cli.config.compose import options, pixel_samplers
+from isas_cli.config.compose import options
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime import streams
 from isas_cli.scene.problem import Problem
@@ -138,7 +139,7 @@ def test_l1_comes_to_rest_where_the_target_is_the_median(panel, seed):
     assert brute[100] == pytest.approx(brute.min())
 
 
-@dataclass
+@dataclass(frozen=True)
 class RenderingBelow(losses.RelativeL2):
     """What relative L2 often is: the rendering in the denominator, held fixed there."""
 

@@ -5,10 +5,9 @@ import pytest
 from crosses import some
 from gradient_estimates import Gradients, WithoutWeights, configured, shared_settings
 from montecarlo import welch
+from samplers_for_tests import pixel_samplers
 from scenes_for_tests import render_targets
 from volumes_for_tests import problem, uneven
-
-from isas_cli.config.compose import pixel_samplers
 
 LEVEL, REPEATS, BATCH = 1e-4, 120, 4096
 LOOKS = {"stage1.resolution": 6, "stage1.spp": 4}

@@ -6,9 +6,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from crosses import crossed, some
+from samplers_for_tests import pixel_samplers
 from test_tiny_scenes import ITERATIONS, MOVING, SMALL, configured
 
-from isas_cli.config.compose import pixel_samplers
 from isas_cli.engine import experiment
 from isas_cli.engine.display import Display
 from isas_cli.engine.experiment import Phases
@@ -50,8 +50,7 @@ CROSSED = [
 @pytest.mark.parametrize("workshop, name", CROSSED, indirect=["workshop"])
 def test_three_iterations(workshop, name):
     scene = workshop.problem.name
-    cfg, typed, budget = configured(f"scene={scene}", *GRADIENTS[name], *SMALL)
-    loop = workshop.loop(cfg, typed, budget)
+    loop = workshop.loop(*configured(f"scene={scene}", *GRADIENTS[name], *SMALL))
     loop.rehearse()
     rows: list[dict] = []
     assert loop.run(Hooks(evaluated=rows.append)) == "done"

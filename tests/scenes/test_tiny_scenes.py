@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from crosses import crossed, some
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
+from samplers_for_tests import pixel_samplers
 from test_scenes import NAMES
 
 from isas_cli.config import schema
-from isas_cli.config.compose import compose, options, pixel_samplers, translate
+from isas_cli.config.compose import compose, options, translate
 from isas_cli.config.schema import Config
 from isas_cli.engine import experiment
+from isas_cli.engine.choices import Choices
 from isas_cli.engine.display import Display
 from isas_cli.engine.experiment import Phases
 from isas_cli.engine.loop import Hooks
@@ -24,7 +26,7 @@ MOVING = ["caustic", "cup", "global_illumination", "occlusion", "shadows", "shad
 SHAPES = ["dodoco_b", "kirby", "shadowplay"]
 JOINT = ["object_joint_shape"]  # test_joint_scenes.py
 PHOTOS = ["photos", "chessboard"]  # tests/engine/test_photo_runs.py
-OTHERS = ["file", *MOVING, *SHAPES, *JOINT, *PHOTOS]
+OTHERS = ["file", "external", *MOVING, *SHAPES, *JOINT, *PHOTOS]
 SCENES = [name for name in options("scene") if name not in OTHERS]
 SAMPLERS = pixel_samplers()
 ITERATIONS = 3
@@ -39,9 +41,9 @@ SMALL = [
 ]
 
 
-def configured(*overrides: str) -> tuple[DictConfig, Config, Budget]:
+def configured(*overrides: str) -> tuple[Choices, Config, Budget]:
     cfg = compose(translate(overrides))
-    return cfg, *experiment.checked(cfg)
+    return Choices.of(cfg), *experiment.checked(cfg)
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +58,7 @@ def workshop(request) -> Workshop:
 @pytest.mark.parametrize("workshop, sampler", crossed(SCENES, SAMPLERS, 1), indirect=["workshop"])
 def test_three_iterations(workshop, sampler):
     chosen = f"scene={workshop.problem.name}", f"sampler={sampler}"
-    cfg, typed, budget = configured(*chosen, *SMALL)
-    loop = workshop.loop(cfg, typed, budget)
+    loop = workshop.loop(*configured(*chosen, *SMALL))
     loop.rehearse()
     rows: list[dict] = []
     status = loop.run(Hooks(evaluated=rows.append))
@@ -136,26 +137,27 @@ def test_derivative_sampling_with_each_sampler(roughness, sampler):
 def looks(loop) -> int:
     """Paths of all looks of a run of ITERATIONS."""
     sampler = loop.sampler
-    return sampler.paths_before + sampler.paths_per_look * sum(map(sampler.due, range(ITERATIONS)))
+    later = sum(map(sampler.settings.due, range(ITERATIONS)))
+    return sampler.paths_before + sampler.paths_per_look * later
 
 
 def cells(sampler) -> int:
-    return sampler.cells.count * sampler.stage1.spp
+    return sampler.cells.count * sampler.settings.stage1.spp
 
 
 # Paths that give derivatives, in all looks of ITERATIONS iterations at the defaults, one unknown.
 DERIVATIVES = {
     "uniform": lambda s: 0,
-    "relevant": lambda s: cells(s) * s.stage1.probes,
+    "relevant": lambda s: cells(s) * s.settings.stage1.probes,
     "gradient": lambda s: 0,
     "ours": cells,
     "joint": cells,
-    "balanced": lambda s: cells(s) * (s.passes + 1),
+    "balanced": lambda s: cells(s) * (s.settings.passes + 1),
     # Looks at iterations 0, 1 and 2.
     "preconditioned": lambda s: 3 * cells(s),
     "multiresolution": cells,
     # Two at each look and two of the survey, both as often as there are passes.
-    "progress": lambda s: s.passes * cells(s) * 4,
+    "progress": lambda s: s.settings.passes * cells(s) * 4,
 }
 
 
@@ -174,6 +176,7 @@ def test_choices_compose_together(scene):
     sampler, loss = samplers[number % len(samplers)], losses[number % len(losses)]
     size = list(sizes)[number // len(losses) % len(sizes)]
     chosen = f"scene={scene}", f"sampler={sampler}", f"loss={loss}", f"size={size}"
-    cfg, typed, _ = configured(*chosen)
+    cfg = compose(translate(chosen))
+    typed, _ = experiment.checked(cfg)
     assert (cfg.scene.name, cfg.sampler.name, cfg.loss.name) == (scene, sampler, loss)
     assert typed.size == size and typed.scene.arguments.items() <= sizes[size].items()

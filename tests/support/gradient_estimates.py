@@ -16,7 +16,7 @@ from isas_cli.estimators.two_path import TwoPath
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime import streams
-from isas_cli.samplers.sampler import Moments, Sampler
+from isas_cli.samplers.sampler import Moments, OnImages, Sampler
 from isas_cli.scene.problem import Problem
 from isas_cli.unknowns.parameters import flat, unflat
 
@@ -59,20 +59,19 @@ class Gradients:
         self._estimator = estimator(problem, loss, batch)
         self._moments: Moments | None = None
 
-    def prepared(self, sampler: Sampler) -> Sampler:
-        sampler.prepare(self.problem, self.loss, self.batch)
-        return sampler
+    def prepared(self, sampler: Sampler, freeze: bool = True) -> OnImages:
+        return sampler.on(self.problem, self.loss, self.batch, freeze)
 
     def uniform(self, repeats: int, base: int) -> np.ndarray:
         """``repeats`` estimates from uniformly drawn pixels, ``(repeats, m)``."""
         distribution = PixelDistribution.uniform(Tiles.over(self.problem.views))
         return self.drawn_from(distribution, repeats, base)
 
-    def sampled(self, sampler: Sampler, repeats: int, base: int, every: int = 4) -> np.ndarray:
-        """``repeats`` estimates, ``(repeats, m)``, with a new look by ``sampler`` (prepared) at
+    def sampled(self, sampler: OnImages, repeats: int, base: int, every: int = 4) -> np.ndarray:
+        """``repeats`` estimates, ``(repeats, m)``, with a new look by ``sampler`` at
         every ``every``-th, averaged with earlier looks as in a run. Estimates of one look have the
         same mean whatever it found, so they are as uncorrelated as others."""
-        moments = self.moments() if sampler.needs_moments else None
+        moments = self.moments() if "moments" in sampler.settings.needs else None
         weights = None
 
         def distribution(i: int) -> PixelDistribution:

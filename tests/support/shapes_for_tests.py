@@ -93,7 +93,7 @@ def estimates(
     """By direction, ``ways`` or the usual ones, the derivative of the loss along it, estimated
     ``count`` times."""
     chosen = Settings(**{"batch": batch, "edges": batch, "shadows": batch} | settings)
-    estimator: ByShape = chosen.made(chosen.on(p), losses.L2())
+    estimator: ByShape = chosen.on(p, losses.L2())
     uniform = PixelDistribution.uniform(Tiles.over(p.views))
     x = egg(p) if at is None else at
     values = p.unknowns.values_of({KEY: x})

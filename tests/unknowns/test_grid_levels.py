@@ -143,11 +143,11 @@ def test_frozen_kernels_follow_adam_through_levels():
 
 def loop(p, sampler, iterations: int, batch: int = 1024) -> Loop:
     loss = losses.L2()
-    sampler.prepare(p, loss, batch)
+    at_work = sampler.on(p, loss, batch)
     stepper = Stepper(p.unknowns, OptimizerConfig(lr=0.1))
     evaluator = Evaluator(p, loss, 10_000, 4, 1)
     made = Loop(
-        p, sampler, stepper, evaluator, Budget(iterations=iterations), TwoPath(p, loss, batch), 1, 5
+        p, at_work, stepper, evaluator, Budget(iterations=iterations), TwoPath(p, loss, batch), 1, 5
     )
     made.rehearse()
     return made
@@ -174,20 +174,19 @@ def test_a_run_passes_through_its_levels(glowing):
     assert kept == [*range(1, 21), *range(1, 21)], "moments begin anew"
     assert rows[-1]["image_rmse"] < 0.5 * rows[0]["image_rmse"]
     # A look where each level begins.
-    assert rows[-1]["paths"] == 40 * 2 * 1024 + 2 * ours.paths_per_look
+    assert rows[-1]["paths"] == 40 * 2 * 1024 + 2 * made.sampler.paths_per_look
     assert made.stepper.scales[0][DENSITY] != made.stepper.scales[1][DENSITY]
     assert set(made.clock.billed_seconds) == {"stage1", "step"}
 
 
 def test_progress_looks_at_each_level_anew(glowing):
-    p, sampler = glowing, Progress(refresh=10, stage1=STAGE1)
-    made, shapes, surveys = loop(p, sampler, 24), [], []
+    p, shapes, surveys = glowing, [], []
+    made = loop(p, Progress(refresh=10, stage1=STAGE1), 24)
+    sampler = made.sampler
     honest = sampler._survey
     sampler._survey = lambda seed, shapes: surveys.append(shapes) or honest(seed, shapes)
     look, looked = sampler.look, []
-    sampler.look = lambda values, seed, i, moments: (
-        looked.append(i) or look(values, seed, i, moments)
-    )
+    sampler.look = lambda values, seed, i, *more: looked.append(i) or look(values, seed, i, *more)
 
     def stepped(l, spent):
         shapes.append({k: dr.width(flat(v)) for k, v in l.stepper.values.items()})

@@ -130,11 +130,10 @@ def test_gradients_by_a_coarse_mesh_are_those_of_a_scene_that_has_it():
 
 
 def test_two_that_take_turns_are_each_at_their_own_level():
-    p, uniform = problem(views=2, side=16, levels=2), Uniform()
+    p = problem(views=2, side=16, levels=2)
     chosen, loss = Settings(batch=1024, edges=512, adaptive=False), losses.L2()
-    estimator, evaluator = chosen.made(chosen.on(p), loss), Evaluator(p, loss, 512, 2, 1)
-    uniform.prepare(p, loss, 1024)
-    drawn = uniform.distribution(None)
+    estimator, evaluator = chosen.on(p, loss), Evaluator(p, loss, 512, 2, 1)
+    drawn = Uniform().on(p, loss, 1024).distribution(None)
     sides = [p.unknowns.starts(p.unknowns.shapes(level)) for level in (0, 1, 0, 1)]
     told = []
     for values in sides:
@@ -149,7 +148,7 @@ def test_two_that_take_turns_are_each_at_their_own_level():
 
 def steps(p, freeze: bool) -> list[np.ndarray]:
     chosen = Settings(batch=2048, edges=1024, shadows=512, freeze=freeze)
-    estimator = chosen.made(chosen.on(p), losses.L2())
+    estimator = chosen.on(p, losses.L2())
     uniform = PixelDistribution.uniform(Tiles.over(p.views))
     stepper, found = Stepper(p.unknowns, OptimizerConfig(lr=0.02)), []
     for iteration in range(9):
@@ -178,10 +177,9 @@ def test_frozen_kernels_follow_the_levels():
 @pytest.mark.parametrize("kind", [Ours, Joint, Balanced])
 def test_samplers_look_at_each_level_as_it_is(kind):
     p, loss, found = problem(levels=3), losses.L2(), []
-    on = Settings().on(p)
+    on = Settings().differentiated(p)
     for freeze in (True, False):
-        sampler = kind()
-        sampler.prepare(on, loss, 2048, freeze)
+        sampler = kind().on(on, loss, 2048, freeze)
         for level in (0, 1, 2, 0):
             values = p.unknowns.starts(p.unknowns.shapes(level))
             found.append(np.array(sampler.look(values, 1, 0)))
@@ -194,8 +192,7 @@ def test_samplers_look_at_each_level_as_it_is(kind):
 def test_a_run_passes_through_its_levels_and_ends_nearer():
     p, loss = problem(views=4, levels=2), losses.L2()
     chosen = Settings(batch=2048, edges=1024)
-    estimator, sampler = chosen.made(chosen.on(p), loss), Uniform()
-    sampler.prepare(p, loss, 2048)
+    estimator, sampler = chosen.on(p, loss), Uniform().on(p, loss, 2048)
     stepper = Stepper(p.unknowns, OptimizerConfig(lr=0.03))
     evaluator = Evaluator(p, loss, 1000, 4, 1)
     loop = Loop(p, sampler, stepper, evaluator, Budget(iterations=150), estimator, 1, 3)

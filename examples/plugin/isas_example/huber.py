@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+from isas_cli.losses import Loss
 from isas_cli.runtime.errors import InputError
 
 
-@dataclass
-class Huber:
+@dataclass(frozen=True)
+class Huber(Loss):
     """ℓ = d² where |d| ≤ ``width``, else ``width`` (2 |d| - ``width``), with d = I - T.
 
     Bias: the derivative is not linear in I, so that with one noisy sample of a pixel the minimum
@@ -28,9 +29,6 @@ class Huber:
     def value(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
         apart = dr.abs(image - target)
         return dr.select(apart <= self.width, apart**2, self.width * (2 * apart - self.width))
-
-    def measured(self, a: mi.Color3f, b: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
-        return self.value(0.5 * (a + b), target)
 
     def derivative(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
         return 2 * dr.clip(image - target, -self.width, self.width)

@@ -15,7 +15,7 @@ from ...engine.optimiser import Stepper
 from ...estimators.two_path import TwoPath
 from ...rendering.pixels import PixelDistribution
 from ...runtime.backend import sync
-from ...samplers.sampler import Moments, Sampler
+from ...samplers.sampler import Moments, OnImages, Sampler
 from ...samplers.uniform import Uniform
 from ...scene.problem import Problem
 from ...unknowns.parameters import flat
@@ -41,7 +41,7 @@ class Contestant:
     """
 
     label: str
-    sampler: Sampler | None
+    sampler: OnImages | None
     tally: Tally
     distribution: PixelDistribution | None = None
     weights: object = None
@@ -54,7 +54,7 @@ class Contestant:
         """Of a run of 1,000 iterations; the look at its start does not count."""
         if self.sampler is None:
             return 0.0
-        return sum(self.sampler.due(i) for i in range(1, _COURSE + 1)) / _COURSE
+        return sum(self.sampler.settings.due(i) for i in range(1, _COURSE + 1)) / _COURSE
 
     @property
     def paths_per_look(self) -> int:
@@ -88,8 +88,7 @@ class Bench:
         self._directions = Directions(self.pilot, seed)
 
     def _piloted(self, optimizer: OptimizerConfig) -> tuple[Moments, dict[str, np.ndarray]]:
-        uniform = Uniform()
-        uniform.prepare(self.problem, self.loss, self.batch, self.freeze)
+        uniform = Uniform().on(self.problem, self.loss, self.batch, self.freeze)
         pmf = uniform.distribution(uniform.look(self.values, self.seed, 0))
         stepper, means = Stepper(self.problem.unknowns, optimizer), {}
 
@@ -112,8 +111,8 @@ class Bench:
     def sampled(self, label: str, sampler: Sampler) -> Contestant:
         """A contestant with a sampler, warmed up: kernels recorded, and where looks are averaged,
         as many of them taken as a run in its course has behind it. Evaluates."""
-        sampler.prepare(self.problem, self.loss, self.batch, self.freeze)
-        made = Contestant(label, sampler, Tally(self._directions))
+        at_work = sampler.on(self.problem, self.loss, self.batch, self.freeze)
+        made = Contestant(label, at_work, Tally(self._directions))
         for number in range(self._before(sampler)):
             self._look(made, number)
         self._warm(made)
@@ -166,7 +165,7 @@ class Bench:
     def _round(self, contestant: Contestant, number: int, repeats: range, stop) -> bool:
         if contestant.sampler:
             with _watch(contestant.looks):
-                self._look(contestant, self._before(contestant.sampler) + number)
+                self._look(contestant, self._before(contestant.sampler.settings) + number)
         for repeat in repeats:
             if stop():
                 return False
@@ -179,7 +178,7 @@ class Bench:
 
     def _look(self, contestant: Contestant, number: int) -> None:
         sampler = contestant.sampler
-        moments = self.moments if sampler.needs_moments and number else None
+        moments = self.moments if "moments" in sampler.settings.needs and number else None
         found = sampler.look(self.values, self.seed, number, moments)
         contestant.weights = sampler.blended(contestant.weights, found)
         contestant.distribution = sampler.distribution(contestant.weights)

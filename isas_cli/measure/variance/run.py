@@ -11,11 +11,11 @@ import numpy as np
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from ...config.compose import instantiate
 from ...config.schema import Config
+from ...engine.choices import Choices
 from ...engine.display import Display
-from ...engine.experiment import Phases, built, checked, started
-from ...runtime import interrupt
+from ...engine.experiment import Phases, built, checked
+from ...runtime import backend, interrupt
 from ...runtime.errors import InputError, IsasError
 
 if TYPE_CHECKING:
@@ -33,13 +33,15 @@ _WIDTH = 160  # columns where there is no terminal: no figure may be cut
 class Plan:
     """``cfgs``: the configuration of each sampler by its label, alike but for the sampler;
     ``repeats``: estimates with each; ``at``: the point, 0 the start values and 1 the truth;
-    ``best``: paths per pixel for the best pmf, 0 to leave it out."""
+    ``best``: paths per pixel for the best pmf, 0 to leave it out; ``asked``: whether the samplers
+    were named, so that one that cannot be measured is refused and not left out."""
 
     cfgs: dict[str, DictConfig]
     folder: Path
     repeats: int
     at: float
     best: int
+    asked: bool = True
 
     @property
     def common(self) -> DictConfig:
@@ -68,15 +70,20 @@ def run(plan: Plan) -> int:
     Raises InputError before anything is computed where that is possible.
     """
     typed, _ = checked(plan.common)
-    machine = started(list(plan.cfgs.values()), typed)
+    machine = backend.start(typed.variant, typed.threads)
+    made = {label: Choices.of(cfg) for label, cfg in plan.cfgs.items()}
+    estimator = next(iter(made.values())).estimator
+    if not estimator.replays:
+        raise InputError(
+            f"{estimator.chosen}: variances are measured of path replay's gradient: leave it out"
+        )
+    if not plan.asked:
+        made = {label: c for label, c in made.items() if c.sampler.needs <= estimator.gives}
+        plan = replace(plan, cfgs={label: plan.cfgs[label] for label in made})
+    for choices in made.values():
+        choices.check(typed)
     with Progress() as display:
         phases = Phases(display)
-        estimator = instantiate(plan.common.estimator, "estimator")
-        if not estimator.replays:
-            raise InputError(
-                f"estimator={plan.common.estimator.name}: variances are measured of path replay's "
-                "gradient: leave it out"
-            )
         if estimator.blurred:
             raise InputError(
                 "estimator.blurred=true: isas variance measures the gradient of the sharp loss: "
@@ -84,7 +91,7 @@ def run(plan: Plan) -> int:
             )
         # The papers' estimator: what a pixel contributes, and so the best pmf, is known of it.
         estimator = replace(estimator, crossed=False)
-        problem = estimator.on(built(typed, phases, plan.cfgs.values()))
+        problem = estimator.differentiated(built(typed, phases, made.values()))
         for unknown in problem.unknowns:
             unknown.doubled = ()  # at a fixed point all are whole
         if problem.views.altered:
@@ -93,12 +100,14 @@ def run(plan: Plan) -> int:
                 "isas variance measures those of paths: take photos.exposure=fixed, "
                 "photos.refine=false, photos.lens=[]"
             )
-        bench, contestants, best = _prepared(plan, typed, problem, phases)
+        bench, contestants, best = _prepared(plan, made, typed, problem, phases)
         with interrupt.graceful(display.interrupted) as stop:
             return _Record(plan, typed, machine, bench, contestants, best, display).make(stop)
 
 
-def _prepared(plan: Plan, typed: Config, problem: "Problem", phases: Phases):
+def _prepared(
+    plan: Plan, made: dict[str, Choices], typed: Config, problem: "Problem", phases: Phases
+):
     """Everything up to the first round; no folder is written yet."""
     from . import best as best_pmf
     from . import moments
@@ -107,9 +116,10 @@ def _prepared(plan: Plan, typed: Config, problem: "Problem", phases: Phases):
 
     phases.begin("prepare")
     values = point(problem, plan.at)
-    loss = instantiate(plan.common.loss, "loss")
-    batch, freeze = typed.estimator["batch"], typed.estimator["freeze"]
-    bench = Bench(problem, loss, values, batch, typed.seed, typed.optimizer, freeze)
+    first = next(iter(made.values()))
+    loss, freeze = first.loss, first.estimator.freeze
+    how = first.estimator.batch, typed.seed, typed.optimizer, freeze
+    bench = Bench(problem, loss, values, *how)
     best: Best | None = None
     if plan.best:
         phases.begin("moments")
@@ -121,9 +131,9 @@ def _prepared(plan: Plan, typed: Config, problem: "Problem", phases: Phases):
         bench.second_moment = measured.second_moment
         best = best_pmf.find(measured)
     contestants = []
-    for label, cfg in plan.cfgs.items():
+    for label, choices in made.items():
         phases.begin(f"compile {label}")
-        contestants.append(bench.sampled(label, instantiate(cfg.sampler, "sampler")))
+        contestants.append(bench.sampled(label, choices.sampler))
     if best:
         contestants.append(bench.fixed(BEST, best.distribution))
     phases.begin(None)
