@@ -43,12 +43,11 @@ def started():
 
 @pytest.fixture(scope="module")
 def problem():
-    from omegaconf import OmegaConf
-
     from isas_cli.config.compose import compose, translate
+    from isas_cli.config.schema import typed
     from isas_cli.engine import assemble
 
-    cfg = OmegaConf.to_object(compose(translate(settings())))
+    cfg = typed(compose(translate(settings())))
     return assemble.problem(cfg.scene, cfg.target, lambda done, total: None)
 
 
@@ -95,6 +94,7 @@ def test_a_run_s_errors_are_numbers(tmp_path):
     import isas_cli
 
     run = isas_cli.run(*settings("budget.iterations=3", f"hydra.run.dir={tmp_path / 'run'}"))
+    assert run.summary is not None
     assert run.summary["status"] == "done" and run.summary["iterations"] == 3
     assert np.isfinite(run.history["image_rmse"]).all()
     assert all(np.isfinite(values).all() for values in run.parameters().values())

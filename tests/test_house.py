@@ -63,6 +63,13 @@ def test_the_code_is_as_the_linter_wants_it(command):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_the_public_face_is_typed():
+    """What parts of one's own derive from; which files: pyproject.toml."""
+    command = [sys.executable, "-m", "mypy", "--no-error-summary"]
+    done = subprocess.run(command, cwd=ROOT.parent, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def test_kernels_are_frozen_in_one_place():
     """What Dr.Jit cannot freeze is known there."""
     found = {

@@ -185,8 +185,8 @@ class Comparing(Estimator):
     whole: ClassVar[bool] = True
     black_box: ClassVar[bool] = True
 
-    freeze: bool = True
-    spp: int = 1
+    freeze: bool = True  # type: ignore[misc]
+    spp: int = 1  # type: ignore[misc]
 
     def __post_init__(self) -> None:
         super().__post_init__()

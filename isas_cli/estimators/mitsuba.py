@@ -19,7 +19,7 @@ from ..runtime.errors import InputError
 from ..unknowns import smoothing
 from ..unknowns.blur import Blur
 from ..unknowns.parameters import owner
-from .estimator import Estimator, choice
+from .estimator import Estimator, Gradients, choice
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
@@ -60,7 +60,7 @@ class Settings(Estimator):
         return f"Mitsuba's {problem.integrator.name} on whole images"
 
 
-class WholeImages:
+class WholeImages(Gradients):
     """dℒ/dθ by ``mi.render`` and ``dr.backward``: with the scene's own integrator, or, where an
     unknown moves objects, with ``prb_projective``, which samples silhouettes.
 

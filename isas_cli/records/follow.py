@@ -125,6 +125,7 @@ def _read(folder: Path) -> Run | None:
             if attempt == _TRIES - 1:
                 raise
             time.sleep(_PAUSE_SECONDS)
+    return None
 
 
 @dataclass(frozen=True)

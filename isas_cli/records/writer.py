@@ -189,9 +189,11 @@ class RunWriter:
 
     def mesh(self, name: str, content: bytes) -> None:
         """meshes/<name>: a shape for other programs."""
-        write_atomically(
-            self.folder / "meshes" / name, lambda temporary: temporary.write_bytes(content)
-        )
+
+        def write(temporary: Path) -> None:
+            temporary.write_bytes(content)
+
+        write_atomically(self.folder / "meshes" / name, write)
 
     def checkpoint(self, arrays: dict[str, np.ndarray], state: dict[str, Any]) -> None:
         """Arrays (any names; ValueError for objects) and JSON state, swapped in as one file."""
@@ -203,7 +205,7 @@ class RunWriter:
 
         def write(temporary: Path) -> None:
             with open(temporary, "wb") as file:  # a path would get a second extension
-                np.savez(file, **members)
+                np.savez(file, **members)  # type: ignore[arg-type]
 
         write_atomically(self.folder / "checkpoint" / "state.npz", write)
 

@@ -44,7 +44,7 @@ class Pairs(Residuals):
         dr.eval(weights)
         return weights
 
-    def measured(self, values: dict, seed: int, iteration: int) -> None:
+    def measured(self, values, seed, iteration):
         """None: looks differ by their offsets, whatever their paths are."""
 
     def _pair(self, θ, σ, pair: smoothing.Pair, seed: int, number: int, rng) -> list[mi.Color3f]:
@@ -108,7 +108,7 @@ def _trace_kernel(integrator, samples: int, paths: int):
             found = []
             for path in range(paths):
                 own = seeds[0], seeds[1] + path * 0x9E3779B9
-                _, _, stream, ray, weight = spawned(sensors, views, cells, samples, own)
+                _, _, stream, ray, weight = spawned(sensors, views, cells, samples, [*own])
                 radiance, _ = integrator.primal(scene, stream, ray)
                 found.append(radiance * weight)
             dr.eval(found)

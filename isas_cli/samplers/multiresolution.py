@@ -111,7 +111,7 @@ class Multiresolution(Sampler):
             object.__setattr__(self, name, getattr(self.base, name))
 
     @property
-    def needs(self) -> frozenset[str]:
+    def needs(self) -> frozenset[str]:  # type: ignore[override]
         return self.base.needs
 
     def due(self, iteration: int) -> bool:

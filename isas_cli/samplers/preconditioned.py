@@ -15,6 +15,8 @@ from .ours import Ours, Product
 class Weighted(Product):
     """``Preconditioned`` at work."""
 
+    settings: Preconditioned
+
     def look(self, values, seed, iteration, moments=None, spent=0.0) -> mi.Float:
         own = self.settings
         scale = None if moments is None else root_weights(moments.second, own.least)

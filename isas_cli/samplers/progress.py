@@ -25,6 +25,8 @@ _SURVEY = (1 << 27) - (1 << 16)
 class Masses(Looking):
     """``Progress`` at work."""
 
+    settings: Progress
+
     def __init__(self, settings, problem, loss, batch, freeze=True, blurred=None):
         super().__init__(settings, problem, loss, batch, freeze, blurred)
         self._cost = PathCost(problem, self.cells, settings.stage1.spp, freeze)

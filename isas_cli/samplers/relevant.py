@@ -13,6 +13,8 @@ from .sampler import Looking, Sampler, Stage1Settings
 class Mask(Looking):
     """``Relevant`` at work."""
 
+    settings: Relevant
+
     def usual_resolution(self, batch: int) -> int:
         # One look is for the whole run: fine cells, as long as all views together stay cheap.
         return min(128, self._resolution_for(1 << 19))

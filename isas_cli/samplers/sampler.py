@@ -226,7 +226,7 @@ class Sampler:
         if self.refresh < 0:
             raise InputError(f"sampler.refresh={self.refresh}: 0 (once) or more iterations")
         made = {f.name: f for f in fields(self)}
-        usual = made["stage1"].default_factory()
+        usual = made["stage1"].default_factory()  # type: ignore[operator]
         for f in fields(usual):
             self._refuse_unused(f"stage1.{f.name}", getattr(self.stage1, f.name), vars(usual))
         for name in ("floor", "refresh"):

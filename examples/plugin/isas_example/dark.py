@@ -14,6 +14,8 @@ from isas_cli.samplers.sampler import OnImages, Sampler
 class Darkness(OnImages):
     """``Dark`` at work on the images of one problem: ``self.problem``, cut into ``self.cells``."""
 
+    settings: Dark
+
     def look(self, values, seed, iteration, moments=None, spent=0.0) -> mi.Float:
         views, count = self.problem.views, self.problem.views.total
         target = dr.gather(mi.Color3f, self.problem.targets, dr.arange(mi.UInt32, count))
