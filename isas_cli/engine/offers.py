@@ -64,7 +64,7 @@ def of(scene: SceneConfig) -> Offers:
             except InputError as error:
                 offers[key] = Offer(key, kind.name, refused=str(error))
                 continue
-            offers[key] = _offer(made)
+            offers[key] = _offer(made, loaded.outside is not None)
             if made.texture is not None:  # asked below, one by one
                 textures[key], made.texture = made.texture, None
             if key in params:
@@ -84,6 +84,8 @@ def of(scene: SceneConfig) -> Offers:
         return replayed
 
     problem = assemble.bare(scene, every)[0]
+    if problem.integrator.black_box:
+        return Offers(list(offers.values()), problem.views.count, [])
     try:
         for key, views in onlookers.of(problem).items():
             offers[key].views = views
@@ -99,8 +101,10 @@ def of(scene: SceneConfig) -> Offers:
     return Offers(list(offers.values()), problem.views.count, movable)
 
 
-def _offer(made: Kind) -> Offer:
-    if not made.moves_geometry:
+def _offer(made: Kind, outside: bool) -> Offer:
+    if outside:
+        estimator = "plateau"
+    elif not made.moves_geometry:
         estimator = "two_path"
     else:
         estimator = "silhouettes" if made.uniform else "plateau"

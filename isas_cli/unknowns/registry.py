@@ -46,6 +46,8 @@ def kinds() -> tuple[type[Kind], ...]:
 def offered(loaded: Loaded) -> dict[str, type[Kind]]:
     """What can be unknown in a scene and of which kind, names of their own before the scene's
     parameters, which come in its order."""
+    if loaded.outside is not None:  # what stands for its scene is none
+        return dict.fromkeys(Outer.keys(loaded), Outer)
     found: dict[str, type[Kind]] = {}
     for kind in _KINDS:
         for key in kind.keys(loaded):

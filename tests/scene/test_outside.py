@@ -173,6 +173,13 @@ def test_a_command_that_fails_says_what_it_said(tmp_path, capsys):
     assert "ends with 1: no licence" in capsys.readouterr().err
 
 
+def test_what_can_be_unknown_is_listed(words, capsys):
+    words = [word for word in words if not word.startswith("scene.unknowns")]
+    assert main(["unknowns", *words]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines() if "renderer" in line]
+    assert [row[0] for row in rows] == ["x", "y"] and all("plateau" in row for row in rows)
+
+
 def test_others_have_no_renderer_of_their_own(capsys):
     assert main(["run", "scene=pottery", "external.width=3"]) == 2
     assert "only scene=external has it" in capsys.readouterr().err
