@@ -16,7 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ..runtime import allowed
 from ..runtime.errors import InputError, nearest
-from . import dropped, method, presets, schema
+from . import dropped, method, paths, presets, schema
 from .grammar import literal
 from .method import options
 
@@ -56,13 +56,6 @@ def translate(overrides: Iterable[str]) -> list[str]:
     return [_translate(override) for override in presets.unpacked(list(overrides), _BASE)]
 
 
-def _exists(path: str) -> bool:
-    try:
-        return Path(path).exists()
-    except OSError:  # a name that no file can have
-        return False
-
-
 def _translate(override: str) -> str:
     bare = override.lstrip("+")
     if bare.startswith(_SHORT):
@@ -74,7 +67,7 @@ def _translate(override: str) -> str:
             return _translate_named(bare, setting, entry)
     key, equals, value = bare.partition("=")
     if key in _PATHS and value and value[0] not in "'\"":
-        sweep = key == "scene.path" and "," in value and not _exists(value)
+        sweep = key == "scene.path" and "," in value and not paths.exists(Path(value))
         return bare if sweep else f"{key}={literal(value)}"
     if bare.startswith("hydra") or bare.startswith("~hydra"):
         return override

@@ -15,6 +15,13 @@ _FILES = (
 )
 
 
+def exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # a name that no file can have
+        return False
+
+
 def locate(cfg: DictConfig, started_in: str | None) -> None:
     """Makes relative paths in ``cfg`` absolute where they name something in the folder
     ``started_in``. Others stay as they are, and are looked for in the working directory: a record
@@ -24,7 +31,7 @@ def locate(cfg: DictConfig, started_in: str | None) -> None:
         return
 
     def found(name: str) -> str:
-        return str(home / name) if name and (home / name).exists() else name
+        return str(home / name) if name and exists(home / name) else name
 
     for key in _FILES:
         named = OmegaConf.select(cfg, key)

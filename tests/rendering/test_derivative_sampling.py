@@ -12,8 +12,6 @@ from samplers_for_tests import pixel_samplers
 from scenes_for_tests import dictionary, texture
 from scipy import stats
 
-from isas_cli.config.compose import compose
-from isas_cli.engine.experiment import checked
 from isas_cli.losses import L2
 from isas_cli.rendering import derivative_sampling, rays
 from isas_cli.runtime.errors import InputError
@@ -268,11 +266,10 @@ def test_density_is_that_of_the_lobes_derivative(alpha):
     np.testing.assert_allclose(found[above], expected[above], rtol=0.02, atol=2e-3 * scale)
 
 
-def test_other_unknowns_are_refused_before_anything_is_loaded():
-    cfg = compose(["scene=pottery", "estimator.derivative_sampling=true"])
-    with pytest.raises(InputError, match="'jar.bsdf.base_color.data' is no roughness"):
-        checked(cfg)
-    checked(compose(["scene=dodoco", "estimator.derivative_sampling=true"]))
+def test_other_unknowns_are_refused():
+    problem = assemble(dictionary(size=2), {"floor.bsdf.base_color.data": 0.5})
+    with pytest.raises(InputError, match="'floor.bsdf.base_color.data' is no roughness"):
+        derivative_sampling.sampled(problem)
 
 
 def test_roughness_out_of_reach_is_refused():

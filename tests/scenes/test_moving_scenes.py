@@ -207,5 +207,5 @@ def test_a_hidden_ball_is_found(name):
 def test_settings_that_make_no_sense_are_refused(overrides, words):
     settings = overrides if "sampler=" in overrides[0] else ["sampler=plateau", *overrides]
     with pytest.raises(InputError, match=words):
-        cfg, typed, _ = configured("scene=cup", *settings)
-        experiment.started([cfg], typed)
+        choices, typed, _ = configured("scene=cup", *settings)
+        choices.check(typed)
