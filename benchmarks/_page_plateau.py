@@ -68,6 +68,8 @@ def black_box(path: Path) -> list[dict]:
         left = own["end"] / own["start"]
         row = {"way": way, "factor": own["factor"].iloc[0], "seeds": len(own)}
         row |= {"left": left.median(), "low": left.min(), "high": left.max()}
+        row["factors"] = sorted(float(each) for each in table["factor"].unique())
+        row["at_end"] = row["factor"] in (row["factors"][0], row["factors"][-1])
         rows.append(row | {"iterations": int(own["iterations"].median())})
     return rows
 
