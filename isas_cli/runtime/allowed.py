@@ -1,5 +1,5 @@
 """Which code a configuration may name. Importing a module runs it, so a configuration that somebody
-else wrote, or a record, must not choose what is imported."""
+else wrote, or a record, must not choose what is imported, nor which program is run."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ def named(path: str, own: str, where: str):
     that is installed as a guest of isas (``guests``), or that the environment variable ISAS_ALLOW
     lists (names, with commas between). ``where``: the setting. Raises InputError."""
     module, _, name = str(path).rpartition(".")
-    others = [each.strip() for each in os.environ.get(VARIABLE, "").split(",")]
-    others += guests.packages()
+    others = [*_listed(), *guests.packages()]
     if not _below(module, [own, *others]):
         raise InputError(
             f"{where}={path}: would import code that is not isas's own: set {VARIABLE}="
@@ -32,6 +31,19 @@ def named(path: str, own: str, where: str):
     if not _below(getattr(found, "__module__", ""), [own, *others]):
         raise InputError(f"{where}={path}: names what another module defines; name that one")
     return found
+
+
+def program(name: str, where: str) -> None:
+    """Raises InputError for a program that ISAS_ALLOW does not list by this name."""
+    if name not in _listed():
+        raise InputError(
+            f"{where}: would run a program: set {VARIABLE}={name} in the environment if you "
+            "trust it"
+        )
+
+
+def _listed() -> list[str]:
+    return [each.strip() for each in os.environ.get(VARIABLE, "").split(",")]
 
 
 def _below(module: str, packages: list[str]) -> bool:

@@ -19,7 +19,7 @@ from ..runtime import allowed, images
 from ..runtime.errors import InputError
 
 # Pictures that are kept: of the values now, of both of a pair, and of the truth.
-_KEPT = 16
+_KEPT = 6
 # What a command may name beside its parameters.
 _OWN = ("out", "seed", "view", "width", "height")
 
@@ -32,7 +32,7 @@ class Outside:
         self.values = {k: np.array(v, np.float32) for k, v in settings.parameters.items()}
         height = settings.height or settings.width
         self.sizes = [(settings.width, height)] * settings.views
-        self._render = self._called() if settings.function else self._run
+        self._render = self._called() if settings.function else self._commanded()
         self._pictures: dict[tuple, np.ndarray] = {}
 
     def picture(self, view: int, seed: int) -> np.ndarray:
@@ -91,6 +91,14 @@ class Outside:
                 ) from error
 
         return call
+
+    def _commanded(self) -> Callable[[int, int], np.ndarray]:
+        try:
+            words = shlex.split(self.settings.command)
+        except ValueError as error:
+            raise InputError(f"{self.where}: {error}") from error
+        allowed.program(words[0] if words else "", self.where)
+        return self._run
 
     def _run(self, view: int, seed: int) -> np.ndarray:
         (width, height) = self.sizes[0]

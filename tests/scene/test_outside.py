@@ -116,8 +116,9 @@ def test_the_gradient_of_its_blurred_pictures_has_no_bias(words, smooth):
     assert np.all(np.abs(rows.mean(axis=0) - exact) < 4 * error + 0.05 * np.abs(exact))
 
 
-def test_a_command_that_writes_an_exr(tmp_path):
+def test_a_command_that_writes_an_exr(tmp_path, monkeypatch):
     """With a space and quotes in its words, as a shell would pass them."""
+    monkeypatch.setenv("ISAS_ALLOW", sys.executable)
     script = tmp_path / "draw a bar.py"
     script.write_text(
         "import sys\nimport numpy as np\nimport OpenImageIO as oiio\n"
@@ -165,11 +166,15 @@ def test_what_cannot_be_is_one_line(words, tmp_path, capsys, changes, told):
     assert told in said and not folder.exists()
 
 
-def test_a_command_that_fails_says_what_it_said(tmp_path, capsys):
+def test_a_command_that_fails_says_what_it_said(tmp_path, capsys, monkeypatch):
     command = f"{sys.executable} -c \"import sys; sys.exit('no licence')\" {{out}}"
     words = ["scene=external", f"external.command={command}", "external.parameters={x: 1}", *FEW]
     words += ['scene.unknowns={"x": {"start": 0.5, "blur": {"start": 0.2, "end": 0.1}}}']
-    assert main(["run", *words, f"hydra.run.dir={tmp_path / 'run'}"]) == 2
+    words += [f"hydra.run.dir={tmp_path / 'run'}"]
+    assert main(["run", *words]) == 2
+    assert f"would run a program: set ISAS_ALLOW={sys.executable}" in capsys.readouterr().err
+    monkeypatch.setenv("ISAS_ALLOW", sys.executable)
+    assert main(["run", *words]) == 2
     assert "ends with 1: no licence" in capsys.readouterr().err
 
 
@@ -185,8 +190,9 @@ def test_others_have_no_renderer_of_their_own(capsys):
     assert "only scene=external has it" in capsys.readouterr().err
 
 
-def test_few_pictures_are_kept():
+def test_few_pictures_are_kept(monkeypatch):
     asked = []
+    monkeypatch.setenv("ISAS_ALLOW", "draw")
     made = outside.Outside(ExternalConfig(command="draw {out}", parameters={"x": 1}, width=2))
     made._render = lambda view, seed: asked.append(seed) or np.zeros((2, 2, 3))
     for seed in (1, 2, 1, *range(3, 3 + 2 * outside._KEPT), 1):
