@@ -76,24 +76,36 @@ class BlackBox(Integrator):
 
 
 def rendered(
-    problem: Problem, target: TargetConfig, told: Callable[[int, int], None]
+    problem: Problem,
+    target: TargetConfig,
+    told: Callable[[int, int], None],
+    part: dict[str, np.ndarray],
+    keep: Callable[[Callable[[], dict]], None],
 ) -> dict[str, np.ndarray]:
     """Means of pictures at the truth, as many as ``target`` asks for: ``images (n, 3)``, and the
-    ``variance (n,)`` of their pixels, NaN where it is not known. ``told`` counts pixels."""
+    ``variance (n,)`` of their pixels, NaN where it is not known. ``told`` counts pixels; ``part``,
+    ``keep``: of ``runtime.cache.unfinished``."""
     outside = problem.integrator.outside
     wanted, noisy = target.wanted, outside.settings.noisy
-    first = second = 0.0
-    count, aim = 0, 1 if not noisy else _FEWEST if wanted is not None else target.spp
-    while count < aim:
+    first, second = part.get("first", 0.0), part.get("second", 0.0)
+    count = int(part.get("count", 0))
+
+    def aim() -> int:
+        if not noisy or wanted is None:
+            return target.spp if noisy else 1
+        if count < _FEWEST:
+            return _FEWEST
+        has = noise(*_means(first, second, count))
+        return min(_MOST, int(np.ceil(count * (has / wanted) ** 2)))
+
+    while count < aim():
         drawn = streams.seed(target.seed, count, "target")
         views = range(len(outside.sizes))
         pixels = np.concatenate([outside.picture(v, drawn).reshape(-1, 3) for v in views])
         first, second = first + pixels.astype(np.float64), second + np.square(pixels, dtype=float)
         count += 1
-        told(count * len(pixels), aim * len(pixels))
-        if count == aim and noisy and wanted is not None:
-            has = noise(*_means(first, second, count))
-            aim = min(_MOST, max(aim, int(np.ceil(count * (has / wanted) ** 2))))
+        keep(lambda: {"first": first, "second": second, "count": np.array(count)})
+        told(count * len(pixels), max(count, aim()) * len(pixels))
     images, variance = _means(first, second, count)
     if not noisy:
         variance = np.zeros(len(images), np.float32)

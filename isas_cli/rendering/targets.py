@@ -41,9 +41,9 @@ def render(
 
     def compute() -> dict[str, np.ndarray]:
         problem.unknowns.write(problem.unknowns.truths())
-        if problem.integrator.black_box:
-            return black_box.rendered(problem, target, told)
         with unfinished(f"target-{key}-part") as (part, keep):
+            if problem.integrator.black_box:
+                return black_box.rendered(problem, target, told, part, keep)
             begun = Sums.of(part) if part else None
             sums = stratified.render(
                 *(problem, wanted, target.spp, target.seed, told, begun),

@@ -79,6 +79,30 @@ def test_targets_are_as_clean_as_asked(words):
     assert np.abs(made.target_image(0) - truth).max() < 4 * 0.02 * bright
 
 
+def test_targets_go_on_where_they_were_stopped(words, monkeypatch, tmp_path):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    whole, _ = problem(*words[:-2], words[-1], "target.noise=0.02")
+    seeds = []
+
+    def counted(self, view, seed, stop=5, plain=outside.Outside.picture):
+        seeds.append(seed)
+        if view == 0 and len(seeds) == stop:
+            raise KeyboardInterrupt
+        return plain(self, view, seed)
+
+    again = [*words[:-2], words[-1], "target.noise=0.02", "target.seed=0"]
+    for path in tmp_path.glob("target-*"):
+        path.unlink()
+    monkeypatch.setattr(outside.Outside, "picture", counted)
+    with pytest.raises(KeyboardInterrupt):
+        problem(*again)
+    before = len(seeds)
+    made, _ = problem(*again)
+    assert np.array_equal(np.array(made.targets), np.array(whole.targets))
+    once = [seed for seed in seeds[:before] if seed]
+    assert not {*once[:-1]} & {*seeds[before:]}, "what was rendered is not rendered again"
+
+
 @pytest.mark.parametrize("smooth", ["image", "loss"])
 def test_the_gradient_of_its_blurred_pictures_has_no_bias(words, smooth):
     """Against sums over the blur, with noise in the pictures, where the target is not met."""
