@@ -6,6 +6,7 @@ It draws a disc behind a board, with hard edges and noise, and has no derivative
 `estimator=plateau` asks for is pictures alone: of parameters moved by offsets as wide as each
 unknown's blur. A renderer that is another program is called by a command instead:
 
+    export ISAS_ALLOW=./draw
     isas run scene=external 'external.command=./draw --radius {radius} --seed {seed} {out}' …
 """
 

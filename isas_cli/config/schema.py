@@ -193,9 +193,11 @@ class ExternalConfig:
             at_least(1, scene__external__height=self.height)
         for name, value in self.parameters.items():
             numbers = value if isinstance(value, (list, tuple)) else [value]
-            fine = [type(x) in (int, float) and math.isfinite(x) for x in numbers]
+            fine = [type(x) in (int, float) and abs(x) < 1e30 for x in numbers]
             if not (fine and all(fine)):
                 raise InputError(f"scene.external.parameters.{name}={value}: a number, or a list")
+            if name in ("out", "seed", "view", "width", "height"):
+                raise InputError(f"scene.external.parameters.{name}: stands for something else")
 
     def check(self) -> None:
         """Raises InputError where it says too little, or too much."""

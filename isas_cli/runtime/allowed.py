@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import shlex
 
 from . import guests
 from .errors import InputError
@@ -37,8 +38,8 @@ def program(name: str, where: str) -> None:
     """Raises InputError for a program that ISAS_ALLOW does not list by this name."""
     if name not in _listed():
         raise InputError(
-            f"{where}: would run a program: set {VARIABLE}={name} in the environment if you "
-            "trust it"
+            f"{where}: would run a program: set {VARIABLE}={shlex.quote(name)} in the "
+            "environment if you trust it"
         )
 
 

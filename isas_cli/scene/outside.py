@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import re
 import shlex
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from ..runtime.errors import InputError
 # Pictures that are kept: of the values now, of both of a pair, and of the truth.
 _KEPT = 6
 # What a command may name beside its parameters.
+_EXR = b"\x76\x2f\x31\x01"
 _OWN = ("out", "seed", "view", "width", "height")
 
 
@@ -53,7 +55,7 @@ class Outside:
             hashed.update(self.picture(view, 0).tobytes())
         own = self.settings
         files = [Path(word) for word in shlex.split(own.command or "")]
-        for file in (each for each in files if each.is_file() and each.suffix):
+        for file in (each for each in files if each.is_file()):
             hashed.update(file.read_bytes())
         return f"{own} {hashed.hexdigest()}"
 
@@ -63,12 +65,24 @@ class Outside:
         return f"scene.external.{name}={getattr(self.settings, name)}"
 
     def _checked(self, picture) -> np.ndarray:
-        found = np.asarray(picture, np.float32)
+        picture = np.asarray(picture)
+        if picture.dtype.kind != "f":
+            raise InputError(
+                f"{self.where} gives {picture.dtype}: linear pixels as floats are wanted"
+            )
+        found = picture.astype(np.float32)
         (width, height) = self.sizes[0]
         if found.shape != (height, width, 3):
             raise InputError(
                 f"{self.where} gives {found.shape}, not {(height, width, 3)}, rows, columns and "
                 "channels: scene.external.width and .height say how large pictures are"
+            )
+        if not np.isfinite(found).all():
+            row, column, _ = np.argwhere(~np.isfinite(found))[0]
+            now = {key: value.tolist() for key, value in self.values.items()}
+            raise InputError(
+                f"{self.where} gives {found[row, column].tolist()} in row {row}, column {column}, "
+                f"with {now}"
             )
         return found
 
@@ -76,15 +90,22 @@ class Outside:
         if (here := str(Path.cwd())) not in sys.path:
             sys.path.append(here)  # last, so that it takes no other module's place
         function = allowed.named(self.settings.function, "isas_cli", "scene.external.function")
-        wanted = ["parameters", "seed", "view"]
-        if list(inspect.signature(function).parameters) != wanted:
-            raise InputError(f"{self.where}: is to be called with ({', '.join(wanted)})")
+        if not callable(function):
+            raise InputError(f"{self.where}: is no function")
+        try:
+            inspect.signature(function).bind({}, 0, 0)
+        except TypeError as error:
+            raise InputError(
+                f"{self.where}: is called as render(parameters, seed, view): {error}"
+            ) from error
+        except ValueError:  # of a compiled one
+            pass
 
         def call(view: int, seed: int) -> np.ndarray:
             values = {key: value.copy() for key, value in self.values.items()}
             try:
                 return function(values, seed, view)
-            except Exception as error:
+            except (Exception, SystemExit) as error:
                 *_, last = traceback.extract_tb(error.__traceback__)
                 raise InputError(
                     f"{self.where}: raises {error!r} ({last.filename}:{last.lineno})"
@@ -104,21 +125,31 @@ class Outside:
         (width, height) = self.sizes[0]
         with tempfile.TemporaryDirectory(prefix="isas-external-") as folder:
             out = Path(folder) / "out.exr"
-            own = dict(zip(_OWN, (out, seed, view, width, height)))
             told = {k: ",".join(map(repr, map(float, v.ravel()))) for k, v in self.values.items()}
+            told |= {k: str(v) for k, v in zip(_OWN, (out, seed, view, width, height))}
+            words = [self._filled(word, told) for word in shlex.split(self.settings.command)]
             try:
-                words = [w.format(**told, **own) for w in shlex.split(self.settings.command)]
-                done = subprocess.run(words, capture_output=True, text=True)
-            except (KeyError, IndexError, ValueError, OSError) as error:
-                valid = ", ".join(f"{{{name}}}" for name in (*self.values, *_OWN))
-                raise InputError(
-                    f"{self.where}: cannot be run ({error!r}); valid in it: {valid}"
-                ) from error
-            if done.returncode or not out.is_file():
-                last = (done.stderr.strip().splitlines() or ["nothing on standard error"])[-1]
-                why = f"ends with {done.returncode}" if done.returncode else "writes no {out}"
-                raise InputError(f"{self.where}: {why}: {last}")
+                # Of its own: Ctrl-C is for isas, which ends it.
+                done = subprocess.run(
+                    words, capture_output=True, text=True, errors="replace", start_new_session=True
+                )
+            except OSError as error:
+                raise InputError(f"{self.where}: {words[0]}: {error.strerror}") from error
+            last = (done.stderr.strip().splitlines() or ["nothing on standard error"])[-1]
+            if done.returncode:
+                raise InputError(f"{self.where}: ends with {done.returncode}: {last}")
+            if not out.is_file() or out.open("rb").read(len(_EXR)) != _EXR:
+                raise InputError(f"{self.where}: writes no EXR as {{out}}: {last}")
             return images.read(out, finite=False)
+
+    def _filled(self, word: str, told: dict[str, str]) -> str:
+        def value(found: re.Match) -> str:
+            if found[1] not in told:
+                valid = ", ".join(f"{{{name}}}" for name in told)
+                raise InputError(f"{self.where}: {found[0]}: valid in it: {valid}")
+            return told[found[1]]
+
+        return re.sub(r"\{([^{}]*)\}", value, word)
 
 
 def description(outside: Outside) -> dict:

@@ -34,6 +34,24 @@ def steps(parameters, seed, view):
     return np.repeat(found[..., None] + noise, 3, axis=2)
 
 
+def leaves(parameters, seed, view):
+    sys.exit(3)
+
+
+def whole(parameters, seed, view):
+    return np.full((HEIGHT, WIDTH, 3), 128, np.uint8)
+
+
+def hollow(p, s, v):
+    found = np.zeros((HEIGHT, WIDTH, 3))
+    found[2, 3, 1] = np.nan
+    return found
+
+
+def few(parameters):
+    return 0
+
+
 def broken(parameters, seed, view):
     return parameters["z"]
 
@@ -176,6 +194,12 @@ def test_a_command_that_writes_an_exr(tmp_path, monkeypatch):
         (["external.function=null", "external.command=draw"], "is to say {out}"),
         (["external.function=os.system"], "set ISAS_ALLOW=os"),
         ([f"external.function={__name__}.broken"], "raises KeyError('z') ("),
+        ([f"external.function={__name__}.leaves"], "raises SystemExit(3) ("),
+        ([f"external.function={__name__}.whole"], "gives uint8: linear pixels as floats"),
+        ([f"external.function={__name__}.hollow"], "gives [0.0, nan, 0.0] in row 2, column 3"),
+        ([f"external.function={__name__}.few"], "is called as render(parameters, seed, view)"),
+        (["external.parameters={x: 1e60}"], "parameters.x=1e+60: a number"),
+        (["external.parameters={x: 1, seed: 2}"], "parameters.seed: stands for something else"),
         (["external.width=13"], "gives (8, 12, 3), not (8, 13, 3)"),
         (["external.parameters={x: wide}"], "scene.external.parameters.x=wide: a number"),
         (['scene.unknowns={"z": {"start": 1}}'], "'z' is no differentiable parameter"),
@@ -200,6 +224,17 @@ def test_a_command_that_fails_says_what_it_said(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("ISAS_ALLOW", sys.executable)
     assert main(["run", *words]) == 2
     assert "ends with 1: no licence" in capsys.readouterr().err
+    for command, told in (
+        ("{x[0]} {out}", "{x[0]}: valid in it: {x}, {out}, {seed}"),
+        ("-c 'import pathlib, sys; pathlib.Path(sys.argv[1]).touch()' {out}", "writes no EXR"),
+    ):
+        words[1] = f"external.command={sys.executable} {command}"
+        assert main(["run", *words]) == 2
+        assert told in capsys.readouterr().err
+    monkeypatch.setenv("ISAS_ALLOW", "/no/such")
+    words[1] = "external.command=/no/such {out}"
+    assert main(["run", *words]) == 2
+    assert "/no/such: No such file" in capsys.readouterr().err
 
 
 def test_what_can_be_unknown_is_listed(words, capsys):
