@@ -50,6 +50,19 @@ def _with_menu(app, name: str, source: list[str]) -> None:
         source[0] += f"\n```{{toctree}}\n:hidden:\n:caption: {caption}\n\n{listed}\n```\n"
 
 
+def _as_it_stands(app, what, name, obj, options, lines: list[str]) -> None:
+    """Formulas and code in docstrings, which are set in from the text, keep their lines."""
+    found: list[str] = []
+    within = False
+    for line in lines:
+        set_in = line.startswith("    ")
+        if set_in and not within and not (found and found[-1].strip()):
+            found += ["::", ""]
+        within = set_in or (within and not line.strip())
+        found.append(line)
+    lines[:] = found
+
+
 def _with_index(app, error) -> None:
     """The site opens where one looks first."""
     if error is None and app.builder.name == "html":
@@ -59,4 +72,5 @@ def _with_index(app, error) -> None:
 
 def setup(app) -> None:
     app.connect("source-read", _with_menu)
+    app.connect("autodoc-process-docstring", _as_it_stands)
     app.connect("build-finished", _with_index)

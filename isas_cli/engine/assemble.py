@@ -88,9 +88,8 @@ def bare(
         adapted = integrators.adapt(integrator, where_of(scene), loaded, held)
     lights_stay = not any(isinstance(owner(params, key), mi.Emitter) for key in written)
     light.prepare(loaded, adapted.cuts and adapted.samples_lights and lights_stay)
-    unknowns = Unknowns(mi.traverse(loaded), found)
-    if taken is not None:
-        unknowns.together = building.together(taken, found)
+    together = [] if taken is None else building.together(taken, found)
+    unknowns = Unknowns(mi.traverse(loaded), found, together)
     result = Problem(
         scene.name,
         loaded,

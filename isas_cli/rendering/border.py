@@ -27,7 +27,7 @@ class Border:
 
     # Whether nothing else says what cameras have to do with it: renderings that differ by them,
     # from which their derivative is else found, show edges as well.
-    alone: ClassVar[bool] = False
+    tells_cameras: ClassVar[bool] = False
 
     def __init__(self, problem: Problem, topologies: dict[int, Topology], samples: int, paths: int):
         self.problem, self.samples, self._paths = problem, samples, paths
@@ -61,7 +61,7 @@ class Border:
         """The cameras as they are now."""
         unknowns, views, cameras = self.problem.unknowns, self.problem.views, self.cameras
         now = {field: getattr(views, field) for field in ("lens", "motion")}
-        for each in unknown(unknowns) if self.alone else ():
+        for each in unknown(unknowns) if self.tells_cameras else ():
             now[each.kind.field] = each.kind.attached(unknowns.leaves[each.key])
         if now["lens"] is not None:
             cameras = cameras.through(now["lens"], views.axes)

@@ -42,7 +42,7 @@ class Contours(Border):
     that reach behind a camera are left out.
     """
 
-    alone = True
+    tells_cameras = True
 
     def __init__(
         self, problem: Problem, topologies: dict[int, Topology], weight: float, samples: int,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import drjit as dr
 import mitsuba as mi
@@ -12,7 +14,7 @@ from ..config.photographs import LENS
 from ..scene.views import Views
 from .cameras import OfCameras
 from .kind import Loaded
-from .parameters import like
+from .parameters import own
 
 # Numbers of a lens as ``Views.lens`` has them.
 FOCAL, CENTRE_X, CENTRE_Y, RADIAL = range(4)
@@ -139,31 +141,25 @@ class Together:
     size: str
     glass: Glass
 
-    def _longer(self, leaf: mi.TensorXf) -> mi.Float:
-        columns = len(self.glass.columns)
-        count = len(self.glass.names)
-        entry = dr.arange(mi.UInt32, count) * columns + self.glass.columns.index(FOCAL)
-        pixel = like(mi.Float, self._pixels())
-        return 1 + dr.sum(dr.gather(mi.Float, leaf.array, entry) * pixel) / count
+    @cached_property
+    def _shares(self) -> mi.Float:
+        """What a unit of each entry of the lens adds to f: 0 but for focal lengths."""
+        count, columns = len(self.glass.names), self.glass.columns
+        first = [int(np.argmax(self.glass.of == number)) for number in range(count)]
+        found = np.zeros((count, len(columns)), np.float32)
+        found[:, columns.index(FOCAL)] = self.glass.sizes[first, FOCAL] / count
+        return own(mi.Float, found.ravel())
 
-    def _pixels(self) -> np.ndarray:
-        """A pixel as a share of each lens's focal length."""
-        first = [int(np.argmax(self.glass.of == n)) for n in range(len(self.glass.names))]
-        return self.glass.sizes[first, FOCAL].astype(np.float32)
+    def _longer(self, lens: mi.TensorXf) -> mi.Float:
+        """f."""
+        return 1 + dr.sum(dr.detach(lens).array * self._shares)
 
     def directed(self, gradients: dict, values: dict) -> dict:
         """``gradients`` by these, where the lens takes the size with it. Traced."""
-        leaf = dr.detach(values[self.lens])
-        columns = len(self.glass.columns)
-        slope = np.zeros((len(self.glass.names), columns), np.float32)
-        slope[:, self.glass.columns.index(FOCAL)] = self._pixels() / len(slope) / np.log(2)
-        along = like(mi.Float, slope.ravel()) / self._longer(leaf)
-        lens = gradients[self.lens]
-        found = lens.array - along * gradients[self.size]
+        lens, along = gradients[self.lens], self._shares / self._longer(values[self.lens])
+        found = lens.array - along * gradients[self.size] / math.log(2)
         return gradients | {self.lens: mi.TensorXf(found, lens.shape)}
 
     def follow(self, before: mi.TensorXf, after: mi.TensorXf, size: mi.Float) -> mi.Float:
         """``size`` after a step of the lens from ``before`` to ``after``. Traced."""
-        longer = (self._longer(dr.detach(each)) for each in (before, after))
-        old, new = longer
-        return size - dr.log2(new / old)
+        return size - dr.log2(self._longer(after) / self._longer(before))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -85,16 +86,20 @@ class Unknowns:
     each update, and only gradients at the origin stay.)
     """
 
-    def __init__(self, params: mi.SceneParameters, items: list[Unknown]):
+    def __init__(
+        self,
+        params: mi.SceneParameters,
+        items: list[Unknown],
+        together: Sequence[Together] = (),
+    ):
         """``params``: traversed anew, not those that the unknowns were read from: reading a
-        parameter marks it as a candidate for an update."""
-        self.params, self.items = params, items
+        parameter marks it as a candidate for an update. ``together``: of those that are stepped
+        together."""
+        self.params, self.items, self.together = params, items, together
         self._by_key = {u.key: u for u in items}
         self._in_order = sorted((u.kind for u in items), key=lambda kind: kind.order)
         params.keep(list(dict.fromkeys(key for kind in self._in_order for key in kind.writes)))
         self.leaves = self.values_of({u.key: u.kind.present for u in items})
-        # Of those that are stepped together (``optics.Together``).
-        self.together: list[Together] = []
 
     def __iter__(self):
         return iter(self.items)

@@ -5,6 +5,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from shapes_for_tests import covered
 
 import isas_cli
 from isas_cli import losses
@@ -163,16 +164,8 @@ FINE, STEP = 20, 0.4
 def coverage(made, values: dict) -> float:
     """The coverage term at ``values``, by a grid of rays through each pixel."""
     made.unknowns.write(values)
-    place = made.views.locate(dr.arange(mi.UInt32, made.views.total))
-    covered = np.zeros(made.views.total)
-    steps = (np.arange(FINE) + 0.5) / FINE
-    for down in steps:
-        for right in steps:
-            point = mi.Point2f(float(right), float(down))
-            ray, _ = rays.through(made.sensors, made.views, *place, point, mi.Point2f(0.5))
-            covered += np.array(made.scene.ray_test(ray)) / FINE**2
     part = np.array(made.part, np.float64)
-    return float(np.mean((covered - part)[part >= 0] ** 2))
+    return float(np.mean((covered(made, FINE) - part)[part >= 0] ** 2))
 
 
 @pytest.mark.parametrize("freeze", [True, False])

@@ -7,6 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import shapes_for_tests as shapes
 from shapes_for_tests import KEY, STEP, agrees, directions, egg, problem
 from test_silhouettes import hidden
 
@@ -25,15 +26,7 @@ WEIGHT = 2.5
 def covered(p, x: np.ndarray) -> np.ndarray:
     """How much of each pixel surfaces cover with vertices at ``x``, by a grid of rays each."""
     p.unknowns.write(p.unknowns.values_of({KEY: x.astype(np.float32)}))
-    place = p.views.locate(dr.arange(mi.UInt32, p.views.total))
-    found = np.zeros(p.views.total)
-    steps = (np.arange(FINE) + 0.5) / FINE
-    for down in steps:
-        for right in steps:
-            point = mi.Point2f(float(right), float(down))
-            ray, _ = rays.through(p.sensors, p.views, *place, point, mi.Point2f(0.5))
-            found += np.array(p.scene.ray_test(ray))
-    return found / FINE**2
+    return shapes.covered(p, FINE)
 
 
 def masked(**more):

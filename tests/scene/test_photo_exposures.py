@@ -18,6 +18,14 @@ PIXELS = np.array([2.0, 1.0, 4.0, 0.5])
 TRUTH = np.array([[1.0], [0.4], [1.0], [2.5]])
 
 
+def loaded(folder, views: int, degrees: float, size: float, **more) -> photographs.Photographs:
+    """Photographs of the box, and a mesh of it that is so far off."""
+    box.photographed(folder, views, "alpha", **more)
+    box.turned_mesh(folder / "box.obj", degrees, size)
+    mesh = str(folder / "box.obj")
+    return photographs.load(PhotosConfig(str(folder), mesh=mesh, exposure="scale"))
+
+
 def kind(channels: int = 1) -> Exposure:
     params = mi.traverse(mi.load_dict({"type": "scene"}))
     found = Exposure("exposure", Loaded(params, views=Views.of([(4, 3)] * 4), channels=channels))
@@ -93,10 +101,7 @@ def test_they_begin_where_places_of_the_object_are_alike(tmp_path, kind, channel
 
 def test_pictures_that_contradict_each_other_tell_it_vaguely(tmp_path):
     """Of a mesh that stands elsewhere, at true exposures of 1: which are within what is said."""
-    box.photographed(tmp_path, 8, "alpha")
-    box.turned_mesh(tmp_path / "box.obj", 35, 0.8)
-    settings = PhotosConfig(str(tmp_path), mesh=str(tmp_path / "box.obj"), exposure="scale")
-    taken = photographs.load(settings)
+    taken = loaded(tmp_path, 8, 35, 0.8)
     found, near = taken.exposures
     assert near > 0.1 and (np.abs(found - 1) < near).all()
     spec = building.unknowns(taken, {}, {})["exposure"]
@@ -115,11 +120,7 @@ def test_what_places_tell_is_kept():
 
 
 def test_specs_of_ones_own_are_not_held(tmp_path):
-    box.photographed(tmp_path, 6, "alpha", exposures=FACTORS)
-    box.turned_mesh(tmp_path / "box.obj", 0, 1)
-    taken = photographs.load(
-        PhotosConfig(str(tmp_path), mesh=str(tmp_path / "box.obj"), exposure="scale")
-    )
+    taken = loaded(tmp_path, 6, 0, 1, exposures=FACTORS)
     views = Views.of([box.SIZE] * 6)
     assert building.of_views(taken, views)["told"] is not None
     assert building.of_views(taken, views, ["exposure"])["told"] is None
@@ -127,19 +128,13 @@ def test_specs_of_ones_own_are_not_held(tmp_path):
 
 def test_few_views_do_not_check_each_other(tmp_path):
     """Of another place than the file's, which four views do not notice."""
-    box.photographed(tmp_path, 4, "alpha")
-    box.turned_mesh(tmp_path / "box.obj", 35, 0.8)
-    settings = PhotosConfig(str(tmp_path), mesh=str(tmp_path / "box.obj"), exposure="scale")
-    taken = photographs.load(settings)
+    taken = loaded(tmp_path, 4, 35, 0.8)
     assert brightness.apart(taken.shown, taken.surface).doubt == np.inf
     assert taken.exposures is None
 
 
 def test_exposures_that_are_alike_are_told_as_well(tmp_path):
-    box.photographed(tmp_path, 6, "alpha")
-    box.turned_mesh(tmp_path / "box.obj", 0, 1)
-    settings = PhotosConfig(str(tmp_path), mesh=str(tmp_path / "box.obj"), exposure="scale")
-    taken = photographs.load(settings)
+    taken = loaded(tmp_path, 6, 0, 1)
     found, near = taken.exposures
     np.testing.assert_allclose(found, 1, rtol=0.006)
     assert near == 0.01 and brightness.unlike(taken.shown, taken.surface) is None

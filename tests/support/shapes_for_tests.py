@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from isas_cli.scenes import kirby, meshes
@@ -13,6 +14,7 @@ from scenes_for_tests import render_targets, without_targets
 from isas_cli import losses
 from isas_cli.config.schema import UnknownConfig
 from isas_cli.estimators.silhouettes import ByShape, Settings
+from isas_cli.rendering import rays
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.scene.problem import Problem
@@ -32,6 +34,18 @@ def agrees(found: np.ndarray, exact: np.ndarray, wrong: float = EXACT) -> bool:
     size = abs(exact.mean())
     print(f"{found.mean() / exact.mean():.3f} ± {error / size:.3f} of the differences")
     return abs(found.mean() - exact.mean()) < 3 * error + wrong * size
+
+
+def covered(p: Problem, fine: int) -> np.ndarray:
+    """How much of each pixel surfaces cover now, by a grid of ``fine`` × ``fine`` rays each."""
+    place = p.views.locate(dr.arange(mi.UInt32, p.views.total))
+    found, steps = np.zeros(p.views.total), (np.arange(fine) + 0.5) / fine
+    for down in steps:
+        for right in steps:
+            point = mi.Point2f(float(right), float(down))
+            ray, _ = rays.through(p.sensors, p.views, *place, point, mi.Point2f(0.5))
+            found += np.array(p.scene.ray_test(ray))
+    return found / fine**2
 
 
 def shaped(vertices: np.ndarray, faces: np.ndarray, id: str = "figure", colour=kirby.COLOUR):
