@@ -49,11 +49,10 @@ def sooner(path: Path) -> dict | None:
         "median": medians["parameter_rmse_share"].median(),
         "image": medians["image_rmse_share"].median(),
         "steps": (medians["iterations_now"] / medians["iterations_then"]).median(),
-        "behind": [
-            row["scene"]
-            for row in medians.to_dict("records")
-            if row["parameter_rmse"] > row["parameter_rmse_then"]
-        ],
+        "behind": {
+            word: medians.loc[medians[name] > medians[f"{name}_then"], "scene"].tolist()
+            for word, name in (("parameters", "parameter_rmse"), ("image", "image_rmse"))
+        },
     }
 
 

@@ -265,13 +265,12 @@ class Recorder:
             warnings += ends.astray(*self.ends)
         if not self.loop.evaluator.loss.linear:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
+        blurs = " and the blurs' widths" if self.loop.estimator.blurs else ""
         for entry in self._resumed:
             if entry.get("earlier_budget") and self.loop.stepper.paced:
-                blurred = self.cfg.estimator.name == "plateau"
-                what = "the learning rate and the blurs' widths" if blurred else "the learning rate"
                 warnings.append(
                     f"the budget was {entry['earlier_budget']} up to iteration "
-                    f"{entry['iteration']}: {what} followed another schedule"
+                    f"{entry['iteration']}: the learning rate{blurs} followed another schedule"
                 )
         return warnings
 

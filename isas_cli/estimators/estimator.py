@@ -31,6 +31,8 @@ class Gradients:
     undrawn: float = 0.0
     # Shares of the budget at which kernels differ, for a rehearsal.
     stages: tuple[float, ...] = (0.0,)
+    # Whether unknowns are blurred, by widths that follow the budget.
+    blurs: bool = False
     memory: Sequence[mi.Float] = ()
 
     @property

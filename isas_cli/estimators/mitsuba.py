@@ -100,6 +100,7 @@ class WholeImages(Gradients):
         self.problem, self.loss, self.batch = problem, loss, batch
         self.smooth, self.samples = smooth, samples
         self.blur = Blur(problem, "estimator=plateau") if smooth else None
+        self.blurs = smooth is not None
         _check_sensors(problem)
         if problem.views.altered:
             raise InputError(

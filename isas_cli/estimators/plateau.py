@@ -175,7 +175,7 @@ class Plateau(Gradients):
     ):
         self.problem, self.batch, self.smooth = problem, batch, smooth
         self.pairs, self.common = pairs, common
-        self.blur = Blur(problem, "estimator=plateau")
+        self.blur, self.blurs = Blur(problem, "estimator=plateau"), True
         self._scheme, self._mirrored = SCHEMES[scheme], residual == "pair"
         if scheme == "separate":
             self.blur.check_single("estimator.scheme=separate")

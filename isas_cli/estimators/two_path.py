@@ -113,6 +113,7 @@ class TwoPath(Gradients):
         self._moved = cameras.unknown(problem.unknowns)
         moved = [(each.key, each.kind.field, each.kind.each) for each in self._moved]
         self.blur = Blur(problem, "estimator.blurred=true") if blurred else None
+        self.blurs = blurred
         self._aside = Aside(problem, loss, batch, freeze)
         # Beside that whose derivative is counted.
         third = exposed is not None and not integrator.crosses

@@ -173,6 +173,15 @@ def test_a_larger_budget_goes_on_where_the_run_ended(finished, capsys):
     assert after.manifest["resumed"][0]["earlier_budget"] == "iterations=4"
 
 
+def test_a_larger_budget_warns_of_widths_of_blurs_too(tmp_path):
+    settings = ["scene=shadows", "size=tiny", "estimator.batch=512", "estimator.spp=2"]
+    settings += ["frames.views=0", "report=false"]
+    assert app.main(["run", *settings, "budget.iterations=2", f"hydra.run.dir={tmp_path}"]) == 0
+    assert app.main(["run", f"resume={tmp_path}", "budget.iterations=4"]) == 0
+    (warning,) = [w for w in records.load(tmp_path).summary["warnings"] if "iterations=2" in w]
+    assert "the learning rate and the blurs' widths followed another schedule" in warning
+
+
 def test_where_rates_fall_by_steps_a_larger_budget_changes_nothing_before(tmp_path):
     settings = ["scene=dodoco", "size=tiny", "estimator.batch=512", "frames.views=0"]
     settings += ["evaluation.pixels=64", "sampler=uniform", "effects=full", "report=false"]
