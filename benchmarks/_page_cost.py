@@ -30,6 +30,7 @@ def facts(results: Path) -> dict:
             for scene, rows in phases.groupby("scene", sort=False)
         },
         "sizes": sizes(read("cost_against_size")),
+        "memory": read("memory").to_dict("records"),
         "writing": recording["writing_share_of_wall"].max().to_dict(),
         "race": read("race").groupby("contestant")["race_over_alone"].median().to_dict(),
         "race_spread": list(read("race")["race_over_alone"]),

@@ -1,7 +1,7 @@
 """Memory of a run against the size of its film, up to the papers' 16 million pixels.
 
-`earth` with r × r pixels and as many texels, 65,536 drawn pixels a step, targets rendered anew and
-coarse ones (which does not change what they take). A process each; the peak of what it holds,
+`earth` with r × r pixels and half as many texels, 65,536 drawn pixels a step, targets rendered anew
+with few paths (which does not change what they take). A process each; the peak of what it holds,
 less that of the same run at size=tiny (interpreter, libraries, compiled kernels, a step's lanes),
 over the bytes of its targets and texture in single precision. Host: the process's largest resident
 set, on a CPU with Dr.Jit's share in it; device: the watermark of Dr.Jit's allocator on a card.
@@ -26,7 +26,7 @@ import pages
 import pandas
 
 RESULTS = Path(__file__).parent / "results" / "memory.csv"
-SETTINGS = ["scene=earth", "budget.iterations=20", "target.spp=16", "estimator.batch=65536"]
+SETTINGS = ["scene=earth", "budget.iterations=20", "target.spp=4", "estimator.batch=65536"]
 SETTINGS += ["evaluation.count=2", "frames.views=0", "frames.snapshots=0", "report=false"]
 
 
@@ -64,7 +64,7 @@ def main() -> None:
     rows = []
     for size in chosen.sizes:
         own = [f"scene.arguments.resolution={size}", f"scene.arguments.texture={size}", sampler]
-        found, held = peaks(own), 2 * size * size * 12
+        found, held = peaks(own), (size * size + size * size // 2) * 12
         row = {"pixels": size * size, "held_mb": held / 1e6, "sampler": chosen.sampler}
         for where in ("host", "device"):
             if where in found:

@@ -152,6 +152,7 @@ def problem(
         result.set_targets(pixels, None, digest, variance)
     if scene.weights is not None:
         result.weigh(scene.weights)
+    backend.release()
     return result
 
 

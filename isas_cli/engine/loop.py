@@ -15,10 +15,11 @@ from ..effects import Plan
 from ..estimators.estimator import Gradients
 from ..losses.priors import OnUnknowns
 from ..rendering.pixels import PixelDistribution
-from ..runtime.backend import sync
+from ..runtime.backend import release, sync
 from ..runtime.budget import Budget
 from ..runtime.clock import Clock
 from ..runtime.errors import NumericalError
+from ..runtime.memory import parts
 from ..samplers import reliability
 from ..samplers.sampler import OnImages
 from ..scene.problem import Problem
@@ -146,6 +147,7 @@ class Loop:
                 )
             self._weights = self._distribution = None
             self._memory = self._blank()
+            release()
 
     def _rehearse_level(self, level: int) -> None:
         if level > self.stepper.level:
@@ -364,8 +366,10 @@ class Loop:
             return float("nan")
         total = 0.0
         for gradient in self._gradients.values():
-            entries = np.array(flat(gradient), dtype=np.float64)
-            total += float(np.sum(entries[np.isfinite(entries)] ** 2))
+            every = np.array(flat(gradient))
+            for part in parts(every.size):
+                entries = every[part].astype(np.float64)
+                total += float(np.sum(entries[np.isfinite(entries)] ** 2))
         return total**0.5
 
     def left_out(self) -> float | None:

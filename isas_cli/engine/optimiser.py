@@ -10,6 +10,7 @@ import numpy as np
 
 from ..config.schema import OptimizerConfig
 from ..filters import Filter, Layout, Nothing, OnUnknown, Step
+from ..runtime.memory import parts
 from ..runtime.schedule import factor
 from ..samplers.sampler import Moments
 from ..unknowns.parameters import as_numpy, flat, own, unflat
@@ -243,12 +244,13 @@ class Stepper:
         self.adam[key] = unflat(before, self.filtered[key].moved(step))
 
     def _along(self, key: str, gradient) -> np.ndarray:
-        """The entries that Adam averages of ``gradient``, float64, unscaled, on the host: those of
-        ``Kind.smoothed`` where the unknown has it, which takes what is not finite for 0."""
-        entries = np.array(flat(gradient), dtype=np.float64)
-        kind = self.unknowns[key].kind
+        """The entries that Adam averages of ``gradient``, unscaled, on the host: those of
+        ``Kind.smoothed`` where the unknown has it, float64, which takes what is not finite for 0;
+        else as they are."""
+        entries, kind = np.array(flat(gradient)), self.unknowns[key].kind
         if not kind.uniform:
             return entries
+        entries = entries.astype(np.float64)
         clean = np.where(np.isfinite(entries), entries, 0)
         return kind.smoothed(clean.reshape(tuple(self.adam[key].shape))).ravel()
 
@@ -281,9 +283,11 @@ class Stepper:
         """Of entries that are finite and not zero, the sum of their squares, and how many."""
         squares, count = 0.0, 0
         for gradient in gradients:  # one by one: large grids side by side fill a memory
-            entries = self._along(key, gradient[key])
-            entries = entries[np.isfinite(entries) & (entries != 0)]
-            squares, count = squares + float(np.sum(entries**2)), count + entries.size
+            every = self._along(key, gradient[key])
+            for part in parts(every.size):
+                entries = every[part].astype(np.float64)
+                entries = entries[np.isfinite(entries) & (entries != 0)]
+                squares, count = squares + float(np.sum(entries**2)), count + entries.size
         return squares, count
 
     def noise(self, gradients: dict) -> float:
@@ -300,14 +304,15 @@ class Stepper:
         """
         total, count, gradients = 0.0, 0, self._directed(gradients)
         for key in self.unknowns.keys:
-            first = flat(self.adam.state[key][3][1])
-            entries = self._along(key, gradients[key])
-            steps = np.array(self.visits[key], dtype=np.float64)
-            touched = np.isfinite(entries) & (entries != 0) & (steps > 1)
-            weight = 1 - self.settings.beta_1 ** steps[touched]
-            smoothed = np.array(first, dtype=np.float64)[touched] / weight
-            total += float(np.sum((smoothed / self.scale[key] - entries[touched]) ** 2))
-            count += int(touched.sum())
+            first = np.array(flat(self.adam.state[key][3][1]))
+            every, visits = self._along(key, gradients[key]), np.array(self.visits[key])
+            for part in parts(every.size):
+                entries, steps = (each[part].astype(np.float64) for each in (every, visits))
+                touched = np.isfinite(entries) & (entries != 0) & (steps > 1)
+                weight = 1 - self.settings.beta_1 ** steps[touched]
+                smoothed = first[part][touched].astype(np.float64) / weight
+                total += float(np.sum((smoothed / self.scale[key] - entries[touched]) ** 2))
+                count += int(touched.sum())
         return total / count if count else float("nan")
 
     def moments(self, spent: float) -> Moments:

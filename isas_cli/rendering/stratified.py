@@ -19,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..runtime import streams
+from ..runtime import memory, streams
 from ..scene.problem import Problem
 from ..unknowns.parameters import own
 from . import rays
@@ -79,7 +79,7 @@ class Sums:
     @classmethod
     def none(cls, counts: np.ndarray, foretold: int, lights: int = 1) -> "Sums":
         n = counts.size
-        zeros = np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.int64)
+        zeros = np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.int32)
         return cls(*zeros, counts, foretold, lights=lights)
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -92,15 +92,22 @@ class Sums:
     @property
     def images(self) -> np.ndarray:
         """``(n, 3) float32``"""
-        return (self.first / np.maximum(self.sequences, 1)[:, None]).astype(np.float32)
+        found = np.empty(self.first.shape, np.float32)
+        for part in memory.parts(len(found)):
+            found[part] = self.first[part] / np.maximum(self.sequences[part], 1)[:, None]
+        return found
 
     @property
     def variance(self) -> np.ndarray:
         """Of a mean, its channels' mean, ``(n,) float32``; NaN of less than two sequences."""
-        n = self.sequences
-        spread = np.maximum(self.second - (self.first**2).sum(1) / np.maximum(n, 1), 0)
-        found = spread / (3 * np.maximum(n * (n - 1), 1))
-        return np.where(n > 1, found, np.nan).astype(np.float32)
+        found = np.empty(self.second.shape, np.float32)
+        for part in memory.parts(len(found)):
+            n = self.sequences[part].astype(np.int64)
+            squared = (self.first[part] ** 2).sum(1)
+            spread = np.maximum(self.second[part] - squared / np.maximum(n, 1), 0)
+            mean = spread / (3 * np.maximum(n * (n - 1), 1))
+            found[part] = np.where(n > 1, mean, np.nan)
+        return found
 
 
 def noise(images: np.ndarray, variance: np.ndarray) -> float:
@@ -109,7 +116,8 @@ def noise(images: np.ndarray, variance: np.ndarray) -> float:
     known = variance[np.isfinite(variance)]
     if not known.size:
         return math.nan
-    kept = np.sort(known)[: math.ceil(_SHARE * known.size)]
+    known.sort()
+    kept = known[: math.ceil(_SHARE * known.size)]
     brightness = float(np.mean(images, dtype=np.float64))
     return math.sqrt(float(np.mean(kept, dtype=np.float64))) / brightness if brightness else 0.0
 
@@ -174,7 +182,7 @@ class _Rendering:
         """Without any path: with the sequences of each pixel in a round, at least one, and the
         rounds and light samples that pilots call for."""
         if self.length == 1:
-            return Sums.none(np.full(self.pixels, -(-self.spp // _FEWEST)), _FEWEST)
+            return Sums.none(np.full(self.pixels, -(-self.spp // _FEWEST), np.int32), _FEWEST)
         where = _blocks(self.problem.film_sizes, streams.seed(self.seed, 0, "target"))
         lights, (deviation, brightness) = 1, self._piloted(*where, 1)
         whole = float(deviation.mean())
@@ -192,7 +200,7 @@ class _Rendering:
             middle = (low + high) / 2
             few = np.maximum(np.rint(weight * middle), 1).mean() < each
             low, high = (middle, high) if few else (low, middle)
-        counts = np.maximum(np.rint(weight * high), 1).astype(np.int64)
+        counts = np.maximum(np.rint(weight * high), 1).astype(np.int32)
         return Sums.none(counts, math.ceil(needed / counts.mean()), lights)
 
     def _several_pay(self, pixels: np.ndarray) -> bool:

@@ -141,6 +141,15 @@ def loading() -> Iterator[None]:
             dr.set_thread_count(wanted)
 
 
+def release() -> None:
+    """Wait, and give back the memory that Dr.Jit keeps of arrays that are gone: between phases that
+    need arrays of other sizes it would only add up."""
+    import drjit as dr
+
+    sync()
+    dr.flush_malloc_cache()
+
+
 def sync() -> None:
     """Wait until all work queued so far is done; call it before a clock is read."""
     import drjit as dr

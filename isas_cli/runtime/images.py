@@ -211,9 +211,13 @@ def to_display(image: np.ndarray, exposure: float = 1.0) -> np.ndarray:
     One curve: x = clip(exposure · image, 0, 1), then the sRGB curve (IEC 61966-2-1), rounded.
     NaN becomes black: a caller who shows pictures that may hold NaN marks those pixels itself.
     """
-    scaled = np.asarray(image, dtype=np.float64) * exposure
-    clipped = np.clip(np.nan_to_num(scaled, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
-    return np.rint(srgb_encode(clipped) * 255.0).astype(np.uint8)
+    flat = np.asarray(image).reshape(-1)
+    shown = np.empty(flat.shape, np.uint8)
+    for part in memory.parts(flat.size):
+        scaled = flat[part].astype(np.float64) * exposure
+        clipped = np.clip(np.nan_to_num(scaled, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
+        shown[part] = np.rint(srgb_encode(clipped) * 255.0)
+    return shown.reshape(np.shape(image))
 
 
 def exposure_for(pictures: Iterable[np.ndarray]) -> float:

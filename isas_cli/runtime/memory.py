@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -14,6 +15,14 @@ _GROUPS = (
         *("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
     ),
 )
+
+_PART = 1 << 20
+
+
+def parts(count: int) -> Iterator[slice]:
+    """Of ``count`` entries, a million at a time: what is computed of them in double precision takes
+    several times their memory, which counts beside films and textures of many millions."""
+    return (slice(first, first + _PART) for first in range(0, count, _PART))
 
 
 def gib(size: float) -> str:
