@@ -360,9 +360,10 @@ def _opened(path: Path) -> oiio.ImageInput:
 
 
 def _colour_channels(path: Path, spec: oiio.ImageSpec) -> list[int]:
-    """Which channels hold colour: R, G, B or Y by name, else all but alpha and depth."""
+    """Which channels hold colour: R, G, B, CIE's X, Y, Z or Y by name, else all but alpha and
+    depth."""
     names = [name.upper() for name in spec.channelnames]
-    for wanted in ("RGB", "Y"):
+    for wanted in ("RGB", "XYZ", "Y"):
         if all(name in names for name in wanted):
             return [names.index(name) for name in wanted]
     others = [i for i in range(spec.nchannels) if i not in (spec.alpha_channel, spec.z_channel)]

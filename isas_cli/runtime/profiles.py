@@ -28,6 +28,8 @@ _SAME = 0.004
 _CLOSE = 0.002  # x and y of primaries
 # x and y of sRGB's red, green, blue and white.
 _PRIMARIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+# The same of CIE's X, Y and Z, as EXR says them.
+_CIE = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3)
 _ADOBE = "g22_adobergb_scene"
 
 
@@ -58,6 +60,9 @@ def said(path: Path, spec: oiio.ImageSpec) -> Said:
     primaries = spec.getattribute("chromaticities")
     if primaries is None and spec.getattribute("CICP") is None:
         primaries = _primaries(_of_png(path))
+    names = {name.upper() for name in spec.channelnames}
+    if primaries is None and set("XYZ") <= names and not set("RGB") <= names:
+        primaries = _CIE
     if primaries is not None and not np.allclose(primaries, _PRIMARIES, atol=_CLOSE):
         return Said(None, space or None, tuple(primaries), "the primaries that it names")
     return Said(space=space or None, name=f"colour space {space}")

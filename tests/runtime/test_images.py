@@ -32,7 +32,8 @@ def write(path, pixels, channels=("R", "G", "B"), **attributes):
     spec = oiio.ImageSpec(width, height, count, kinds[str(pixels.dtype)])
     spec.channelnames = tuple(channels)
     for name, value in attributes.items():
-        spec.attribute(name.replace("__", ":"), value)
+        kind = [oiio.TypeDesc(f"float[{len(value)}]")] if isinstance(value, tuple) else []
+        spec.attribute(name.replace("__", ":"), *kind, value)
     output = oiio.ImageOutput.create(str(path))
     assert output.open(str(path), spec) and output.write_image(pixels) and output.close()
     return path
@@ -241,6 +242,19 @@ def test_colours_are_found_by_name_among_other_channels(tmp_path):
     path = write(tmp_path / "b.exr", layers, ("u", "v", "w", "s", "t"))
     with pytest.raises(InputError, match="no channels R, G, B or Y"):
         images.read(path)
+
+
+@pytest.mark.parametrize("said", [True, False], ids=["said", "by name alone"])
+def test_cie_colours_become_red_green_and_blue(tmp_path, said):
+    """Of a film of `pixel_format` xyz, Y alone would pass for a grey picture."""
+    of_rgb = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    image = picture()
+    stored = np.einsum("ij,...j", np.array(of_rgb), image).astype(np.float32)
+    spec = {}
+    if said:
+        spec["chromaticities"] = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3)
+    path = write(tmp_path / "a.exr", stored, ("X", "Y", "Z"), **spec)
+    assert images.read(path) == pytest.approx(image, abs=2e-3)
 
 
 def test_masks_keep_the_stored_values(tmp_path):
