@@ -15,7 +15,8 @@ def warnings(scene: mi.Scene, integrator: mi.Integrator) -> list[str]:
     Mitsuba's ``path`` leaves what a camera sees through gaps alone out with the emitters that are
     hidden, ``prb`` does not. Volumetric ones count no edge where a path goes through a gap, which
     ``prb`` does; and ``prbvolpath`` ends a path one emitter later than ``volpath``, with the weight
-    that it has beside a light sample which is not taken there.
+    that it has beside a light sample which is not taken there. It also begins every path outside
+    of media, whatever a sensor says of the one that it stands in.
     """
     kind, depth = getattr(integrator, "stands_for", None), integrator.max_depth
     own = "prbvolpath" if type(integrator).__name__ == "PRBVolpathIntegrator" else "prb"
@@ -26,6 +27,9 @@ def warnings(scene: mi.Scene, integrator: mi.Integrator) -> list[str]:
     if gaps and integrator.hide_emitters:
         why.append("shows hidden emitters behind gaps")
         cure.append("without hide_emitters")
+    if own == "prbvolpath" and any(each.get_medium() is not None for each in scene.sensors()):
+        why.append("takes no notice of the medium in which a sensor stands")
+        cure.append("with sensors outside of it, seen through its boundary,")
     if kind != "path" and depth < _DEEP:
         if own == "prbvolpath":
             why.append(f"adds some light by paths of more than {depth} edges")
@@ -39,7 +43,7 @@ def warnings(scene: mi.Scene, integrator: mi.Integrator) -> list[str]:
         return []
     return [
         f"integrator '{kind}' of the file is replayed by {own}, which {' and '.join(why)}: "
-        f"images differ from the file's; {' and '.join(cure)} they do not"
+        f"images differ from the file's; {' and '.join(cure).rstrip(',')} they do not"
     ]
 
 

@@ -58,6 +58,19 @@ def test_few_edges_beside_media(tmp_path, kind, more, depth):
     assert told == [] and abs(other.mean() / own.mean() - 1) < 0.01
 
 
+@pytest.mark.parametrize("kind, count", [("volpath", 1), ("volpathmis", 1), ("prbvolpath", 0)])
+def test_a_sensor_in_a_medium(tmp_path, monkeypatch, kind, count):
+    """In fog that is as large as the scene, and as the sensor's own medium."""
+    fog = FOG.replace('"sphere">', '"sphere"><float name="radius" value="9"/>')
+    fog = fog.replace("<medium", '<medium id="air"').replace(
+        'value="1"/></medium', 'value="0.2"/></medium'
+    )
+    monkeypatch.setitem(globals(), "XML", XML.replace("<film", '<ref id="air"/><film'))
+    told, (own, other) = loaded(tmp_path, fog, kind, 60)
+    assert len(told) == count and all("medium in which a sensor stands" in each for each in told)
+    assert (abs(other.mean() / own.mean() - 1) > 0.05) == bool(count)
+
+
 def test_few_edges_and_gaps(tmp_path):
     (told,), (own, other) = loaded(tmp_path, GAP, "volpath", 2)
     assert "replayed by prb, which counts gaps among the 2 edges of a path" in told
