@@ -121,6 +121,13 @@ def load(
                 f"{_counted(len(sizes), 'sensor')}: one per sensor"
             )
     read = [_sized(images.read(Path(f)), f"target {f}", size) for f, size in zip(paths, sizes)]
+    if grey := [str(each) for each in paths if images.grey(each)]:
+        one = len(grey) == 1
+        problem.warnings.append(
+            f"{'target' if one else 'targets'} {', '.join(grey)} {'has' if one else 'have'} no "
+            "colours: red, green and blue are each compared with that one channel, which is wrong "
+            "where the view has colours, as of a film of pixel_format luminance: give it in rgb"
+        )
     pixels = np.concatenate([r.reshape(-1) for r in read])
     mask = None
     if masks is not None:

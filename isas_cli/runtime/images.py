@@ -113,6 +113,13 @@ def size(path: str | Path, turned: bool = True) -> tuple[int, int]:
     return (spec.height, spec.width) if over else (spec.width, spec.height)
 
 
+def grey(path: str | Path) -> bool:
+    """Whether a picture has one channel of brightness alone. Raises InputError."""
+    if raw.names(path) or heif.names(path):
+        return False
+    return len(_colour_channels(Path(path), _header(path))) == 1
+
+
 def orientation(path: str | Path) -> int:
     """Exif's Orientation of a picture, 1 to 8; 1, upright, where it has none. Raises InputError."""
     if raw.names(path):

@@ -12,6 +12,7 @@ from isas_cli.engine.evaluate import Evaluator
 from isas_cli.losses import L2
 from isas_cli.rendering import coverage, targets
 from isas_cli.rendering.renderer import Renderer
+from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns.kind import well_seen
 
@@ -160,3 +161,17 @@ def test_the_image_error_is_that_of_the_mean_images():
         images.append(np.array(mean).reshape(3, 32, -1).mean(axis=1))
     exact = np.sqrt(np.mean((images[0] - images[1]) ** 2))
     assert evaluator(other)["image_rmse"] == pytest.approx(exact, rel=0.1)
+
+
+@pytest.mark.parametrize("channels", [["Y"], ["R", "G", "B"]], ids=["grey", "colours"])
+def test_a_given_target_without_colours_is_said(tmp_path, channels):
+    """It would pull red, green and blue to one value; one that merely shows grey does not."""
+    p = problem({ROUGHNESS: 0.5})
+    files = [tmp_path / f"{n}.exr" for n in range(len(p.film_sizes))]
+    for file, (width, height) in zip(files, p.film_sizes):
+        images.write_exr(file, np.full((height, width, len(channels)), 0.5), channels, {})
+    before = list(p.warnings)
+    targets.load(p, [str(file) for file in files], None)
+    told = p.warnings[len(before) :]
+    assert len(told) == (channels == ["Y"])
+    assert all("no colours" in each and str(files[0]) in each for each in told)
