@@ -87,10 +87,12 @@ def read(path: str | Path, finite: bool = True, linear: bool | None = None) -> n
 
 
 def read_mask(path: str | Path, turned: bool = True) -> np.ndarray:
-    """Reads a mask: (H, W) float32 in [0, 1], the stored values, never decoded from sRGB.
+    """Reads a mask: (H, W) float32 in [0, 1], the stored values, never decoded from sRGB. As much
+    as a pixel is transparent, it is black: programs that cut objects out leave masks whose colour
+    is white all over.
 
     Raises InputError for what `load` refuses, for values outside [0, 1] and for a picture whose
-    channels differ (a photograph given as a mask, most likely). Alpha is dropped.
+    channels differ (a photograph given as a mask, most likely).
     """
     pixels, *_ = _read_colours(Path(path), turned)
     if not (pixels == pixels[..., :1]).all():
@@ -98,7 +100,10 @@ def read_mask(path: str | Path, turned: bool = True) -> np.ndarray:
     mask = np.ascontiguousarray(pixels[..., 0], dtype=np.float32)
     if not ((mask >= 0) & (mask <= 1)).all():
         raise InputError(f"{path}: a mask's values have to lie in [0, 1]")
-    return mask
+    alpha = read_alpha(path, turned)
+    if alpha is None or multiplied(path):
+        return mask
+    return mask * np.clip(alpha, 0, 1)
 
 
 def size(path: str | Path, turned: bool = True) -> tuple[int, int]:

@@ -268,6 +268,24 @@ def test_masks_keep_the_stored_values(tmp_path):
         images.read_mask(write(tmp_path / "d.exr", picture(channels=1) + 1, ("Y",)))
 
 
+def test_what_is_transparent_in_a_mask_is_black(tmp_path):
+    """A cut-out's mask is white all over, and its alpha says what the object is."""
+    alpha = np.array([[[0], [128], [255]]], dtype=np.uint8)
+    white, grey = np.full((1, 3, 3), 255, np.uint8), np.full((1, 3, 1), 51, np.uint8)
+    beside = {"oiio:UnassociatedAlpha": 1}
+    stored = np.concatenate([white, alpha], axis=2)
+    cut = write(tmp_path / "a.png", stored, tuple("RGBA"), **beside)
+    assert images.read_mask(cut)[0] == pytest.approx([0, 128 / 255, 1])
+    stored = np.concatenate([grey, alpha], axis=2)
+    both = write(tmp_path / "b.png", stored, tuple("YA"), **beside)
+    assert images.read_mask(both)[0] == pytest.approx([0, 0.2 * 128 / 255, 0.2], abs=1e-3)
+    # An EXR's colours are multiplied by its alpha already.
+    over = np.float32([[[0, 0, 0, 0], [0.5, 0.5, 0.5, 0.5], [1, 1, 1, 1]]])
+    assert images.read_mask(write(tmp_path / "c.exr", over, tuple("RGBA")))[0] == pytest.approx(
+        [0, 0.5, 1]
+    )
+
+
 def test_a_missing_or_unreadable_picture_is_one_line(tmp_path):
     (tmp_path / "text.png").write_text("no picture")
     (tmp_path / "empty.exr").write_text("")
