@@ -198,3 +198,18 @@ def test_the_size_of_a_picture_is_its_header(tmp_path):
     with pytest.raises(InputError, match="no such picture"):
         images.size(tmp_path / "b.png")
     assert json.dumps(images.size(tmp_path / "a.png"))  # plain numbers
+
+
+def test_places_too_far_from_the_origin_are_said(tmp_path):
+    """A surveyor's coordinates, of which 32 bits keep half units: the mesh has another shape."""
+    for offset, doubted in ((0.0, False), (5.4e6, True)):
+        content = photo_sets.transforms(Files(tmp_path, POSES))
+        for frame in content["frames"]:
+            frame["transform_matrix"] = np.array(frame["transform_matrix"], np.float64)
+            frame["transform_matrix"][1, 3] += offset
+            frame["transform_matrix"] = frame["transform_matrix"].tolist()
+        photo_sets.write(tmp_path / "transforms.json", content)
+        asked = PhotosConfig(path=str(tmp_path), mesh=ball(tmp_path, (0.0, offset, 0.0)))
+        told = [w for w in photographs.load(asked).warnings if "32 bits" in w]
+        assert len(told) == doubted
+        assert not doubted or "5.4e+06 units from the origin" in told[0]

@@ -12,7 +12,18 @@ from ...config.photographs import PhotosConfig
 from ...runtime import images
 from ...runtime.errors import InputError
 from ...scenes.meshes import Surface
-from . import brightness, finding, hull, importing, material, outlines, reading, shape, turns
+from . import (
+    brightness,
+    finding,
+    hull,
+    importing,
+    material,
+    outlines,
+    precision,
+    reading,
+    shape,
+    turns,
+)
 from .base import Capture
 from .camera import Camera
 from .importing import Photograph
@@ -93,6 +104,7 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     told += [] if parts is None else material.check(settings, parts)
     found = Photographs(*made, capture, parts, settings, told, colour)
     told += outlines.doubts(found.all, found.surface)
+    told += precision.doubts(found.all, found.surface)
     return found
 
 
