@@ -80,6 +80,22 @@ def test_texture_coordinates_are_of_one_place_each(ball):  # noqa: F811
     assert filled.mean() > 0.85 * area
 
 
+@pytest.mark.parametrize("unit", [1e-6, 1e4])
+def test_any_unit_of_length(ball, unit):  # noqa: F811
+    """Of a set of another unit the hull is as large as that says, and unwrapped all the same."""
+    around(ball)
+    usual = load(ball, voxels=16).surface
+    content = json.loads((ball / "transforms.json").read_text())
+    for frame in content["frames"]:
+        for row in frame["transform_matrix"][:3]:
+            row[3] *= unit
+    (ball / "transforms.json").write_text(json.dumps(content))
+    surface = load(ball, voxels=16).surface
+    assert surface.vertices.shape == usual.vertices.shape
+    assert surface.vertices == pytest.approx(usual.vertices * unit, abs=0.02 * unit * RADIUS)
+    assert surface.texcoords == pytest.approx(usual.texcoords, abs=0.02)
+
+
 def test_what_does_not_enclose_it_is_refused(ball):  # noqa: F811
     content = json.loads((ball / "transforms.json").read_text())
     content["frames"] = content["frames"][:1]

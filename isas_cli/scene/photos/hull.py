@@ -13,7 +13,7 @@ from ...runtime.errors import InputError
 from .importing import Photograph
 
 # Raised when what is kept means something else.
-_FORMAT = 3
+_FORMAT = 4
 # Voxels around the hull that are outside, and how far from the surface distances matter, in voxels.
 _MARGIN, _BAND = 2, 3.0
 # Of the largest piece's volume: smaller ones are specks of masks.
@@ -98,12 +98,17 @@ def bounds(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:
                 planes.append((seen[-1] + 1 - middle) / focal * depth - of)
         rows += [-plane[:3] for plane in planes]
         limits += [plane[3] for plane in planes]
+    # In lengths of the cameras' own, around their middle: the solver's tolerances are absolute.
+    places = np.array([each.camera.centre for each in photographs])
+    origin = places.mean(axis=0)
+    unit = float(np.abs(places - origin).max()) or 1.0
+    planes, most = np.array(rows), (np.array(limits) - np.array(rows) @ origin) / unit
     found = []
     for axis in range(3):
         for sign in (1.0, -1.0):
             goal = np.zeros(3)
             goal[axis] = sign
-            solved = linprog(goal, A_ub=np.array(rows), b_ub=limits, bounds=(None, None))
+            solved = linprog(goal, A_ub=planes, b_ub=most, bounds=(None, None))
             if solved.status == 2:
                 raise InputError(
                     "photos.start=hull: no place lies within the object's outline in every view: "
@@ -114,7 +119,7 @@ def bounds(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:
                     "photos.start=hull: the views do not enclose the object: take views from more "
                     "sides that show all of it, or give photos.mesh"
                 )
-            found.append(sign * solved.fun)
+            found.append(origin[axis] + unit * sign * solved.fun)
     return np.array(found[::2]), np.array(found[1::2])
 
 
@@ -186,8 +191,11 @@ def _unwrapped(vertices: np.ndarray, faces: np.ndarray) -> dict[str, np.ndarray]
     """With texture coordinates in charts, as ``Surface`` counts them; vertices of seams repeat."""
     import xatlas
 
+    # Of size 1 at the origin: areas of small triangles are nothing to it, and no charts are made.
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    sized = (vertices - low) / (high - low).max()
     atlas = xatlas.Atlas()
-    atlas.add_mesh(vertices.astype(np.float32), np.ascontiguousarray(faces, np.uint32))
+    atlas.add_mesh(sized.astype(np.float32), np.ascontiguousarray(faces, np.uint32))
     packing = xatlas.PackOptions()
     packing.resolution = round(1 / _GAP)
     packing.padding = 1
