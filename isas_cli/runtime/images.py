@@ -87,7 +87,8 @@ def read(path: str | Path, finite: bool = True, linear: bool | None = None) -> n
 
 
 def read_mask(path: str | Path, turned: bool = True) -> np.ndarray:
-    """Reads a mask: (H, W) float32 in [0, 1], the stored values, never decoded from sRGB. As much
+    """Reads a mask: (H, W) float32 in [0, 1], the stored values, never decoded from sRGB; of a file
+    of whole numbers that holds 0 and 1 alone, as programs write what is true, 1 is white. As much
     as a pixel is transparent, it is black: programs that cut objects out leave masks whose colour
     is white all over.
 
@@ -100,6 +101,8 @@ def read_mask(path: str | Path, turned: bool = True) -> np.ndarray:
     mask = np.ascontiguousarray(pixels[..., 0], dtype=np.float32)
     if not ((mask >= 0) & (mask <= 1)).all():
         raise InputError(f"{path}: a mask's values have to lie in [0, 1]")
+    if any(mask.max() == np.float32(1) / np.float32(most) for most in _INTEGER_FORMATS.values()):
+        mask /= mask.max()
     alpha = read_alpha(path, turned)
     if alpha is None or multiplied(path):
         return mask

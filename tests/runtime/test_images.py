@@ -268,6 +268,15 @@ def test_masks_keep_the_stored_values(tmp_path):
         images.read_mask(write(tmp_path / "d.exr", picture(channels=1) + 1, ("Y",)))
 
 
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_masks_of_0_and_1_are_black_and_white(tmp_path, kind):
+    true = np.array([[[0], [1]]], dtype=kind)
+    assert np.array_equal(images.read_mask(write(tmp_path / "a.png", true, ("Y",))), [[0, 1]])
+    assert np.array_equal(images.read_mask(write(tmp_path / "b.png", true * 0, ("Y",))), [[0, 0]])
+    dark = images.read_mask(write(tmp_path / "c.png", true * 2, ("Y",)))
+    assert 0 < dark.max() < 0.01
+
+
 def test_what_is_transparent_in_a_mask_is_black(tmp_path):
     """A cut-out's mask is white all over, and its alpha says what the object is."""
     alpha = np.array([[[0], [128], [255]]], dtype=np.uint8)

@@ -158,7 +158,7 @@ def _part(
         return np.clip(alpha, 0, 1), images.multiplied(camera.image)
     if camera.mask is not None:
         given = _given_mask(camera, settings, turned)
-        # Masks of 0 and 1 are 0 and 1 / 255 here.
+        # Masks of labels, such as 0 and 3, are dark.
         return given / max(float(given.max()), 1e-6), False
     raise InputError(
         f"photos.background=black: {camera.image} has neither alpha nor a mask, which would say "
