@@ -213,3 +213,19 @@ def test_places_too_far_from_the_origin_are_said(tmp_path):
         told = [w for w in photographs.load(asked).warnings if "32 bits" in w]
         assert len(told) == doubted
         assert not doubted or "5.4e+06 units from the origin" in told[0]
+
+
+def test_a_mesh_whose_picture_is_missing_is_read_quietly(called, tmp_path, caplog):
+    """MeshLab's PLY names it; trimesh would log a traceback, which looks like a defect."""
+    photo_sets.transforms(Files(tmp_path, POSES))
+    (tmp_path / "flat.ply").write_text(
+        "ply\nformat ascii 1.0\ncomment TextureFile gone.png\nelement vertex 3\n"
+        "property float x\nproperty float y\nproperty float z\nproperty float s\n"
+        "property float t\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        "-0.4 -0.4 0 0 0\n0.4 -0.4 0 1 0\n0 0.4 0 0.5 1\n3 0 1 2\n"
+    )
+    status, out, errors = called("photos", str(tmp_path), "photos.mesh=flat.ply")
+    assert status == 0 and "Traceback" not in out + errors
+    assert not [
+        each for each in caplog.records if each.name.startswith("trimesh")
+    ]  # else on stderr

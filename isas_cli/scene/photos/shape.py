@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import logging
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -81,7 +84,8 @@ def _read(path: str, one: bool) -> dict[str, Surface]:
     if file.suffix.lower() not in _KINDS:
         raise InputError(f"photos.mesh={path}: a mesh is one of {', '.join(_KINDS)}")
     try:
-        pieces = _pieces(file)
+        with _quiet():
+            pieces = _pieces(file)
     except Exception as error:  # its readers raise whatever a broken file makes them raise
         told = (" ".join(str(error).split()) or type(error).__name__)[:300]
         raise InputError(f"photos.mesh={path}: cannot be read: {told}") from error
@@ -107,6 +111,19 @@ def _read(path: str, one: bool) -> dict[str, Surface]:
         _check_shared(path, found)
         return {OBJECT: joined(list(found.values()))}
     return dict(zip(_called(list(found)), found.values()))
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Within, trimesh says nothing: of a picture that a mesh names and that is missing, which is
+    not asked for, it logs a whole traceback."""
+    log = logging.getLogger("trimesh")
+    before = log.level
+    log.setLevel(logging.CRITICAL)  # its children follow
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 @dataclass
