@@ -97,7 +97,10 @@ def read_mask(path: str | Path, turned: bool = True) -> np.ndarray:
     """
     pixels, *_ = _read_colours(Path(path), turned)
     if not (pixels == pixels[..., :1]).all():
-        raise InputError(f"{path}: a mask has to be grey, but this picture's channels differ")
+        raise InputError(
+            f"{path}: a mask has to be grey, but this picture's channels differ: save it with "
+            "white where pixels count and black elsewhere, also where colours are labels"
+        )
     mask = np.ascontiguousarray(pixels[..., 0], dtype=np.float32)
     if not ((mask >= 0) & (mask <= 1)).all():
         raise InputError(f"{path}: a mask's values have to lie in [0, 1]")
