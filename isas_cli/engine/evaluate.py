@@ -31,7 +31,8 @@ class Evaluator:
     truth rendered with the very same random numbers: the expectation of the product is the
     squared difference of the *mean* images, its noise vanishes as the images agree, and neither
     the evaluation's noise nor the targets' passes for error. For photographs A* and B* are both
-    the photograph, whose noise remains. (Clamped at 0 where noise makes the mean negative.)
+    the photograph, whose noise remains. (Clamped at 0 where noise makes the mean negative,
+    which the latest one was where it is ``unresolved``.)
     ``loss`` is ℒ from A and B against the targets, whose noise it contains, and A's and B's own
     only where the loss is not quadratic.
     """
@@ -46,6 +47,7 @@ class Evaluator:
         renderer: Renderer | None = None,
     ):
         self.problem, self.loss, self.spp, self.seed = problem, loss, spp, seed
+        self.unresolved = False
         counting = np.arange(problem.views.total, dtype=np.uint32)
         if problem.mask is not None:
             counting = counting[np.array(problem.mask) > 0]
@@ -111,10 +113,9 @@ class Evaluator:
         norm = 3.0 * dr.width(self.pixels)
         if self.problem.mask is not None:
             norm = 3.0 * float(dr.sum(weight)[0])
-        result = {
-            "loss": float(dr.sum(loss)[0]) / norm,
-            "image_rmse": math.sqrt(max(0.0, float(dr.sum(squared)[0]) / norm)),
-        }
+        mean = float(dr.sum(squared)[0]) / norm
+        self.unresolved = mean < 0
+        result = {"loss": float(dr.sum(loss)[0]) / norm, "image_rmse": math.sqrt(max(0.0, mean))}
         known = self._outlines() | self.parameter_errors(values) | self._scaled(values)
         return result | known | self.few(values)
 

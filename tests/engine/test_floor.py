@@ -97,6 +97,15 @@ def test_a_run_stops_there_and_says_so(tmp_path, capsys):
     assert "what is left is the targets' noise" in " ".join(capsys.readouterr().err.split())
 
 
+def test_an_image_error_of_none_is_said_to_be_no_perfect_fit(tmp_path, monkeypatch):
+    always = property(lambda self: True, lambda *_: None)
+    monkeypatch.setattr(Evaluator, "unresolved", always, raising=False)
+    settings = [*TINY, "target.spp=64", "budget.iterations=2", "evaluation.spp=2"]
+    assert main(["run", *settings, f"hydra.run.dir={tmp_path}"]) == 0
+    (note,) = record(tmp_path)[1]["notes"]
+    assert "no perfect fit" in note and "the 2 paths a pixel of an evaluation" in note
+
+
 def test_a_run_with_clean_targets_does_not(tmp_path):
     folder = tmp_path / "run"
     settings = [*TINY, "target.spp=64", "budget.iterations=2"]

@@ -163,6 +163,16 @@ def test_the_image_error_is_that_of_the_mean_images():
     assert evaluator(other)["image_rmse"] == pytest.approx(exact, rel=0.1)
 
 
+@pytest.mark.parametrize("apart", [0.0, 1e-3], ids=["none", "less than noise"])
+def test_an_image_error_that_noise_hides_is_known_from_none(apart):
+    p = problem({ROUGHNESS: 0.5})
+    evaluator = Evaluator(p, L2(), 500, 4, 0)
+    first, second = evaluator._halves(p.unknowns.starts())
+    evaluator.references = first + apart, second - apart
+    assert evaluator(p.unknowns.starts())["image_rmse"] == 0
+    assert evaluator.unresolved == (apart > 0)
+
+
 @pytest.mark.parametrize("channels", [["Y"], ["R", "G", "B"]], ids=["grey", "colours"])
 def test_a_given_target_without_colours_is_said(tmp_path, channels):
     """It would pull red, green and blue to one value; one that merely shows grey does not."""
