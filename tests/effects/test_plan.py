@@ -416,7 +416,7 @@ def test_what_leaves_paths_to_mitsuba_cannot_be_planned():
 
 def test_a_staged_run_takes_the_second_estimator_at_the_end():
     class Named:
-        problem = None
+        problem, blurs = None, False
 
         def __init__(self, name, paths):
             self.name, self.paths_per_step = name, paths
