@@ -49,7 +49,7 @@ def child(arguments: list[str]) -> None:
 def peaks(arguments: list[str]) -> dict:
     with tempfile.TemporaryDirectory(prefix="isas-memory-") as folder:
         command = [sys.executable, __file__, "--child", *arguments, f"hydra.run.dir={folder}/run"]
-        given = {**os.environ, "XDG_CACHE_HOME": folder}  # targets are rendered, not read
+        given = {**os.environ, "ISAS_CACHE_DIR": folder}  # targets are rendered, not read
         done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=given)
     return json.loads(done.stdout.splitlines()[-1])
 

@@ -29,7 +29,7 @@ def warnings(scene: mi.Scene, integrator: mi.Integrator) -> list[str]:
         cure.append("without hide_emitters")
     if own == "prbvolpath" and any(each.get_medium() is not None for each in scene.sensors()):
         why.append("takes no notice of the medium in which a sensor stands")
-        cure.append("with sensors outside of it, seen through its boundary,")
+        cure.append("with sensors outside of it")
     if kind != "path" and depth < _DEEP:
         if own == "prbvolpath":
             why.append(f"adds some light by paths of more than {depth} edges")
@@ -43,7 +43,7 @@ def warnings(scene: mi.Scene, integrator: mi.Integrator) -> list[str]:
         return []
     return [
         f"integrator '{kind}' of the file is replayed by {own}, which {' and '.join(why)}: "
-        f"images differ from the file's; {' and '.join(cure).rstrip(',')} they do not"
+        f"images differ from the file's; {' and '.join(cure)} they do not"
     ]
 
 
