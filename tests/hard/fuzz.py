@@ -99,6 +99,8 @@ FORMS = {
     "blender": ("transforms_train.json", "view_0.png"),
     "ours": ("cameras.json",),
     "colmap": ("sparse/0/cameras.txt", "sparse/0/images.txt", "sparse/0/points3D.txt"),
+    "neus": ("cameras_sphere.npz",),
+    "llff": ("poses_bounds.npy",),
 }
 DENSITY = "box.interior_medium.sigma_t.data"
 UNKNOWNS = {"thing.bsdf.base_color.data": 0.5, "mesh.bsdf.reflectance.value": 0.5}

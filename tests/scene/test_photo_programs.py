@@ -6,14 +6,14 @@ import json
 import numpy as np
 import photo_sets
 import pytest
-from photo_sets import CENTRE, FOCAL, POSES, SIZE, Files
+from photo_sets import CENTRE, FOCAL, POSES, SIZE, Files, llff, neus
 from PIL import Image
 from scipy.spatial.transform import Rotation
 from test_photo_cameras import POINTS, expected
 
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime.errors import InputError
-from isas_cli.scene.photos import photographs, reading
+from isas_cli.scene.photos import finding, photographs, reading
 
 FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -300,3 +300,74 @@ def test_realitycaptures_table_is_refused(tmp_path):
     (tmp_path / "registration.csv").write_text(head)
     told = "registration.csv: RealityCapture's table of angles is not read.*export XMP.*COLMAP"
     refused(tmp_path, told)
+
+
+# NumPy's files -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("factor", [1.0, -2.5, 1e-3])
+@pytest.mark.parametrize("name", ["cameras_sphere.npz", "cameras.npz"])
+def test_neus(tmp_path, factor, name):
+    """A camera's matrix is the same camera's times any number."""
+    neus(Files(tmp_path, POSES), factor=factor, name=name)
+    (tmp_path / "mask").mkdir()
+    Image.new("L", SIZE, 255).save(tmp_path / "mask" / "view_1.png")
+    capture = agree(tmp_path)
+    assert capture.kind == "NeuS"
+    assert [camera.name for camera in capture.cameras] == [f"image/view_{n}.png" for n in range(3)]
+    assert capture.notes == [
+        f"{tmp_path / name}: its 3 cameras are of the pictures in the order of their names"
+    ]
+
+
+def test_neus_of_colmap_counts_from_the_corner(tmp_path):
+    neus(Files(tmp_path, POSES), centre=(SIZE[0] / 2, SIZE[1] / 2))
+    capture = reading.read(str(tmp_path))
+    assert "3 principal points are half the picture's size" in capture.notes[1]
+    for camera, pose in zip(capture.cameras, POSES, strict=True):
+        wanted = expected(pose, (SIZE[0] / 2, SIZE[1] / 2))
+        np.testing.assert_allclose(camera.project(POINTS)[0], wanted, atol=1e-6)
+
+
+def test_llff(tmp_path):
+    llff(Files(tmp_path, POSES))
+    capture = reading.read(str(tmp_path))
+    assert capture.kind == "LLFF" and "tells of no lens" in capture.notes[0]
+    for camera, pose in zip(capture.cameras, POSES, strict=True):
+        wanted = expected(pose, (SIZE[0] / 2, SIZE[1] / 2))
+        np.testing.assert_allclose(camera.project(POINTS)[0], wanted, atol=1e-6)
+
+
+def test_arrays_take_the_folder_of_pictures_that_is_given(tmp_path):
+    llff(Files(tmp_path, POSES))
+    (tmp_path / "images").rename(tmp_path / "photos")
+    refused(tmp_path, "poses_bounds.npy: names no pictures, .* photos.images=FOLDER says where")
+    with finding.looking(PhotosConfig(images="photos"), tmp_path):
+        capture = reading.read(str(tmp_path))
+    assert [camera.image.parent.name for camera in capture.cameras] == ["photos"] * 3
+
+
+def test_what_of_arrays_is_refused(tmp_path):
+    neus(Files(tmp_path, POSES), world_mat_1=np.zeros((4, 4)))
+    refused(tmp_path, "cameras_sphere.npz: world_mat_1: cannot be inverted")
+    neus(Files(tmp_path, POSES), world_mat_1=np.full((4, 4), np.nan))
+    refused(tmp_path, "world_mat_1: holds NaN or infinite numbers")
+    neus(Files(tmp_path, POSES), world_mat_1=np.eye(3))
+    refused(tmp_path, "world_mat_1: no matrix of 4 rows of 4 numbers")
+    neus(
+        Files(tmp_path, POSES), **{f"world_mat_{n}": np.linalg.inv(p) for n, p in enumerate(POSES)}
+    )
+    refused(tmp_path, "world_mat_0: its focal length is 1 pixels, of a picture 40 wide")
+    skewed = np.array([[FOCAL, 4.0, 20, 0], [0, FOCAL, 15, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    neus(Files(tmp_path, POSES), world_mat_2=skewed @ np.linalg.inv(POSES[2]))
+    refused(tmp_path, "world_mat_2: has skew of 4 pixels")
+    neus(Files(tmp_path, POSES))
+    (tmp_path / "image" / "view_1.png").unlink()
+    refused(tmp_path, "holds 3 cameras, but .*image has 2 pictures: one for each camera")
+    np.savez(tmp_path / "cameras_sphere.npz", a=np.eye(4))
+    refused(tmp_path, "has no world_mat_0, world_mat_1")
+    (tmp_path / "cameras_sphere.npz").write_bytes(b"PK\x03\x04none")
+    refused(tmp_path, "cameras_sphere.npz: cannot be read as NumPy's arrays: ")
+    (tmp_path / "cameras_sphere.npz").unlink()
+    np.save(tmp_path / "poses_bounds.npy", np.zeros((3, 16)))
+    refused(tmp_path, "poses_bounds.npy: is no table of 17 numbers a row")

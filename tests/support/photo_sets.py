@@ -112,6 +112,32 @@ def colmap(files: Files, model: str = "PINHOLE", numbers=None) -> None:
     (sparse / "points3D.txt").write_text("# points\n7 0.1 0.2 0.3 0 0 0 0.5 1 0\n9 1 1 1 0 0 0 1\n")
 
 
+def neus(files: Files, centre=None, factor=1.0, name="cameras_sphere.npz", **more) -> None:
+    """As IDR, VolSDF and NeuS have it. ``centre``: counted from the first pixel's middle;
+    ``factor``: what matrices are known up to; ``more`` replaces some."""
+    folder = files.folder / "image"
+    folder.mkdir(exist_ok=True)
+    Files(folder, files.poses).names(".png")
+    x, y = centre or (CENTRE[0] - 0.5, CENTRE[1] - 0.5)
+    inner = np.array([[FOCAL, 0, x, 0], [0, FOCAL, y, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    found = {f"scale_mat_{n}": np.diag([3.0, 3.0, 3.0, 1.0]) for n in range(len(files.poses))}
+    for number, pose in enumerate(files.poses):
+        found[f"world_mat_{number}"] = factor * inner @ np.linalg.inv(pose)
+    np.savez(files.folder / name, **(found | more))
+
+
+def llff(files: Files) -> None:
+    """Axes down, right, backward, and the principal point in the middle."""
+    (files.folder / "images").mkdir(exist_ok=True)
+    Files(files.folder / "images", files.poses).names(".png")
+    rows = []
+    for pose in files.poses:
+        right, down, forward, place = pose[:3].T
+        columns = [down, right, -forward, place, [*SIZE[::-1], FOCAL]]
+        rows.append([*np.column_stack(columns).ravel(), 0.5, 9.0])
+    np.save(files.folder / "poses_bounds.npy", np.array(rows))
+
+
 def write(path: Path, content: dict) -> dict:
     path.write_text(json.dumps(content))
     return content

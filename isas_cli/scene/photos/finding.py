@@ -104,6 +104,22 @@ def picture(folder: Path, name: str, where: str) -> Path:
     )
 
 
+def listing(folders: Iterable[Path], where: str) -> list[Path]:
+    """The pictures of the first of ``folders`` that has any, before which stands that of the
+    settings, in the order of their names. Raises InputError where none has."""
+    given, folders = _SOURCES.get(_AS_IT_IS).images, list(folders)
+    for folder in [given] if given is not None else folders:
+        if folder.is_dir():
+            files = sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
+            if files:
+                return files
+    looked = given or " nor ".join(str(folder) for folder in folders)
+    raise InputError(
+        f"{where}: names no pictures, and there are none in {looked}: photos.images=FOLDER says "
+        "where they lie"
+    )
+
+
 def listed_mask(folder: Path, name: Any, where: str) -> Path | None:
     """The mask that the cameras' file names for a view, or None. Raises InputError."""
     sources = _SOURCES.get(_AS_IT_IS)

@@ -9,7 +9,7 @@ from pathlib import Path
 from ...runtime import guests
 from ...runtime.errors import InputError, nearest
 from ...scenes.library import ASSETS
-from . import colmap, metashape, opencv, ours, polycam, realitycapture, transforms
+from . import arrays, colmap, metashape, opencv, ours, polycam, realitycapture, transforms
 from .base import Asked, Capture
 from .camera import Camera
 
@@ -18,7 +18,7 @@ OWN = ("chessboard",)
 # In place of names, the views that the files hold out.
 GIVEN = "given"
 # In the order in which a folder is asked: what people write themselves first.
-_OURS = (ours, transforms, colmap, opencv, metashape, polycam, realitycapture)
+_OURS = (ours, transforms, colmap, opencv, metashape, polycam, realitycapture, arrays)
 _FORMATS = (*_OURS, *guests.loaded(guests.CAMERAS))
 
 
@@ -70,8 +70,8 @@ def _found(folder: Path, where: str):
         raise InputError(
             f"{where}: no cameras there: looked for {ours.NAME}, "
             f"{', '.join(transforms.NAMES)}, COLMAP's cameras.txt and cameras.bin (also below "
-            "sparse and dense), OpenCV's YAML or XML, Metashape's XML, Polycam's keyframes and "
-            "RealityCapture's XMP"
+            "sparse and dense), OpenCV's YAML or XML, Metashape's XML, Polycam's keyframes, "
+            "RealityCapture's XMP, NeuS' cameras_sphere.npz and LLFF's poses_bounds.npy"
         )
     return found[0]
 
