@@ -237,7 +237,8 @@ def _matching(where: str, patterns: list[str], params: mi.SceneParameters) -> li
     """Ids of objects that can be moved, by name or pattern (``cube_*``)."""
     movable, found = movable_in(params), []
     for pattern in patterns:
-        ids = [id for id in movable if fnmatchcase(id, pattern)]
+        # Ids may have what patterns are made of: 'cube[0]' is one.
+        ids = [id for id in movable if id == pattern or fnmatchcase(id, pattern)]
         if not ids:
             raise InputError(
                 f"{where}.objects: '{pattern}' is nothing that can be moved; "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -98,7 +99,9 @@ class Unknowns:
         self.params, self.items, self.together = params, items, together
         self._by_key = {u.key: u for u in items}
         self._in_order = sorted((u.kind for u in items), key=lambda kind: kind.order)
-        params.keep(list(dict.fromkeys(key for kind in self._in_order for key in kind.writes)))
+        written = dict.fromkeys(key for kind in self._in_order for key in kind.writes)
+        # Mitsuba takes keys for patterns of beginnings, and ids may be any text: 'Cube (1)'.
+        params.keep([re.escape(key) + r"\Z" for key in written])
         self.leaves = self.values_of({u.key: u.kind.present for u in items})
 
     def __iter__(self):

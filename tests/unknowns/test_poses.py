@@ -227,6 +227,19 @@ def test_patterns_name_several_objects():
         Pose("ball.to_world", Loaded(params, {"ball.to_world": SHIFT}))
 
 
+def test_an_id_may_be_what_patterns_are_made_of():
+    """Mitsuba, too, takes keys for patterns when parameters are chosen."""
+    scene, name = description(), "ball[0] (1)+wood"
+    scene[name] = scene.pop("ball")
+    colour, place = f"{name}.bsdf.base_color.value", f"{name}.to_world"
+    shift = {"shift": PoseConfig(kind="translation", objects=[name])}
+    p = without_targets(scene, {colour: 0.1, "shift": [0.0, 0.0, 0.5]}, shift)
+    p.unknowns.write(p.unknowns.starts())
+    assert {*p.unknowns.params.keys()} == {colour, place}
+    assert np.allclose(p.unknowns.params[colour], 0.1)
+    assert np.array(p.unknowns.params[place].matrix).reshape(4, 4)[2, 3] == pytest.approx(0.7)
+
+
 def test_a_square_box_is_compared_modulo_a_quarter_turn():
     spec = PoseConfig(kind="rotation", objects=["box"], period=90.0)
     p = moved({"box.turn": spec}, {"box.turn": 10.0})
