@@ -22,6 +22,10 @@ _BEYOND = {
     "directionalarea": "no path from a camera finds its light, so images are the same without it: "
     "take it out",
 }
+# Skies whose to_world turns directions, and is taken to do nothing else.
+_TURNED = "envmap", "sunsky"
+# Of a rotation that is written with few digits.
+_ROUNDED = 0.01
 
 
 def check(state, where: str) -> None:
@@ -31,12 +35,25 @@ def check(state, where: str) -> None:
         kind, props = node.props.plugin_name(), node.props
         if kind in _BEYOND:
             raise InputError(f"{where}: emitter {kind}: {_BEYOND[kind]}")
+        if kind in _TURNED and "to_world" in props:
+            _check_turn(np.array(props["to_world"].matrix, np.float64)[:3, :3], where, kind)
         if kind == "bitmap" and not {"filename", "bitmap", "data"} & set(props.keys()):
             raise InputError(f"{where}: a bitmap texture has no filename")
         if kind in _CHECKS and "filename" in props and isinstance(props["filename"], str):
             path = Path(str(mi.file_resolver().resolve(props["filename"])))
             if path.is_file():
                 _CHECKS[kind](path, f"{where}: {props['filename']}")
+
+
+def _check_turn(linear: np.ndarray, where: str, kind: str) -> None:
+    """Of a sky that is stretched Mitsuba draws directions that are not of length 1: its own ways to
+    the light disagree, by factors, and no picture of it is right."""
+    if np.abs(linear.T @ linear - np.eye(3)).max() > _ROUNDED:
+        raise InputError(
+            f"{where}: emitter {kind}: its to_world stretches or shears: it may only turn and "
+            "mirror; an axis of <rotate> is to have the length 1, or it stretches too, and <scale> "
+            "the values 1 and -1"
+        )
 
 
 def _mesh(path: Path, where: str) -> None:

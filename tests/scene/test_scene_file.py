@@ -303,6 +303,15 @@ def test_a_volumetric_integrator_is_one_where_there_is_a_medium(folder, kind):
         assert type(scene_file.load("own/it.xml", 4)[1]).__name__ == found
 
 
+SUN = """<emitter type="sunsky"><transform name="to_world">
+  <rotate x="{0}" y="{0}" angle="30"/><scale z="-1"/></transform></emitter>"""
+
+
+def test_a_sky_may_turn_and_mirror(folder):
+    (folder / "own" / "it.xml").write_text(xml(emitter=SUN.format("0.7071")))
+    assert scene_file.load("own/it.xml", None)[0].environment() is not None
+
+
 BAD_FILES = {
     "broken": (xml()[:300], ["cannot load", "own/bad.xml"]),
     "empty": ("", ["cannot load"]),
@@ -317,6 +326,7 @@ BAD_FILES = {
         xml(extra='<shape type="sphere"><emitter type="directionalarea"/></shape>'),
         ["directionalarea", "take it out"],
     ),
+    "a sky that is stretched": (xml(emitter=SUN.format("1")), ["sunsky", "stretches", "length 1"]),
     "no path": (
         xml().replace('<integrator type="path"/>', integrator("aov")),
         ["'aov' holds 0 integrators"],
