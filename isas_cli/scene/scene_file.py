@@ -32,6 +32,8 @@ _REPLAY = {
 _WRAPPERS = ("aov", "moment", "stokes")
 # Those whose paths may have any length.
 DEEP = tuple(name for name in _REPLAY if name not in ("direct", "direct_projective", "emission"))
+# Of files that may describe a scene to Mitsuba, and are no XML.
+_PROGRAMS = ".py", ".json", ".ipynb"
 _DIRECT = 2  # camera, surface, light: whatever the file says
 
 
@@ -67,6 +69,11 @@ def parse(path: str) -> tuple[mi.parser.ParserConfig, mi.parser.ParserState]:
     file = Path(path)
     if not file.is_file():
         raise InputError(f"scene.path={path}: no such file")
+    if file.suffix.lower() in _PROGRAMS:
+        raise InputError(
+            f"scene.path={path}: takes an XML file: for a dictionary of Python, "
+            "mitsuba.parser.parse_dict and mitsuba.parser.write_file make one"
+        )
     settings = mi.parser.ParserConfig(mi.variant())
     settings.merge_equivalent = settings.merge_meshes = False
     mi.file_resolver().prepend(str(file.resolve().parent))

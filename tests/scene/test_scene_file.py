@@ -360,6 +360,11 @@ def test_bad_files_are_refused_in_one_line(folder, capfd, name):
     refused(capfd, "scene.path=own/bad.xml", unknowns(), parts=parts)
 
 
+def test_a_scene_of_python_is_told_how_to_become_xml(folder, capfd):
+    (folder / "own" / "it.py").write_text("scene = {}")
+    refused(capfd, "scene.path=own/it.py", unknowns(), parts=["own/it.py", "parser.write_file"])
+
+
 def test_files_that_are_not_there_are_refused(folder, capfd):
     refused(capfd, "scene.path=nowhere.xml", unknowns(), parts=["nowhere.xml"])
     refused(capfd, "scene.path=own", unknowns(), parts=["scene.path=own"])
