@@ -88,9 +88,9 @@ def read(path: str | Path, finite: bool = True, linear: bool | None = None) -> n
 
 def read_mask(path: str | Path, turned: bool = True) -> np.ndarray:
     """Reads a mask: (H, W) float32 in [0, 1], the stored values, never decoded from sRGB; of a file
-    of whole numbers that holds 0 and 1 alone, as programs write what is true, 1 is white. As much
-    as a pixel is transparent, it is black: programs that cut objects out leave masks whose colour
-    is white all over.
+    of whole numbers that holds 0 and one other alone, as programs write what is true and labels,
+    the other is white. As much as a pixel is transparent, it is black: programs that cut objects
+    out leave masks whose colour is white all over.
 
     Raises InputError for what `load` refuses, for values outside [0, 1] and for a picture whose
     channels differ (a photograph given as a mask, most likely).
@@ -104,8 +104,12 @@ def read_mask(path: str | Path, turned: bool = True) -> np.ndarray:
     mask = np.ascontiguousarray(pixels[..., 0], dtype=np.float32)
     if not ((mask >= 0) & (mask <= 1)).all():
         raise InputError(f"{path}: a mask's values have to lie in [0, 1]")
-    if any(mask.max() == np.float32(1) / np.float32(most) for most in _INTEGER_FORMATS.values()):
-        mask /= mask.max()
+    most = mask.max()
+    labels = 0 < most < 1 and _counted(path) and (mask == 0).any()
+    if labels and ((mask == 0) | (mask == most)).all():
+        mask /= most
+    elif any(most == np.float32(1) / np.float32(full) for full in _INTEGER_FORMATS.values()):
+        mask /= most
     alpha = read_alpha(path, turned)
     if alpha is None or multiplied(path):
         return mask
@@ -138,6 +142,13 @@ def orientation(path: str | Path) -> int:
     return 1 if heif.names(path) else _header(path).get_int_attribute("Orientation", 1)
 
 
+def _counted(path: str | Path) -> bool:
+    """Whether a picture is of whole numbers."""
+    if raw.names(path) or heif.names(path):
+        return True
+    return _header(path).format.basetype in _INTEGER_FORMATS
+
+
 def _header(path: str | Path) -> oiio.ImageSpec:
     source = _opened(Path(path))
     spec = source.spec()
@@ -157,14 +168,15 @@ def read_alpha(path: str | Path, turned: bool = True) -> np.ndarray | None:
     source = _opened(path)
     try:
         spec = source.spec()
-        if spec.alpha_channel < 0:
+        place = _alpha(spec)
+        if place is None:
             return None
         pixels = source.read_image(oiio.FLOAT)
         if pixels is None:
             raise InputError(f"{path}: cannot be read: {_reason(source)}")
     finally:
         source.close()
-    alpha = np.ascontiguousarray(pixels[..., spec.alpha_channel], np.float32)
+    alpha = np.ascontiguousarray(pixels[..., place], np.float32)
     return upright(alpha, spec.get_int_attribute("Orientation", 1)) if turned else alpha
 
 
@@ -174,7 +186,7 @@ def has_alpha(path: str | Path) -> bool:
         return False
     if heif.names(path):
         return read_alpha(path) is not None
-    return _header(path).alpha_channel >= 0
+    return _alpha(_header(path)) is not None
 
 
 def multiplied(path: str | Path) -> bool:
@@ -183,7 +195,7 @@ def multiplied(path: str | Path) -> bool:
     if raw.names(path) or heif.names(path):
         return False
     spec = _header(path)
-    return spec.alpha_channel >= 0 and not spec.get_int_attribute("oiio:UnassociatedAlpha", 0)
+    return _alpha(spec) is not None and not spec.get_int_attribute("oiio:UnassociatedAlpha", 0)
 
 
 def write_exr(
@@ -384,10 +396,18 @@ def _colour_channels(path: Path, spec: oiio.ImageSpec) -> list[int]:
     for wanted in ("RGB", "XYZ", "Y"):
         if all(name in names for name in wanted):
             return [names.index(name) for name in wanted]
-    others = [i for i in range(spec.nchannels) if i not in (spec.alpha_channel, spec.z_channel)]
+    others = [i for i in range(spec.nchannels) if i not in (_alpha(spec), spec.z_channel)]
     if len(others) not in (1, 3):
         raise InputError(f"{path}: no channels R, G, B or Y; it has {', '.join(spec.channelnames)}")
     return others
+
+
+def _alpha(spec: oiio.ImageSpec) -> int | None:
+    """Which channel is alpha, or None."""
+    # Of a GIF OpenImageIO 3.2 names the channel after the last.
+    if spec.alpha_channel >= spec.nchannels:
+        return spec.channelnames.index("A") if "A" in spec.channelnames else None
+    return None if spec.alpha_channel < 0 else spec.alpha_channel
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:

@@ -269,12 +269,24 @@ def test_masks_keep_the_stored_values(tmp_path):
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
-def test_masks_of_0_and_1_are_black_and_white(tmp_path, kind):
+def test_masks_of_0_and_one_other_value_are_black_and_white(tmp_path, kind):
     true = np.array([[[0], [1]]], dtype=kind)
     assert np.array_equal(images.read_mask(write(tmp_path / "a.png", true, ("Y",))), [[0, 1]])
     assert np.array_equal(images.read_mask(write(tmp_path / "b.png", true * 0, ("Y",))), [[0, 0]])
-    dark = images.read_mask(write(tmp_path / "c.png", true * 2, ("Y",)))
+    label = true * 2
+    assert np.array_equal(images.read_mask(write(tmp_path / "c.png", label, ("Y",))), [[0, 1]])
+    # Of several labels nothing says which are white.
+    several = np.concatenate([label, true], axis=1)
+    dark = images.read_mask(write(tmp_path / "d.png", several, ("Y",)))
     assert 0 < dark.max() < 0.01
+
+
+def test_a_gif_has_alpha_and_colours(tmp_path):
+    """OpenImageIO names a channel of it that it does not have."""
+    pixels = np.array([[[255, 0, 0], [0, 0, 255]]], np.uint8)
+    Image.fromarray(pixels).quantize(4).save(tmp_path / "a.gif")
+    assert images.read(tmp_path / "a.gif") == pytest.approx(pixels / 255)
+    assert np.array_equal(images.read_alpha(tmp_path / "a.gif"), [[1, 1]])
 
 
 def test_what_is_transparent_in_a_mask_is_black(tmp_path):

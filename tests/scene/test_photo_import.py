@@ -141,7 +141,7 @@ def test_raw_files_are_full_in_light():
     raw, nearly = lens(image=Path("a.NEF")), images.Picture(grey, grey[..., 0], None)
     for encoding in ("auto", "linear"):
         settings = PhotosConfig(encoding=encoding)
-        assert importing._mask(raw, nearly, None, settings, False, None)[0].all()
+        assert importing._mask(raw, nearly, None, settings, None, None)[0].all()
     with pytest.raises(InputError, match="encoding=srgb: a.NEF is a camera raw file"):
         importing.load(raw, PhotosConfig(encoding="srgb"))
 

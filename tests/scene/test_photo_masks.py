@@ -148,3 +148,23 @@ def test_what_the_file_names_stands_first(tmp_path, taken):
     with pytest.raises(InputError, match="gone.png does not exist.*photos.masks="):
         taken()
     assert taken(masks="none").shown[0].mask.all()
+
+
+def test_labels_are_no_weights(tmp_path, taken):
+    """A program's label stands for white, so that its view counts as much as the others; of several
+    labels nothing says which is the object."""
+    for number, label in enumerate((255, 3, 128)):
+        path = tmp_path / f"masks/{number:03d}.png"
+        mask(path)
+        pixels = np.full((SIZE[1], SIZE[0], 1), label, np.uint8)
+        pixels[:8] = 0
+        images.write_png(path, pixels)
+    found = taken()
+    assert found.warnings == []
+    for each in found.shown:
+        assert not each.mask[:8].any() and (each.mask[8:] == 1).all()
+    pixels[20:] = 2
+    pixels[8:20] = 1
+    images.write_png(path, pixels)
+    (told,) = taken().warnings
+    assert "the masks of 1 of 3 pictures" in told and "masks/002.png" in told and "labels" in told

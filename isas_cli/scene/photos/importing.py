@@ -40,7 +40,8 @@ class Photograph:
     ``lost``: why pixels do not count → how many of the photograph's own; ``doubt``: what its file
     says of its colours that could not be heeded, or None; ``variance``: of a pixel's noise, or None
     where the photograph does not tell (``noise.of_one``); ``part (H, W)``: how much of each pixel
-    the object fills, where that counts (``photos.background=black``), -1 where nothing says it."""
+    the object fills, where that counts (``photos.background=black``), -1 where nothing says it;
+    ``white``: the largest value of its mask's file, or None without one."""
 
     camera: Camera
     image: np.ndarray
@@ -49,6 +50,7 @@ class Photograph:
     doubt: str | None = None
     variance: float | None = None
     part: np.ndarray | None = None
+    white: float | None = None
 
 
 def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photograph:
@@ -63,8 +65,9 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
     image = picture.image
     camera = turns.resized(camera, image.shape[1::-1], settings)
     alpha, part = images.read_alpha(camera.image, turned), None
+    given = None if camera.mask is None else _given_mask(camera, settings, turned)
     if settings.background == BLACK:
-        part, associated = _part(camera, alpha, settings, turned)
+        part, associated = _part(camera, alpha, given)
         if alpha is None and np.isin(part, (0, 1)).all():
             image, part = outlines.softened(image, part)
         elif not associated:
@@ -74,7 +77,7 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
                 f"{camera.image}: by its alpha or mask it shows nothing of the object: leave this "
                 "view out, or mend its mask"
             )
-    mask, lost = _mask(camera, picture, alpha, settings, turned, part)
+    mask, lost = _mask(camera, picture, alpha, settings, given, part)
     if part is not None:
         mask *= part >= 0
     variance = None
@@ -104,7 +107,8 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
             f"{camera.image}: no pixel counts ({told or 'all outside after undistortion'}): "
             "leave this view out, or mend its mask"
         )
-    return Photograph(target, image, mask, lost, picture.doubt, variance, part)
+    white = None if given is None else float(given.max())
+    return Photograph(target, image, mask, lost, picture.doubt, variance, part, white)
 
 
 def _linear(file: Path, encoding: str) -> bool | None:
@@ -123,16 +127,16 @@ def _mask(
     picture: images.Picture,
     alpha: np.ndarray | None,
     settings: PhotosConfig,
-    turned: bool,
+    given: np.ndarray | None,
     part: np.ndarray | None,
 ) -> tuple[np.ndarray, dict[str, int]]:
-    """Weights of the photograph's own pixels, and how many lack one for each reason. ``part``: how
-    much of each the object fills, where what it does not fill counts as black."""
+    """Weights of the photograph's own pixels, and how many lack one for each reason. ``given``: its
+    mask, or None; ``part``: how much of each the object fills, where what it does not fill counts
+    as black."""
     mask = np.ones(picture.image.shape[:2], np.float32)
     lost = {}
     # The only thing that says where the object ends may not also say what counts.
-    if camera.mask is not None and (part is None or alpha is not None):
-        given = _given_mask(camera, settings, turned)
+    if given is not None and (part is None or alpha is not None):
         mask *= given
         lost["masked by its file"] = int(np.count_nonzero(given == 0))
     if alpha is not None and part is None:
@@ -150,15 +154,14 @@ def _mask(
 
 
 def _part(
-    camera: Camera, alpha: np.ndarray | None, settings: PhotosConfig, turned: bool
+    camera: Camera, alpha: np.ndarray | None, given: np.ndarray | None
 ) -> tuple[np.ndarray, bool]:
     """How much of each pixel the object fills ``(H, W) float32``, by the picture's alpha or else
     its mask, and whether the picture is multiplied by it already. Raises InputError."""
     if alpha is not None:
         return np.clip(alpha, 0, 1), images.multiplied(camera.image)
-    if camera.mask is not None:
-        given = _given_mask(camera, settings, turned)
-        # Masks of labels, such as 0 and 3, are dark.
+    if given is not None:
+        # Whatever of it is brightest is the object.
         return given / max(float(given.max()), 1e-6), False
     raise InputError(
         f"photos.background=black: {camera.image} has neither alpha nor a mask, which would say "

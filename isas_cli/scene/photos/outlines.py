@@ -19,6 +19,8 @@ _POINTS = 4000
 _DOUBTED, _INVERTED = 0.3, 0.8
 # What an alpha or mask is at least, or at most, that is the same everywhere.
 _FULL, _EMPTY = 0.99, 0.01
+# A mask's largest value below which it holds labels, or 8 bits in a file of 16, not weights.
+_DARK = 0.25
 # Pixels: how near to a mask's border mixtures are, and how near to a pixel those must be whose
 # colours it is mixed of, which differ by such a share of their brightness; by
 # how much of that difference a mixture may be off; and of how many of the border's pixels that must
@@ -103,6 +105,14 @@ def doubts(photographs: "list[Photograph]", surface: Surface | None) -> list[str
             f"photos.background=black: by alpha or masks the object fills all of {len(full)} of "
             f"{len(photographs)} pictures, first {full[0].camera.image}: if it does not, what is "
             "behind it counts as the object"
+        )
+    dark = [p for p in photographs if p.white is not None and p.white < _DARK]
+    if dark:
+        found.append(
+            f"the masks of {len(dark)} of {len(photographs)} pictures, first "
+            f"{dark[0].camera.mask}, hold several values, none above {dark[0].white:.2g} of white: "
+            "labels, or 8 bits in a file of 16? Pixels count as much as they are white: save what "
+            "counts as white"
         )
     masked = [
         p for p in photographs if p.part is not None or p.lost.get("masked by its file") is not None
