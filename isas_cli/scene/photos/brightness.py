@@ -46,12 +46,7 @@ def apart(
     photographs: list[Photograph], surface: Surface, channel: int | None = None
 ) -> Apart | None:
     """How unlike views are exposed, in a ``channel`` or all; None where no pairs connect them."""
-    points, normals = outlines.facing(surface)
-    logs = np.stack([_seen(each, points, channel) for each in photographs])
-    cosines = np.stack([_cosines(each.camera.centre, points, normals) for each in photographs])
-    # Normals may all point inwards; most of what seems to be seen is.
-    cosines *= np.sign(np.sum(cosines, where=np.isfinite(logs))) or 1
-    logs[cosines < _ASLANT] = np.nan
+    logs = shown(photographs, surface, channel)
     count = len(photographs)
     chosen = np.unique(np.linspace(0, count - 1, min(_MOST, count)).round().astype(int))
     pairs, found, deviation = [], [], []
@@ -81,6 +76,20 @@ def apart(
     # Fewer do not check each other.
     doubt = np.sqrt(np.sum(left**2) / spare) if spare >= count - 1 > 0 else np.inf
     return Apart(exposures, float(np.median(deviation)), float(share), float(doubt))
+
+
+def shown(
+    photographs: list[Photograph], surface: Surface, channel: int | None = None
+) -> np.ndarray:
+    """The logarithms ``(V, P)`` of how bright each view shows places of the object, at exposure 1,
+    in a ``channel`` or all; NaN where it does not show them, or from the side."""
+    points, normals = outlines.facing(surface)
+    logs = np.stack([_seen(each, points, channel) for each in photographs])
+    cosines = np.stack([_cosines(each.camera.centre, points, normals) for each in photographs])
+    # Normals may all point inwards; most of what seems to be seen is.
+    cosines *= np.sign(np.sum(cosines, where=np.isfinite(logs))) or 1
+    logs[cosines < _ASLANT] = np.nan
+    return logs
 
 
 def unlike(photographs: list[Photograph], surface: Surface) -> tuple[float, str, str] | None:

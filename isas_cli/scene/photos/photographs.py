@@ -13,6 +13,7 @@ from ...runtime import images
 from ...runtime.errors import InputError
 from ...scenes.meshes import Surface
 from . import (
+    alike,
     brightness,
     finding,
     hull,
@@ -104,6 +105,7 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     told += [] if parts is None else material.check(settings, parts)
     found = Photographs(*made, capture, parts, settings, told, colour)
     told += outlines.doubts(found.all, found.surface)
+    told += alike.doubts(found.all, found.surface)
     told += precision.doubts(found.all, found.surface)
     return found
 

@@ -1,0 +1,143 @@
+"""Whether views show the same places of the object alike: poses and meshes that do not fit them.
+
+Of each two views, how far the logarithms of what they show of the same places lie apart, and how
+they go together, tell whether both look at the same object. A view that agrees with none of the
+others, which agree with each other, has another pose than its file says; where none agree, but do
+when the mesh is turned by its axes, it is in another program's axes.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import rankdata
+
+from ...scenes.meshes import Surface
+from . import brightness
+from .importing import Photograph
+from .outlines import scattered
+
+# Places that two views must share; views that each is compared with, at most.
+_SHARED, _MOST = 50, 12
+# Correlations: of views of one object at least, of others at most; and the deviation, as a share of
+# brightness and over that of the other views, below which nothing is to be seen on the object.
+_FITS, _UNLIKE, _PLAIN, _TIMES = 0.5, 0.3, 0.1, 2.5
+_AS_GOOD = 0.97  # of the best: a box fits as well when it is turned round
+_NORMAL = 1.4826  # a normal number's deviation, over its median
+
+
+def doubts(photographs: list[Photograph], surface: Surface | None) -> list[str]:
+    """What should be said."""
+    if surface is None or len(photographs) < 3:
+        return []
+    found = _blind(photographs, surface)
+    together, apart, _ = _pairs(photographs, surface)
+    if not np.isfinite(together).any():
+        return found
+    middle = np.nanmedian(together)
+    if middle >= _FITS:
+        return found + _odd(photographs, together, apart)
+    if middle > _UNLIKE:
+        return found
+    tried = [(*_turned(photographs, surface, turn), name) for name, turn in _turns()]
+    most = max((score for score, fits, _ in tried if fits >= _FITS), default=0.0)
+    names = [name for score, fits, name in tried if fits >= _FITS and score >= _AS_GOOD * most]
+    if not names:
+        return found
+    return found + [
+        "the views show the same places of the object alike if the mesh's axes x, y, z become "
+        f"{names[0]}, and unlike as they are: export it in the axes of the cameras' world"
+    ]
+
+
+def _blind(photographs: list[Photograph], surface: Surface) -> list[str]:
+    """Of few views, those in which no place of the object can lie."""
+    points, names = scattered(surface), []
+    for each in photographs:
+        place, depth = each.camera.project(points)
+        inside = (depth > 0) & (place >= 0).all(axis=1)
+        inside &= (place < [each.camera.width, each.camera.height]).all(axis=1)
+        if not inside.any():
+            names.append(each.camera.name)
+    # Where most are, it is the mesh, of which others speak.
+    if not 0 < len(names) <= len(photographs) / 2:
+        return []
+    return [
+        f"the object is in {len(names)} of {len(photographs)} views behind the camera or outside "
+        f"the picture, first {names[0]}: they tell nothing of it; mend their poses, or leave them "
+        "out"
+    ]
+
+
+def _odd(photographs: list[Photograph], together: np.ndarray, apart: np.ndarray) -> list[str]:
+    """Of views most of which agree, those that agree with none."""
+    usual, odd = np.nanmedian(apart), []
+    for view, (own, far) in enumerate(zip(together, apart)):
+        known = np.isfinite(own)
+        if known.sum() < 2:
+            continue
+        unlike = np.median(own[known]) < _UNLIKE
+        if unlike and np.median(far[known]) > max(_PLAIN, _TIMES * usual):
+            odd.append(photographs[view].camera.name)
+    if not odd:
+        return []
+    return [
+        f"{len(odd)} of {len(photographs)} views show the object's places unlike all others, first "
+        f"{odd[0]}: its pose, or which picture it has, is probably wrong; or something stands "
+        "before the object"
+    ]
+
+
+def _pairs(
+    photographs: list[Photograph], surface: Surface
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``(V, V)`` each: rank correlation, and the deviation of the difference, of the logarithms of
+    what two views show of the same places, NaN where they share too few, or show nothing on them;
+    and how many they share."""
+    logs = brightness.shown(photographs, surface)
+    count = len(photographs)
+    together, apart = np.full((2, count, count), np.nan)
+    shared = np.zeros((count, count))
+    steps = np.unique(np.linspace(1, count - 1, min(_MOST, count - 1)).round().astype(int))
+    for a, b in ((a, (a + step) % count) for a in range(count) for step in steps):
+        both = np.isfinite(logs[a]) & np.isfinite(logs[b])
+        if both.sum() < _SHARED:
+            continue
+        one, other = logs[a][both], logs[b][both]
+        between = one - other
+        apart[a, b] = _NORMAL * np.median(np.abs(between - np.median(between)))
+        shared[a, b] = both.sum()
+        if min(one.std(), other.std()) > 1e-6:
+            # Of ranks: at edges single places are of something else, much darker.
+            together[a, b] = np.corrcoef(rankdata(one), rankdata(other))[0, 1]
+    return together, apart, shared
+
+
+def _turned(
+    photographs: list[Photograph], surface: Surface, turn: np.ndarray
+) -> tuple[float, float]:
+    """How well the mesh fits if it is turned so: by all places that two views share, and the median
+    correlation of two views."""
+    vertices = (surface.vertices @ turn.T).astype(np.float32)
+    together, _, shared = _pairs(photographs, replace(surface, vertices=vertices))
+    if not np.isfinite(together).any():
+        return 0.0, -1.0
+    return float(np.nansum(together * shared)), float(np.nanmedian(together))
+
+
+def _turns() -> list[tuple[str, np.ndarray]]:
+    """All ways but its own to take an axis for another, also mirrored: new axes, and the matrix.
+    Those that people meet stand first: turned by 90°, then all others, mirrored ones last."""
+    found = []
+    for order, signs in itertools.product(
+        itertools.permutations(range(3)), itertools.product((1, -1), repeat=3)
+    ):
+        turn = np.zeros((3, 3))
+        turn[order, range(3)] = signs
+        if (turn == np.eye(3)).all():
+            continue
+        name = ", ".join(("" if s > 0 else "-") + "xyz"[to] for to, s in zip(order, signs))
+        found.append((name + (" (mirrored)" if np.linalg.det(turn) < 0 else ""), turn))
+    return sorted(found, key=lambda each: (np.linalg.det(each[1]) < 0, -np.trace(each[1])))

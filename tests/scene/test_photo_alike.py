@@ -1,0 +1,68 @@
+"""Poses and meshes that do not fit what the pictures show: said before anything is rendered."""
+
+import numpy as np
+import photo_sets
+import pytest
+import trimesh
+from photo_sets import CENTRE, FOCAL, SIZE, Files, look_at
+
+from isas_cli.config.schema import PhotosConfig
+from isas_cli.scene.photos import photographs
+
+PLACES = [(2.0, 0.9, 2.0), (1.6, 1.1, 2.4), (2.4, 0.8, 1.6), (1.9, 1.4, 1.9), (2.2, 0.5, 2.2)]
+POSES = [look_at(place, (0.0, 0.0, 0.0)) for place in PLACES]
+HALF = np.array([0.5, 0.4, 0.3])
+
+
+def picture(pose) -> np.ndarray:
+    """Of a box with waves on it, before white."""
+    rows, columns = np.indices(SIZE[::-1]) + 0.5
+    rays = np.stack([(columns - CENTRE[0]) / FOCAL, (rows - CENTRE[1]) / FOCAL, 1 + 0 * rows], -1)
+    rays = rays @ pose[:3, :3].T
+    ends = np.stack([(side * HALF - pose[:3, 3]) / rays for side in (-1, 1)])
+    near, far = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
+    x, y, z = np.moveaxis(pose[:3, 3] + rays * near[..., None], -1, 0)
+    wave = 0.4 + 0.3 * np.sin(7 * x + 2) * np.sin(8 * y + 1) + 0.25 * np.sin(9 * z + 5 * x)
+    shown = np.where(near < far, np.clip(wave, 0.02, 1), 0.9)
+    return np.repeat(shown[..., None], 3, axis=2).astype(np.float32)
+
+
+def told(folder, poses=POSES, turn=None, pictures=None) -> list[str]:
+    pictures = pictures or [picture(pose) for pose in POSES]
+    photo_sets.transforms(Files(folder, poses, pictures))
+    box = trimesh.creation.box(2 * HALF)
+    if turn is not None:
+        box.apply_transform(turn)
+    box.export(folder / "box.ply")
+    asked = PhotosConfig(path=str(folder), mesh=str(folder / "box.ply"), saturated=None)
+    return photographs.load(asked).warnings
+
+
+def test_what_fits_is_not_doubted(tmp_path):
+    assert told(tmp_path) == []
+
+
+def test_a_picture_of_another_view(tmp_path):
+    pictures = [picture(pose) for pose in POSES]
+    pictures[2] = picture(look_at((-2.0, 0.8, -2.0), (0.0, 0.0, 0.0)))
+    (line,) = told(tmp_path, pictures=pictures)
+    assert "1 of 5 views show the object's places unlike all others, first view_2.exr" in line
+
+
+@pytest.mark.parametrize("at", [(4.0, 1.8, 4.0), (2.0, 9.0, 2.0)])
+def test_a_view_that_looks_elsewhere(tmp_path, at):
+    poses = [*POSES[:3], look_at(PLACES[3], at, (0.0, 0.1, 1.0)), POSES[4]]
+    (line,) = told(tmp_path, poses)
+    assert "in 1 of 5 views behind the camera or outside the picture, first view_3.exr" in line
+
+
+def test_a_mesh_whose_up_is_another(tmp_path):
+    """As programs whose up is z export what stands in a world whose up is y."""
+    turn = trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0])
+    around = np.radians(np.arange(20, 380, 45))
+    places = [(2.6 * np.cos(a), (-1) ** k * 1.2, 2.6 * np.sin(a)) for k, a in enumerate(around)]
+    poses = [look_at(place, (0.0, 0.0, 0.0)) for place in places]
+    pictures = [picture(pose) for pose in poses]
+    assert told(tmp_path, poses, pictures=pictures) == []
+    (line,) = told(tmp_path, poses, turn, pictures)
+    assert "if the mesh's axes x, y, z become" in line and "mirrored" not in line
