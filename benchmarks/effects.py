@@ -133,6 +133,7 @@ def main() -> None:
         first, found = _contest.judged(
             *(scene, root / scene, settings, named, FACTORS, chosen.seeds, SECONDS),
             *(measured, MEASURE),
+            True,
             choosing=chosen.choosing,
         )
         judged = found[found["method"].isin((FULL, AUTO))]["folder"]

@@ -75,7 +75,13 @@ BLUR = '"blur": {"start": 0.1, "end": 0.01, "hold": 0.2}'
 def arguments(tmp_path) -> list[str]:
     (tmp_path / "sun.xml").write_text(SUN.format(when=TOWARDS))
     unknown = f'scene.unknowns={{"{KEY}": {{"start": [0, 0.3, 1], "lr": 0.03, {BLUR}}}}}'
-    small = ["target.spp=64", "evaluation.pixels=64", "frames.views=0", "report=false"]
+    small = [
+        "target.spp=64",
+        "estimator.batch=4096",
+        "evaluation.pixels=64",
+        "frames.views=0",
+        "report=false",
+    ]
     folder = f"hydra.run.dir={tmp_path / 'run'}"
     return ["run", "scene=file", f"scene.path={tmp_path / 'sun.xml'}", unknown, folder, *small]
 
