@@ -51,6 +51,7 @@ def facts(results: Path) -> dict:
         "trashcan": by["trashcan"].to_dict("index"),
         "dodoco_high": by["dodoco"]["parameter_rmse_high"].max(),
         "multires": multires(by["multires"]),
+        "unseen": unseen(results / "unseen.csv"),
         "at_ends": at_ends(results, list(by)),
         "variance": variance.to_dict("index"),
         "looks": {scene: dict(looks[scene]) for scene in ("caustic_failure", "dodoco")},
@@ -85,6 +86,17 @@ def multires(rows: pandas.DataFrame) -> dict:
         "ahead": list(error.index[:2]),
         "by": [error.iloc[i] / error.iloc[0] - 1 for i in range(2, len(error))],
     }
+
+
+def unseen(path: Path) -> list[dict]:
+    """By scene, what `unseen.py` has of texels that camera rays meet, ``met``, and of others."""
+    if not path.exists():
+        return []
+    found = []
+    for scene, rows in pandas.read_csv(path).groupby("scene", sort=False):
+        of = {bool(row["met"]): row for row in rows.to_dict("records")}
+        found.append({"scene": scene, "met": of[True], "other": of[False]})
+    return found
 
 
 def at_ends(results: Path, scenes: list[str]) -> dict[str, list[str]]:

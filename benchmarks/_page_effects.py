@@ -38,6 +38,10 @@ def facts(results: Path) -> dict:
         "verdicts": {"auto": _verdicts(scenes, "auto"), "staged": _verdicts(ladder, "staged")},
         "never": [s["name"] for s in scenes if not math.isfinite(s["auto"]["time_to_full"])],
         "acts": _acts(scenes),
+        # Before targets were rendered to a noise.
+        "earlier": [
+            s["name"] for s in scenes if not math.isfinite(s["auto"].get("noise", math.nan))
+        ],
         "threads": [scene["auto"]["threads"] for scene in scenes],
         # Where the first look of `progress` came after as many steps as it cost.
         "late": [scene["name"] for scene in scenes if not scene["auto"]["passes"] == 1],

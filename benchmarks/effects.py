@@ -3,9 +3,10 @@
 On each scene, with `sampler=progress`: everything (`full`), the plan that is made (`auto`), and,
 where paths may be shorter than the scene's own, `auto` with the shortest that meet every unknown
 until the last third of the budget (`staged`) and everything with paths cut to each such depth
-(`depth 2`, …). Each at the best of three factors on the rates with the first seeds, by the final
-parameter error, then with three others, which alone are reported. Settings are those of
-`reproduce.py`, but for the estimator, which is the one that runs have by default. Writes
+(`depth 2`, …). Each at the best of three factors on the rates with the first seeds, or one beyond
+where the best was the last or the first, by the final parameter error, then with three others,
+which alone are reported. Settings are those of `reproduce.py`, but for the estimator, which is the
+one that runs have by default. Writes
 results/effects.csv (a row per scene and plan), effects_rates.csv, effects_<scene>.png (error
 against billed time) and, over all scenes whose runs are in one `--folder`, effects_across.csv and
 effects_arrivals.png, unless these have more.
@@ -79,6 +80,7 @@ def measured(run: records.Run) -> dict:
         "directions": plan["directions"],
         "caustics": plan["caustics"],
         "probe": plan["probe_seconds"],
+        "noise": run.config["target"]["noise"],
         "threads": run.manifest["threads"],
         "passes": run.config["sampler"]["passes"],
     }
@@ -91,7 +93,10 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     goal = found[found["method"] == FULL][MEASURE].median()
     for _, own in found.groupby("method", sort=False):
         same = ["scene", "method", "factor", "depth", "derivative", "light_samples", "directions"]
-        row = {key: own[key].iloc[0] for key in [*same, "caustics", "probe", "threads", "passes"]}
+        row = {
+            key: own[key].iloc[0]
+            for key in [*same, "caustics", "probe", "noise", "threads", "passes"]
+        }
         row |= {"seeds": len(own), "seconds": seconds}
         for measure in (MEASURE, "image_rmse"):
             row |= reproduce._spread(measure, own[measure].tolist())

@@ -51,7 +51,8 @@ def main(
         found, console = {}, Console()
         for camera, image in zip(cameras, relit.views(scene, rendering, lights, up, spp)):
             where = f"{pictures}: {camera.name}"
-            found[camera.name] = relighting.of_picture(image, camera.image, camera.mask, where)
+            mask = None if camera.hides else camera.mask  # which is to say where the object is
+            found[camera.name] = relighting.of_picture(image, camera.image, mask, where)
             relit.write(output, camera.name, image)
     mean = relighting.mean(found)
     write_json(output / SCORES, {"views": found, "mean": mean, "light": light and str(light)})

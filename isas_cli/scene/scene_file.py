@@ -34,6 +34,8 @@ _WRAPPERS = ("aov", "moment", "stokes")
 DEEP = tuple(name for name in _REPLAY if name not in ("direct", "direct_projective", "emission"))
 # Of files that may describe a scene to Mitsuba, and are no XML.
 _PROGRAMS = ".py", ".json", ".ipynb"
+# What Mitsuba says of colours that it knows by their wavelengths only, such as blackbody.
+_SPECTRAL = "non-spectral"
 _DIRECT = 2  # camera, surface, light: whatever the file says
 
 
@@ -96,6 +98,8 @@ def _said(path: str) -> Iterator[None]:
     except (RuntimeError, ValueError, OSError) as error:
         # Mitsuba begins with a place in its own source.
         text = re.sub(r"^\[\w+\.cpp:\d+\] ", "", " ".join(str(error).split()))
+        if _SPECTRAL in text:
+            text += " (isas renders red, green and blue: give this colour as <rgb>)"
         raise InputError(f"scene.path={path}: Mitsuba cannot load it: {text}") from error
 
 

@@ -116,6 +116,31 @@ def test_outlines_without_a_common_place_are_refused(ball):  # noqa: F811
         load(ball)
 
 
+def test_a_view_that_contradicts_the_others_is_named(ball):  # noqa: F811
+    around(ball)
+    assert not any("alone takes away" in line for line in load(ball, voxels=16).warnings)
+    content = json.loads((ball / "transforms.json").read_text())
+    place = np.array(content["frames"][4]["transform_matrix"])
+    place[:3, 3] += 0.6 * RADIUS * place[:3, 0]
+    content["frames"][4]["transform_matrix"] = place.tolist()
+    (ball / "transforms.json").write_text(json.dumps(content))
+    (line,) = (line for line in load(ball, voxels=16).warnings if "alone takes away" in line)
+    assert "photos.start=hull: 4.png alone takes away" in line
+
+
+def test_labels_that_are_no_outline_are_named(ball):  # noqa: F811
+    around(ball)
+    (ball / "masks").mkdir()
+    for number in range(14):
+        picture = np.array(Image.open(ball / f"{number}.png"))
+        label = np.where(picture[..., 3] > 127, 2, 1).astype(np.uint8)
+        label[:2] = 0
+        Image.fromarray(label if number % 2 else 3 - label).save(ball / f"masks/{number}.png")
+        Image.fromarray(picture[..., :3]).save(ball / f"{number}.png")
+    with pytest.raises(InputError, match="png holds several values, .* as labels are"):
+        load(ball)
+
+
 def test_specks_are_left_out_and_said(ball):  # noqa: F811
     around(ball)
     rng = np.random.default_rng(0)

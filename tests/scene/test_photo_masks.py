@@ -168,3 +168,16 @@ def test_labels_are_no_weights(tmp_path, taken):
     images.write_png(path, pixels)
     (told,) = taken().warnings
     assert "the masks of 1 of 3 pictures" in told and "masks/002.png" in told and "labels" in told
+
+
+def test_white_of_a_dynamic_mask_does_not_count(tmp_path, taken):
+    """As instant-ngp has it; where the object ends it does not say."""
+    for number in range(3):
+        pixels = np.zeros((SIZE[1], SIZE[0], 1), np.uint8)
+        pixels[:8] = 90
+        images.write_png(tmp_path / f"images/dynamic_mask_{number:03d}.png", pixels)
+    for each in taken().shown:
+        assert not each.mask[:8].any() and (each.mask[8:] == 1).all()
+        assert each.white is None
+    with pytest.raises(InputError, match="has neither alpha nor a mask"):
+        taken(background="black")

@@ -168,10 +168,20 @@ def test_outlines_that_fit_are_passed_without_a_word(ball):
 
 
 def test_a_mesh_of_few_corners_is_asked_all_over(ball):
-    """The corners of a box lie on its outline, where masks end."""
+    """The corners of a box lie beyond what masks show."""
     mesh = ball / "box.obj"
-    trimesh.creation.box(extents=[1.1 * RADIUS] * 3).export(mesh)
+    trimesh.creation.box(extents=[1.6 * RADIUS] * 3).export(mesh)
     assert told(ball, background="black", sphere=None, mesh=str(mesh)) == []
+
+
+@pytest.mark.parametrize("factor, words", [(0.5, "1.9 times as small"), (2.2, "times as large")])
+def test_a_mesh_in_other_units_is_told_by_its_outline(ball, factor, words):
+    """Of a beginning, which may have any size, nothing is said."""
+    mesh = ball / "ball.obj"
+    trimesh.creation.icosphere(subdivisions=3, radius=factor * RADIUS).export(mesh)
+    (said,) = told(ball, background="black", sphere=None, mesh=str(mesh))
+    assert words in said and "the cameras' units; photos.pose=true finds" in said
+    assert told(ball, background="black", sphere=[0.0, 0.0, 0.0, 0.6 * RADIUS]) == []
 
 
 def test_inverted_alpha_and_masks_are_doubted(ball):

@@ -93,6 +93,14 @@ def test_metashape(tmp_path, world):
     ]
 
 
+def test_metashapes_rigs_are_told(tmp_path):
+    metashape(tmp_path)
+    file = tmp_path / "cameras.xml"
+    file.write_text(file.read_text().replace('label="lost"', 'label="beside" master_id="0"'))
+    (note,) = agree(tmp_path).notes
+    assert "1 cameras, first beside, hang on others in a rig" in note and "COLMAP" in note
+
+
 def test_metashapes_lens(tmp_path):
     """By the manual's formulas, written out: P1 and P2 the other way round, B1 and B2."""
     k1, k2, k3, k4, p1, p2, b1, b2 = 0.1, -0.05, 0.02, 0.01, 0.003, 0.002, 1.5, 0.7

@@ -12,6 +12,8 @@ from .lens import Lens
 
 # Of a rotation: what is left of RᵀR - 1. Files round to four digits; a scale or a shear is larger.
 _STRAIGHT = 2e-3
+# What the names of instant-ngp's masks begin with.
+HIDING = "dynamic_mask_"
 # Squares are made of pixels up to this shape.
 _OBLONG = 4
 
@@ -74,6 +76,12 @@ class Camera:
                 f"{where}: its pose is no rotation (RᵀR differs from 1 by {off:.2g}): take scale "
                 "and shear out of the matrix"
             )
+
+    @property
+    def hides(self) -> bool:
+        """Whether its mask is the other way round, white where something moves that is not to
+        count: instant-ngp's is, which says nothing of where the object ends."""
+        return self.mask is not None and self.mask.name.startswith(HIDING)
 
     @property
     def centre(self) -> np.ndarray:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from ...config.photographs import PhotosConfig
 from ...runtime import heif, images, raw
 from ...runtime.errors import InputError
+from .camera import HIDING
 
 if TYPE_CHECKING:
     from .camera import Camera
@@ -31,6 +32,7 @@ _SAME = ("{name}{ending}", "{stem}{ending}")
 _MARKED = (
     *("{stem}_mask{ending}", "{stem}.mask{ending}", "{stem}-mask{ending}", "mask_{stem}{ending}"),
     *("{name}.mask", "{name}.mask{ending}", "{name}_mask{ending}"),
+    HIDING + "{stem}{ending}",
 )
 
 

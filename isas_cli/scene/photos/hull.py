@@ -10,10 +10,11 @@ from scipy.optimize import linprog
 
 from ...runtime.cache import cached, digest
 from ...runtime.errors import InputError
+from . import outlines
 from .importing import Photograph
 
 # Raised when what is kept means something else.
-_FORMAT = 4
+_FORMAT = 5
 # Voxels around the hull that are outside, and how far from the surface distances matter, in voxels.
 _MARGIN, _BAND = 2, 3.0
 # Of the largest piece's volume: smaller ones are specks of masks.
@@ -23,6 +24,10 @@ _SPECK = 0.01
 _GAP, _COST = 1 / 128, 4.0
 _SMOOTHED = 10  # passes
 _LARGE = 512  # pixels: finer pictures say no more to a grid
+# Whether one view contradicts the others is asked where there are so many, by a grid of so many
+# points over twice the hull's size: it does where it alone takes away so much, as a share of what
+# is left, and so many times what any other takes.
+_SEVERAL, _COARSE, _ALONE, _TIMES = 5, 48, 0.2, 4.0
 
 
 def made(photographs: list[Photograph], voxels: int) -> tuple[dict[str, np.ndarray], list[str]]:
@@ -35,8 +40,14 @@ def made(photographs: list[Photograph], voxels: int) -> tuple[dict[str, np.ndarr
     """
     key = digest("hull", _FORMAT, voxels, *map(_hashed, photographs))
     found = cached(f"hull-{key}", lambda: _made(photographs, voxels))
-    dropped = int(found.pop("dropped"))
+    dropped, (odd, share) = int(found.pop("dropped")), found.pop("odd")
     told = []
+    if odd >= 0:
+        told.append(
+            f"photos.start=hull: {photographs[int(odd)].camera.name} alone takes away {share:.0%} "
+            "of what all other views leave of the object: its pose, mask or picture is probably "
+            "wrong; mend it, or leave the view out"
+        )
     if dropped:
         told.append(f"photos.start=hull: {dropped} small pieces of the hull are left out")
     return found, told
@@ -60,13 +71,37 @@ def _made(photographs: list[Photograph], voxels: int) -> dict[str, np.ndarray]:
     for axis in range(3):  # closed where the grid ends
         for end in (0, -1):
             np.moveaxis(field, axis, 0)[end] = -_BAND * size
-    field, dropped = _cleaned(field, size)
+    field, dropped = _cleaned(field, size, photographs)
     vertices, faces, _, _ = marching_cubes(field, 0.0, allow_degenerate=False)
     vertices = origin + size * _evened(vertices, faces)
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     if np.einsum("fk,fk->", np.cross(b, c), a - vertices.mean(axis=0)) < 0:
         faces = faces[:, ::-1]
-    return {"dropped": np.array(dropped), **_unwrapped(vertices, faces)}
+    odd = np.array(_contradicting(photographs, low, high))
+    return {"dropped": np.array(dropped), "odd": odd, **_unwrapped(vertices, faces)}
+
+
+def _contradicting(
+    photographs: list[Photograph], low: np.ndarray, high: np.ndarray
+) -> tuple[float, float]:
+    """The number of the view that contradicts all others, or -1, and the share that it alone takes
+    away of what they leave, in and around a box."""
+    if len(photographs) < _SEVERAL:
+        return -1.0, 0.0
+    side = np.linspace(-1, 1, _COARSE)
+    cube = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = (low + high) / 2 + cube * (high - low)
+    outside, by = np.zeros(len(points), int), np.zeros(len(points), int)
+    for number, each in enumerate(photographs):
+        cut = _within(each, points, 1.0) < 0
+        outside += cut
+        by[cut] = number
+    alone = np.bincount(by[outside == 1], minlength=len(photographs))
+    left = np.count_nonzero(outside == 0)
+    *_, other, most = np.sort(alone)
+    if not left or most < max(_ALONE * (left + most), _TIMES * other):
+        return -1.0, 0.0
+    return float(alone.argmax()), most / (left + most)
 
 
 def _evened(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -112,7 +147,7 @@ def bounds(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:
             if solved.status == 2:
                 raise InputError(
                     "photos.start=hull: no place lies within the object's outline in every view: "
-                    "poses do not fit the pictures, or masks are inverted (white is the object)"
+                    f"{_unfit(photographs)}"
                 )
             if solved.status != 0:
                 raise InputError(
@@ -173,14 +208,27 @@ def _signed(part: np.ndarray) -> tuple[np.ndarray, int]:
     return np.where(between, filled - 0.5, deep), by
 
 
-def _cleaned(field: np.ndarray, size: float) -> tuple[np.ndarray, int]:
+def _unfit(photographs: list[Photograph]) -> str:
+    """Why outlines do not fit each other."""
+    dark = [each for each in photographs if each.white is not None and each.white < outlines.DARK]
+    if dark:
+        return (
+            f"{dark[0].camera.mask} holds several values, none above {dark[0].white:.2g} of white, "
+            "as labels are: save the object as white and all else as black"
+        )
+    return "poses do not fit the pictures, or masks are inverted (white is the object)"
+
+
+def _cleaned(
+    field: np.ndarray, size: float, photographs: list[Photograph]
+) -> tuple[np.ndarray, int]:
     """Without pieces that are specks, and how many these were. Raises InputError where nothing is
     left inside."""
     pieces, count = label(field > 0)
     if not count:
         raise InputError(
-            "photos.start=hull: nothing lies within the object's outline in every view: poses do "
-            "not fit the pictures, or masks are inverted (white is the object)"
+            "photos.start=hull: nothing lies within the object's outline in every view: "
+            f"{_unfit(photographs)}"
         )
     volumes = np.bincount(pieces.ravel())[1:]
     specks = np.flatnonzero(volumes < _SPECK * volumes.max()) + 1

@@ -67,7 +67,7 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
     alpha, part = images.read_alpha(camera.image, turned), None
     given = None if camera.mask is None else _given_mask(camera, settings, turned)
     if settings.background == BLACK:
-        part, associated = _part(camera, alpha, given)
+        part, associated = _part(camera, alpha, None if camera.hides else given)
         if alpha is None and np.isin(part, (0, 1)).all():
             image, part = outlines.softened(image, part)
         elif not associated:
@@ -107,7 +107,7 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
             f"{camera.image}: no pixel counts ({told or 'all outside after undistortion'}): "
             "leave this view out, or mend its mask"
         )
-    white = None if given is None else float(given.max())
+    white = None if given is None or camera.hides else float(given.max())
     return Photograph(target, image, mask, lost, picture.doubt, variance, part, white)
 
 
@@ -136,7 +136,7 @@ def _mask(
     mask = np.ones(picture.image.shape[:2], np.float32)
     lost = {}
     # The only thing that says where the object ends may not also say what counts.
-    if given is not None and (part is None or alpha is not None):
+    if given is not None and (part is None or alpha is not None or camera.hides):
         mask *= given
         lost["masked by its file"] = int(np.count_nonzero(given == 0))
     if alpha is not None and part is None:
@@ -170,9 +170,12 @@ def _part(
 
 
 def _given_mask(camera: Camera, settings: PhotosConfig, turned: bool) -> np.ndarray:
-    """Of the camera's size, ``(H, W) float32``. It is turned as its picture, by its own tag or, if
-    it has none and its size tells, by its picture's. Raises InputError."""
+    """Of the camera's size, ``(H, W) float32``, white where pixels count. It is turned as its
+    picture, by its own tag or, if it has none and its size tells, by its picture's. Raises
+    InputError."""
     given, wanted = images.read_mask(camera.mask, turned), (camera.width, camera.height)
+    if camera.hides:
+        given = np.float32(given == 0)
     size = given.shape[1::-1]
     tag = images.orientation(camera.image) if turned else 1
     if tag >= 5 and turns.factor(size, wanted) is None:

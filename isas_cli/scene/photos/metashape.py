@@ -53,11 +53,11 @@ def read(file: Path, asked: Asked) -> Capture:
     sensors = {each.get("id"): each for each in chunk.findall("sensors/sensor")}
     worlds = {each.get("id"): each.find("transform") for each in chunk.iter("component")}
     folders = layouts.pictures(file.parent, asked.root)
-    cameras, lost, aligned = [], [], 0
+    cameras, lost, rigged, aligned = [], [], [], 0
     for each in chunk.iter("camera"):
         label = each.get("label", "")
         if each.find("transform") is None or each.get("enabled") in ("false", "0"):
-            lost.append(label)
+            (rigged if each.get("master_id") is not None else lost).append(label)
             continue
         where = f"{file}: camera {label}"
         if each.get("sensor_id") not in sensors:
@@ -78,6 +78,11 @@ def read(file: Path, asked: Asked) -> Capture:
     notes = []
     if lost:
         notes = [f"{file}: {len(lost)} cameras are not aligned or disabled, first {lost[0]}"]
+    if rigged:
+        notes.append(
+            f"{file}: {len(rigged)} cameras, first {rigged[0]}, hang on others in a rig, which is "
+            f"not read: they are left out; {_WAY_OUT}"
+        )
     return Capture(cameras, "Metashape", notes=notes)
 
 

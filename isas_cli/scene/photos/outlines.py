@@ -20,7 +20,10 @@ _DOUBTED, _INVERTED = 0.3, 0.8
 # What an alpha or mask is at least, or at most, that is the same everywhere.
 _FULL, _EMPTY = 0.99, 0.01
 # A mask's largest value below which it holds labels, or 8 bits in a file of 16, not weights.
-_DARK = 0.25
+DARK = 0.25
+# By how much an object may be larger or smaller than alpha or masks show it. Where parts of
+# it are crowded, or thin, extents differ by a tenth.
+_SIZED = 1.3
 # Pixels: how near to a mask's border mixtures are, and how near to a pixel those must be whose
 # colours it is mixed of, which differ by such a share of their brightness; by
 # how much of that difference a mixture may be off; and of how many of the border's pixels that must
@@ -96,8 +99,10 @@ def _nearest(image: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return means[tuple(place)], far <= _REACH
 
 
-def doubts(photographs: "list[Photograph]", surface: Surface | None) -> list[str]:
-    """What should be said."""
+def doubts(
+    photographs: "list[Photograph]", surface: Surface | None, begun: bool = False
+) -> list[str]:
+    """What should be said. ``begun``: whether the surface is but a beginning, of any size."""
     found = []
     full = [p for p in photographs if p.part is not None and (p.part[p.part >= 0] >= _FULL).all()]
     if full:
@@ -106,7 +111,7 @@ def doubts(photographs: "list[Photograph]", surface: Surface | None) -> list[str
             f"{len(photographs)} pictures, first {full[0].camera.image}: if it does not, what is "
             "behind it counts as the object"
         )
-    dark = [p for p in photographs if p.white is not None and p.white < _DARK]
+    dark = [p for p in photographs if p.white is not None and p.white < DARK]
     if dark:
         found.append(
             f"the masks of {len(dark)} of {len(photographs)} pictures, first "
@@ -121,13 +126,21 @@ def doubts(photographs: "list[Photograph]", surface: Surface | None) -> list[str
         return found
     points = scattered(surface)
     shares = [share for each in masked if (share := _met(each, points)) is not None]
-    if not shares or np.median(shares) >= _DOUBTED:
-        return found
-    inverted = [1 - share for share in shares]
-    told = f"of the object's points only {np.median(shares):.0%} lie where they are white"
-    if np.median(inverted) >= _INVERTED:
+    met = float(np.median(shares)) if shares else 1.0
+    sizes = [] if begun else [_larger(each, points) for each in masked if each.part is not None]
+    sizes = [size for size in sizes if size is not None]
+    larger = float(np.median(sizes)) if sizes else 1.0
+    told = f"of the object's points only {met:.0%} lie where they are white"
+    if met < _DOUBTED and np.median([1 - share for share in shares]) >= _INVERTED:
         found.append(f"masks look inverted: {told}, and white is what counts; or it lies elsewhere")
-    else:
+    elif not 1 / _SIZED < larger < _SIZED:
+        told = f"{larger:.2g} times as large" if larger > 1 else f"{1 / larger:.2g} times as small"
+        found.append(
+            f"the object is {told} in the pictures as alpha or masks show it there (median of "
+            f"{len(sizes)} views): bring the mesh to the cameras' units; photos.pose=true finds "
+            "its size where that is nearly right"
+        )
+    elif met < _DOUBTED:
         found.append(f"masks hide most of the object: {told}")
     return found
 
@@ -143,3 +156,19 @@ def _met(photograph: "Photograph", points: np.ndarray) -> float | None:
     column, row = place[inside].astype(int).T
     counts = photograph.mask if photograph.part is None else photograph.part
     return float((counts[row, column] > 0.5 * counts.max()).mean())
+
+
+def _larger(photograph: "Photograph", points: np.ndarray) -> float | None:
+    """How many times as long the object's points are in a picture as what alpha or mask shows of
+    it, the geometric mean of both sides; None where either is not in it."""
+    camera = photograph.camera
+    place, depth = camera.project(points)
+    shown = np.argwhere(photograph.part > 0.5)[:, ::-1] + 0.5
+    if not len(shown) or not (depth > 0).all():
+        return None
+    place = np.clip(place, 0, [camera.width, camera.height])
+    # Single points and pixels may lie anywhere.
+    sides = [np.subtract(*np.percentile(each, (98, 2), axis=0)) for each in (place, shown)]
+    if min(sides[0].min(), sides[1].min()) < 2:
+        return None
+    return float(np.sqrt(np.prod(sides[0] / sides[1])))

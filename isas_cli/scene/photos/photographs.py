@@ -104,7 +104,7 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     told += [*_left_out(sources), *more, *_doubts([*made[0], *made[1]]), *doubts]
     told += [] if parts is None else material.check(settings, parts)
     found = Photographs(*made, capture, parts, settings, told, colour)
-    told += outlines.doubts(found.all, found.surface)
+    told += outlines.doubts(found.all, found.surface, settings.mesh is None)
     told += alike.doubts(found.all, found.surface)
     told += precision.doubts(found.all, found.surface)
     return found
@@ -112,7 +112,7 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
 
 def _ended(camera: Camera) -> bool:
     """Whether alpha or a mask says where the object ends in a picture."""
-    return camera.mask is not None or images.has_alpha(camera.image)
+    return (camera.mask is not None and not camera.hides) or images.has_alpha(camera.image)
 
 
 def _check(capture: Capture, sources: finding.Sources) -> None:
