@@ -3,8 +3,8 @@
 # One would guess: the light has no place, so a scale changes nothing, as in most renderers; or at
 # least that BSDF samples and emitter samples agree.
 # Seen with Mitsuba 3.9.1, a grey floor under an envmap with a bright patch, to_world a scale by 2.5:
-# BSDF samples alone as without the scale, emitter samples alone about 2.4 times that, both together
-# (the default) about half of it. Without the scale all three agree. No warning.
+# BSDF samples alone half of what they are without it, emitter samples alone 2.5 times, both together
+# in between, as the scene happens to be. Without the scale all three agree. No warning.
 # Why, as far as seen: directions that are sampled go through the matrix and are not made of length 1.
 # Users of isas: such files are refused in one line that says what to_world may be.
 set -euo pipefail
@@ -51,7 +51,7 @@ if max(plain) > 1.02 * min(plain):
     raise SystemExit("changed: without a scale the three agreed with Mitsuba 3.9.1")
 stretched = [found[2.5, name] / found[1.0, name] for name in ("BSDF", "emitter", "both")]
 print("over those without a scale:", ", ".join(f"{each:.2f}" for each in stretched))
-if not (stretched[1] > 1.8 * stretched[0] and stretched[2] < 0.8):
-    raise SystemExit("changed: with Mitsuba 3.9.1 emitter samples gave 2.4 times, both half as much")
+if abs(stretched[0] - 0.5) > 0.05 or abs(stretched[1] - 2.5) > 0.1:
+    raise SystemExit("changed: with Mitsuba 3.9.1 BSDF samples gave 0.5, emitter samples 2.5 times")
 END
 venv/bin/python try.py

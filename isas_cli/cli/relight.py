@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from rich.console import Console
@@ -43,7 +44,7 @@ def main(
         from ..measure import relighting
         from ..scene import export, relit
 
-        cameras = _cameras(pictures)
+        cameras, over = _cameras(pictures, typed.scene.photos)
         rendering = [relit.cut(camera, width) for camera in cameras]
         lights = [_light(light, camera.name) for camera in cameras]
         scene = export.result(typed.scene, arrays)
@@ -52,7 +53,8 @@ def main(
         for camera, image in zip(cameras, relit.views(scene, rendering, lights, up, spp)):
             where = f"{pictures}: {camera.name}"
             mask = None if camera.hides else camera.mask  # which is to say where the object is
-            found[camera.name] = relighting.of_picture(image, camera.image, mask, where)
+            turned = camera.name in over
+            found[camera.name] = relighting.of_picture(image, camera, mask, where, turned)
             relit.write(output, camera.name, image)
     mean = relighting.mean(found)
     write_json(output / SCORES, {"views": found, "mean": mean, "light": light and str(light)})
@@ -64,9 +66,10 @@ def main(
     return 0
 
 
-def _cameras(pictures: Path) -> list:
-    """Of a folder of photographs, or of a file in one. Raises InputError."""
-    from ..scene.photos import finding, reading
+def _cameras(pictures: Path, own: PhotosConfig) -> tuple[list, set[str]]:
+    """Of a folder of photographs, or of a file in one, in the world and with the orientation that
+    the run's ``own`` have; and the names of those whose pictures are turned. Raises InputError."""
+    from ..scene.photos import finding, reading, turns
 
     if not pictures.exists() and str(pictures) not in reading.OWN:
         raise InputError(f"{pictures}: no such folder of photographs, nor file of cameras")
@@ -75,7 +78,13 @@ def _cameras(pictures: Path) -> list:
     root = reading.folder_of(settings.path)
     with finding.looking(settings, root) as sources:
         found = reading.read(settings.path, None, settings.cameras)
-    return finding.masked(found.cameras, root, sources)[0]
+        if found.worlds and own.world != "mesh":
+            found = reading.read(settings.path, None, settings.cameras, own.world)
+    cameras, told = finding.masked(found.cameras, root, sources)
+    over, more = turns.turned(cameras, found, own.orientation)
+    for line in (*found.notes, *told, *more):
+        print(line, file=sys.stderr)
+    return cameras, over
 
 
 def _light(light: Path | None, name: str) -> Path | None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..rendering import coverage
 from ..rendering.integrators import Paths
+from ..runtime import backend
 from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
 from ..unknowns import cameras
@@ -299,11 +300,12 @@ def _probed(
     possible."""
     starts = hashlib.blake2b(digest_size=16)
     for unknown in problem.unknowns:
-        starts.update(f"{unknown.key} {unknown.start.shape}".encode() + unknown.start.tobytes())
+        told = f"{unknown.key} {unknown.kind.settings} {unknown.start.shape}"
+        starts.update(told.encode() + unknown.start.tobytes())
     what = problem.content_hash, problem.target_hash, starts.hexdigest(), described, mi.__version__
     asked = dataclasses.astuple(settings), allowed, dataclasses.astuple(plan.paths)
     # Where it was timed.
-    machine = mi.variant(), dr.thread_count()
+    machine = mi.variant(), dr.thread_count(), backend.device()
     key = "effects-" + digest("effects", _FORMAT, *what, *asked, *machine)
 
     def compute() -> dict[str, np.ndarray]:
@@ -371,13 +373,15 @@ def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -
                     paths = dataclasses.replace(paths, derivative=depth)
                     break
                 derivatives[-1] = dataclasses.replace(found, lost=lost)
-    if settings.caustics is None and surfaces and clear(problem):
+    # What is found by differences beside path replay is not among the shares of gradients.
+    whole = any(unknown.kind.aside for unknown in problem.unknowns)
+    if settings.caustics is None and surfaces and clear(problem) and not whole:
         caustics = probe.caustics()
         if caustics and rules.worst(caustics) < settings.tolerance:
             lost = check(dataclasses.replace(paths, caustics=False))
             caustics = dataclasses.replace(caustics, lost=lost)
             paths = dataclasses.replace(paths, caustics=lost > rules.LOST)
-    if settings.max_depth is None:
+    if settings.max_depth is None and not whole:
         for depth in reversed(ladder):
             found = probe.cut(depth, derivative=False)
             if found is None:

@@ -45,9 +45,10 @@ def bare(
         elif scene.path is not None:
             loaded, integrator, description = scene_file.load(scene.path, scene.max_depth)
         else:
-            loaded = built.load(built.description(scene, taken))
+            described = built.description(scene, taken)
+            loaded = built.load(described)
             integrator = loaded.integrator()
-            built_by = f"{scene.builder} {dict(scene.arguments)}"
+            built_by = f"{scene.builder} {dict(scene.arguments)} {built.told(described)}"
             description = built_by if taken is None else str(scene.photos.up)
     sensors = loaded.sensors()
     if not sensors:
@@ -57,8 +58,11 @@ def bare(
     every = [tuple(int(x) for x in s.film().crop_size()) for s in sensors]
     sizes = every if taken is None else every[: len(taken.shown)]
     pixels = sum(width * height for width, height in sizes)
-    if pixels >= 2**32 - 1:
-        raise InputError(f"{pixels} pixels in all views together: fewer than 2^32 can be indexed")
+    if 3 * pixels >= 2**32 - 1:
+        raise InputError(
+            f"{pixels} pixels in all views together: their colours are indexed in 32 bits, so that "
+            f"there may be {2**32 // 3} at most"
+        )
     params = mi.traverse(loaded)
     content = _content_hash(loaded, integrator, params, description)
     views, of_views, wanted, poses = Views.of(sizes), None, scene.unknowns, scene.poses

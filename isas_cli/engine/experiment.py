@@ -108,9 +108,11 @@ class Phases:
 def built(typed: Config, phases: Phases, choices: Iterable[Choices] = ()) -> "Problem":
     """The problem of a configuration, its phases timed. Raises InputError before there are targets
     where one of ``choices``, which are to run on it, cannot."""
-    from . import assemble
+    from . import assemble, floor
 
     def check(problem: "Problem") -> None:
+        if typed.budget.converged:
+            floor.check(problem, typed.scene.weights)
         for each in choices:
             each.check_on(problem)
 

@@ -18,12 +18,14 @@ import numpy as np
 
 from ..rendering.stratified import noise
 from ..runtime import streams
+from ..runtime.errors import InputError
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
     from .evaluate import Evaluator
 
-# How far numbers are moved, of their range or their scale.
+STOPS = "budget.converged=true stops a run at its targets' noise"
+# How far numbers are moved, of their own size, at most of their range.
 _MOVED = 0.05
 
 
@@ -41,6 +43,24 @@ class Floor:
     @property
     def record(self) -> dict:
         return asdict(self)
+
+
+def check(problem: "Problem", weights) -> None:
+    """Raises InputError where the targets' noise, at which ``budget.converged`` stops, will not be
+    known, as far as that can be told before there are targets. ``weights``: ``scene.weights``."""
+    moving = [u.key for u in problem.unknowns if u.kind.moves_geometry]
+    if not problem.truth_known:
+        raise InputError(f"{STOPS}, and how noisy given images are is not known: leave it out")
+    if moving:
+        raise InputError(
+            f"{STOPS}, and what that leaves of '{moving[0]}', which moves objects, is not known: "
+            "leave it out"
+        )
+    if weights is not None:
+        raise InputError(
+            f"{STOPS}, and what that leaves is not known where views have weights: leave out "
+            "scene.weights, or this"
+        )
 
 
 def measure(evaluator: "Evaluator", seed: int) -> Floor | None:
@@ -94,9 +114,12 @@ def photographs(problem: "Problem") -> dict | None:
 
 def _moved(unknown, rng: np.random.Generator) -> np.ndarray:
     """The truth with each entry that is seen a little up or down, within its range."""
-    span = unknown.high - unknown.low
-    step = _MOVED * (span if math.isfinite(span) else unknown.scale)
     truth = unknown.truth
+    # Ranges may be wide: of densities, and of parameters whose meaning only others know.
+    sizes = [
+        np.sqrt(np.mean(np.square(x, dtype=np.float64))) for x in (truth, unknown.start - truth)
+    ]
+    step = _MOVED * min(max(sizes), unknown.high - unknown.low)
     signs = rng.choice([-1.0, 1.0], truth.shape) * unknown.seen
     there = truth + step * signs
     there = np.where((there < unknown.low) | (there > unknown.high), truth - step * signs, there)

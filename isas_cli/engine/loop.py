@@ -115,7 +115,9 @@ class Loop:
     def converged(self) -> bool:
         """Whether what the last evaluation found is the targets' noise."""
         floor, last = self.floor, self.last
-        return floor is not None and last is not None and last["image_rmse"] <= floor.image_rmse
+        if floor is None or last is None or self.evaluator.unresolved:
+            return False
+        return last["image_rmse"] <= floor.image_rmse
 
     @property
     def spent(self) -> float:
@@ -200,6 +202,8 @@ class Loop:
         """
         until = self.clock.seconds + seconds
         self._begin_counting()
+        if self._ended_converged:
+            return True
         while self.spent < 1:
             if hooks.stop():
                 self._count_lost()
@@ -216,6 +220,14 @@ class Loop:
                 break
         self._count_lost()
         return self.spent >= 1
+
+    @property
+    def _ended_converged(self) -> bool:
+        """Whether it had ended so when it was stopped, before its pictures were made."""
+        at = self.position.iteration
+        if not (self.until_converged and at and self.last and self.last["iteration"] == at):
+            return False
+        return self.spent < 1 and self.converged
 
     def _begin_counting(self) -> None:
         # Loops that take turns may share an estimator, and a rehearsal was there before.

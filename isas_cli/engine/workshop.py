@@ -14,6 +14,7 @@ from ..runtime.errors import InputError
 from ..scene.problem import Problem
 from .choices import Choices
 from .evaluate import Evaluator
+from .floor import STOPS
 from .loop import Loop
 from .optimiser import Stepper
 
@@ -97,8 +98,8 @@ class Workshop:
         )
         if typed.budget.converged and loop.floor is None:
             raise InputError(
-                "budget.converged=true stops a run at its targets' noise, which is not known here: "
-                "it is of rendered targets, where nothing moves; leave it out"
+                f"{STOPS}, which could not be measured: targets of one path a pixel do not tell "
+                "it, nor do images that show no unknown; leave it out"
             )
         if plan.seconds:
             loop.clock.billed_seconds["probe"] = plan.seconds

@@ -27,6 +27,8 @@ from ..runtime import images
 from ..runtime.errors import InputError
 from ..scene.photos import finding, transforms
 from ..scene.photos.base import load_json
+from ..scene.photos.camera import Camera
+from ..scene.photos.importing import resample
 from ..scene.shape_error import Sampled
 
 _RIM = np.ones((5, 5), bool)
@@ -100,15 +102,25 @@ def of_set(file: Path | str, folder: Path | str) -> dict[str, dict]:
         found = of_name(folder, name)
         if found is None:
             raise InputError(f"{folder}: no rendering of {name}, such as {Path(name).stem}.exr")
-        views[name] = of_picture(images.read(found), path, listed, where)
+        shown = images.read(path), _mask(path, listed, where)
+        views[name] = _scored(images.read(found), *shown, where)
     return {"views": views, "mean": mean(views)}
 
 
-def of_picture(image: np.ndarray, picture: Path, mask: Path | None, where: str) -> dict[str, float]:
-    """``pictures`` of a rendering of a ``picture``, whose ``mask`` may be another file. Raises
-    InputError, naming ``where``."""
-    both = images.read(picture), _mask(picture, mask, where)
-    return pictures(image, *(_as_large(each, image, where) for each in both))
+def of_picture(
+    image: np.ndarray, camera: Camera, mask: Path | None, where: str, turned: bool
+) -> dict[str, float]:
+    """``pictures`` of a rendering of a ``camera``'s picture, whose ``mask`` may be another file.
+    ``turned``: whether it is turned as its file asks. Raises InputError, naming ``where``."""
+    picture = images.load(camera.image, turned=turned).image
+    both = picture, _mask(camera.image, mask, where, turned)
+    if not camera.ideal:  # pixels that are not square
+        both = resample(camera, camera.pinhole(), picture, both[1].astype(np.float32))
+    return _scored(image, *both, where)
+
+
+def _scored(image: np.ndarray, picture: np.ndarray, mask: np.ndarray, where: str) -> dict:
+    return pictures(image, *(_as_large(each, image, where) for each in (picture, mask)))
 
 
 def mean(views: dict[str, dict]) -> dict[str, float]:
@@ -127,11 +139,11 @@ def of_name(folder: Path, name: str) -> Path | None:
     return None
 
 
-def _mask(picture: Path, listed: Path | None, where: str) -> np.ndarray:
+def _mask(picture: Path, listed: Path | None, where: str, turned: bool = True) -> np.ndarray:
     beside = picture.parent.with_name(f"{picture.parent.name}_mask") / f"{picture.stem}.png"
     if listed is not None or beside.is_file():
-        return images.read_mask(listed or beside)
-    alpha = images.read_alpha(picture)
+        return images.read_mask(listed or beside, turned)
+    alpha = images.read_alpha(picture, turned)
     if alpha is None:
         raise InputError(f"{where}: no mask, nor alpha: what is not the object would count")
     return alpha

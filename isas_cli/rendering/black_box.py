@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import TargetConfig
-from ..runtime import streams
+from ..runtime import interrupt, streams
 from ..runtime.errors import InputError
 from ..scene.lenses import Lenses
 from ..scene.outside import Outside
@@ -102,8 +102,10 @@ def rendered(
         drawn = streams.seed(target.seed, count, "target")
         views = range(len(outside.sizes))
         pixels = np.concatenate([outside.picture(v, drawn).reshape(-1, 3) for v in views])
-        first, second = first + pixels.astype(np.float64), second + np.square(pixels, dtype=float)
-        count += 1
+        with interrupt.held():
+            first = first + pixels.astype(np.float64)
+            second = second + np.square(pixels, dtype=float)
+            count += 1
         keep(lambda: {"first": first, "second": second, "count": np.array(count)})
         told(count * len(pixels), max(count, aim()) * len(pixels))
     images, variance = _means(first, second, count)

@@ -19,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..runtime import memory, streams
+from ..runtime import interrupt, memory, streams
 from ..scene.problem import Problem
 from ..unknowns.parameters import own
 from . import rays
@@ -258,17 +258,18 @@ class _Rendering:
             part = np.arange(begin, min(begin + self.width, sequences))
             chosen = np.searchsorted(ends, part, side="right")  # the pixels whose these are
             number = 1 + found.rounds * passes + found.at
-            self._add(found, chosen, number)
-            found.at += 1
+            traced = self._traced(np.repeat(chosen, self.parts), number, found.lights)
+            with interrupt.held():
+                self._add(found, chosen, traced)
+                found.at += 1
             self.told(min(found.paths, total), total)
             self.keep(found)
         found.rounds, found.at = found.rounds + 1, 0
 
-    def _add(self, found: Sums, chosen: np.ndarray, number: int) -> None:
-        parts = np.repeat(chosen, self.parts)
+    def _add(self, found: Sums, chosen: np.ndarray, traced: tuple[np.ndarray, ...]) -> None:
+        """``traced``: of ``_traced``, ``parts`` for each pixel ``chosen``."""
         sums, _, finite = (
-            each.reshape(*each.shape[:-1], chosen.size, self.parts).sum(-1)
-            for each in self._traced(parts, number, found.lights)
+            each.reshape(*each.shape[:-1], chosen.size, self.parts).sum(-1) for each in traced
         )
         means = sums / np.maximum(finite, 1)
         first, last = chosen[0], chosen[-1] + 1  # in order

@@ -91,16 +91,23 @@ def start(variant: str = "auto", threads: int = 0) -> Backend:
     every = _every_thread()
     if dr.thread_count() != (threads or every):
         dr.set_thread_count(threads or every)
+    _device[:] = [gpu or _cpu_name()]
     return Backend(
         variant=variant,
         llvm_path=library.path if library else None,
         llvm_version=library.version if library else None,
         threads=dr.thread_count(),
-        device=gpu or _cpu_name(),
+        device=_device[0],
     )
 
 
 _waiting: list[str] = []  # plugins
+_device: list[str] = []
+
+
+def device() -> str:
+    """What kernels run on, by its own name; empty before ``start``."""
+    return _device[0] if _device else ""
 
 
 def plugin(module: str) -> None:

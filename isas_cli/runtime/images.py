@@ -26,6 +26,8 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 _INT32 = range(-(2**31), 2**31)
 _INTEGER_FORMATS = {oiio.UINT8: 255.0, oiio.UINT16: 65535.0}
 _FLOAT_FORMATS = (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
+# Endings of files whose colours may be multiplied by alpha.
+_ASSOCIATED = (".exr", ".tif", ".tiff")
 # CIE x and y of red, green, blue and white (ITU-R BT.709), which sRGB has too.
 _REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 
@@ -105,7 +107,7 @@ def read_mask(path: str | Path, turned: bool = True) -> np.ndarray:
     if not ((mask >= 0) & (mask <= 1)).all():
         raise InputError(f"{path}: a mask's values have to lie in [0, 1]")
     most = mask.max()
-    labels = 0 < most < 1 and _counted(path) and (mask == 0).any()
+    labels = 0 < most < 1 and counted(path) and (mask == 0).any()
     if labels and ((mask == 0) | (mask == most)).all():
         mask /= most
     elif any(most == np.float32(1) / np.float32(full) for full in _INTEGER_FORMATS.values()):
@@ -125,7 +127,7 @@ def size(path: str | Path, turned: bool = True) -> tuple[int, int]:
         return heif.size(Path(path))
     spec = _header(path)
     over = turned and spec.get_int_attribute("Orientation", 1) >= 5
-    return (spec.height, spec.width) if over else (spec.width, spec.height)
+    return _frame(spec)[::-1] if over else _frame(spec)
 
 
 def grey(path: str | Path) -> bool:
@@ -142,7 +144,7 @@ def orientation(path: str | Path) -> int:
     return 1 if heif.names(path) else _header(path).get_int_attribute("Orientation", 1)
 
 
-def _counted(path: str | Path) -> bool:
+def counted(path: str | Path) -> bool:
     """Whether a picture is of whole numbers."""
     if raw.names(path) or heif.names(path):
         return True
@@ -176,7 +178,7 @@ def read_alpha(path: str | Path, turned: bool = True) -> np.ndarray | None:
             raise InputError(f"{path}: cannot be read: {_reason(source)}")
     finally:
         source.close()
-    alpha = np.ascontiguousarray(pixels[..., place], np.float32)
+    alpha = np.ascontiguousarray(_framed(pixels, spec)[..., place], np.float32)
     return upright(alpha, spec.get_int_attribute("Orientation", 1)) if turned else alpha
 
 
@@ -194,6 +196,8 @@ def multiplied(path: str | Path) -> bool:
     a TIFF's that says so. Raises InputError."""
     if raw.names(path) or heif.names(path):
         return False
+    if Path(path).suffix.lower() not in _ASSOCIATED:
+        return False  # of BMP OpenImageIO does not say
     spec = _header(path)
     return _alpha(spec) is not None and not spec.get_int_attribute("oiio:UnassociatedAlpha", 0)
 
@@ -357,10 +361,33 @@ def _read_colours(path: Path, turned: bool) -> tuple[np.ndarray, bool, Said]:
             raise InputError(f"{path}: cannot be read: {_reason(source)}")
     finally:
         source.close()
+    pixels = _framed(pixels, spec)
     colours = pixels[..., _colour_channels(path, spec)].astype(np.float32) / np.float32(scale)
     if turned:
         colours = upright(colours, spec.get_int_attribute("Orientation", 1))
     return colours, linear, profiles.said(path, spec)
+
+
+def _frame(spec: oiio.ImageSpec) -> tuple[int, int]:
+    """Width and height of the picture, of which an EXR may hold but a part."""
+    known = spec.full_width > 0 and spec.full_height > 0
+    return (spec.full_width, spec.full_height) if known else (spec.width, spec.height)
+
+
+def _framed(pixels: np.ndarray, spec: oiio.ImageSpec) -> np.ndarray:
+    """The pixels of a file, (H, W, C), where they belong in the picture; 0 beside them."""
+    width, height = _frame(spec)
+    left, top = spec.x - spec.full_x, spec.y - spec.full_y
+    if (left, top, spec.width, spec.height) == (0, 0, width, height):
+        return pixels
+    whole = np.zeros((height, width, pixels.shape[2]), pixels.dtype)
+    down, across = (
+        slice(max(at, 0), max(at + n, 0)) for at, n in ((top, spec.height), (left, spec.width))
+    )
+    part = pixels[max(-top, 0) :, max(-left, 0) :]
+    place = whole[down, across]
+    place[:] = part[: place.shape[0], : place.shape[1]]
+    return whole
 
 
 def _check_png(path: Path) -> None:

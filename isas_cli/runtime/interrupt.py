@@ -83,6 +83,21 @@ def prompt() -> Iterator[None]:
         sys.unraisablehook = hook
 
 
+@contextmanager
+def held() -> Iterator[None]:
+    """Within the context SIGINT and SIGTERM wait for its end: what is changed there in several
+    steps is changed as a whole or not at all."""
+    noted: list[int] = []
+
+    def note(number, frame) -> None:
+        noted.append(number)
+
+    with _handled({signal.SIGINT: note, signal.SIGTERM: note}):
+        yield
+    if noted:
+        signal.raise_signal(noted[0])
+
+
 def asked() -> bool:
     """Whether the present or last command got a signal that should have ended it at once."""
     return _asked

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import mitsuba as mi
+import numpy as np
 
 from ..config.schema import SceneConfig
 from ..runtime import allowed
@@ -29,6 +30,19 @@ def description(scene: SceneConfig, taken: Photographs | None = None) -> dict[st
         integrator = dictionary.get("integrator", {"type": "prb"})
         dictionary["integrator"] = {**integrator, "max_depth": scene.max_depth}
     return dictionary
+
+
+def told(value: Any) -> str:
+    """What a description says beside its arrays, which are parameters: a text."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {told(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(told, value)) + "]"
+    if isinstance(value, (str, int, float, bool, type(None))):
+        return repr(value)
+    if hasattr(value, "matrix"):  # a transformation
+        return str(np.array(value.matrix, np.float64).tolist())
+    return type(value).__name__
 
 
 def load(dictionary: dict[str, Any]) -> mi.Scene:

@@ -154,8 +154,13 @@ class Kind:
         self.role = role(loaded.params, key)
 
     def kept(self, low: float, high: float) -> tuple[float, float]:
-        """The part of a legal range in which values stay."""
-        return max(low, self.range[0] + self.bare[0]), min(high, self.range[1] - self.bare[1])
+        """The part of a range in which values stay: a hair from the kind's own ends where these
+        have no derivative. A range that goes beyond them was asked for, and stays."""
+        least, most = self.range[0] + self.bare[0], self.range[1] - self.bare[1]
+        return (
+            low if low < self.range[0] else max(low, least),
+            high if high > self.range[1] else min(high, most),
+        )
 
     def value(self, array: np.ndarray):
         """``array`` as the Dr.Jit value that estimators differentiate by, the *leaf*."""

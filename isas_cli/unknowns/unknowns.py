@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ import numpy as np
 from ..config.schema import BlurConfig
 from ..runtime.errors import InputError
 from .kind import Kind
+from .parameters import read
 
 if TYPE_CHECKING:
     from .optics import Together
@@ -102,7 +104,21 @@ class Unknowns:
         written = dict.fromkeys(key for kind in self._in_order for key in kind.writes)
         # Mitsuba takes keys for patterns of beginnings, and ids may be any text: 'Cube (1)'.
         params.keep([re.escape(key) + r"\Z" for key in written])
+        self._loaded = self._hashes()
         self.leaves = self.values_of({u.key: u.kind.present for u in items})
+
+    def _hashes(self) -> dict[str, str]:
+        """Of what the unknowns write, by the scene's parameter."""
+        found = {}
+        for key in self.params.keys():
+            array = np.ascontiguousarray(np.array(read(self.params, key)))
+            found[key] = hashlib.blake2b(array.tobytes(), digest_size=16).hexdigest()
+        return found
+
+    def replaced(self) -> list[tuple[str, str]]:
+        """The scene's parameters that at present are not as they were loaded, and hashes of them: a
+        shape's normals are its own, and values keep a hair from ends of their range."""
+        return sorted(set(self._hashes().items()) - set(self._loaded.items()))
 
     def __iter__(self):
         return iter(self.items)

@@ -9,9 +9,13 @@ import pytest
 from photo_sets import FOCAL, SIZE, Files, look_at
 
 import isas_cli
+from isas_cli.cli import relight
 from isas_cli.cli.app import main
+from isas_cli.config.photographs import PhotosConfig
 from isas_cli.measure import relighting
 from isas_cli.runtime import backend, images
+from isas_cli.scene import relit
+from isas_cli.scene.photos.camera import Camera
 
 PLACES = (0.8, 0.9, 2.2), (-2.0, 0.6, 1.2)
 # Of a sphere whose colour is the only unknown, and begins near the truth.
@@ -103,7 +107,9 @@ def test_the_other_light_is_taken(run, capsys):
     assert found["mean"]["psnr_h"] > 38 and found["mean"]["ssim"] > 0.98
     assert f"{found['mean']['psnr_l']:.4g}" in out and "PSNR-H" in out
     shown = images.read(run / "run/relit/view_1.exr")
-    again = relighting.of_picture(shown, run / "set/view_1.exr", run / "set/masks/view_1.png", "")
+    (_, camera), over = relight._cameras(run / "set", PhotosConfig())
+    assert over == set()
+    again = relighting.of_picture(shown, camera, run / "set/masks/view_1.png", "", False)
     assert again == pytest.approx(found["views"]["view_1.exr"])
     for more in ([], ["--light", str(run / "sky.exr"), "--up=-y"]):
         assert scores(run, *more)["mean"]["psnr_h"] < found["mean"]["psnr_h"] - 6
@@ -140,3 +146,30 @@ def test_wrong_input_is_one_line(run, capsys, monkeypatch, tmp_path, more, told)
     monkeypatch.chdir(tmp_path)
     assert main(["relight", str(run / "run"), str(run / "set"), "--output", "out", *more]) == 2
     assert told in capsys.readouterr().err
+
+
+def test_cameras_stand_in_the_world_of_the_run(tmp_path, capsys):
+    """Where a set tells of two, and pictures are turned where the run's are."""
+    turn = np.eye(4)
+    turn[:3, 3] = 1.0, 2.0, 3.0
+    poses = [look_at(place, (0.0, 0.0, 0.0)) for place in PLACES]
+    photo_sets.transforms(Files(tmp_path, poses), applied_transform=turn[:3].tolist())
+    for world, way in (("file", np.eye(4)), ("mesh", np.linalg.inv(turn))):
+        (camera, _), _ = relight._cameras(tmp_path, PhotosConfig(world=world))
+        np.testing.assert_allclose(camera.to_world, way @ poses[0], atol=1e-6)
+        said = capsys.readouterr().err
+        assert "applied_transform" in said and ("stay" in said) == (world == "file")
+
+
+def test_pixels_that_are_not_square_are_made_so(tmp_path):
+    """As COLMAP's undistorter leaves them."""
+    x, y = (np.arange(10) + 0.5) / 10, (np.arange(16) + 0.5) / 16
+    tall = np.stack(np.broadcast_arrays(x[None] ** 2, y[:, None], 0.5), axis=2).astype(np.float32)
+    shown = tall.reshape(8, 2, 10, 3).mean(axis=1)
+    images.write_exr(tmp_path / "a.exr", tall, [*"RGB"], {})
+    camera = Camera("a", tmp_path / "a.exr", 10, 16, 20.0, 40.0, 5.0, 8.0, np.eye(4))
+    square = relit.cut(camera, None)
+    assert (square.width, square.height, square.fx, square.fy) == (10, 8, 20, 20)
+    images.write_png(tmp_path / "mask.png", np.full((16, 10, 3), 255, np.uint8))
+    found = relighting.of_picture(shown, camera, tmp_path / "mask.png", "", False)
+    assert found["psnr_h"] > 40

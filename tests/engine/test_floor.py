@@ -1,6 +1,7 @@
 """Where a run fits its targets' noise: foretold, reached, said, and stopped at."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from isas_cli.config.compose import compose
 from isas_cli.config.schema import TargetConfig
 from isas_cli.engine import assemble
 from isas_cli.engine.evaluate import Evaluator
+from isas_cli.engine.floor import _moved
+from isas_cli.engine.loop import Loop
 from isas_cli.losses import L2
 from isas_cli.runtime.errors import InputError
 
@@ -95,6 +98,30 @@ def test_a_run_stops_there_and_says_so(tmp_path, capsys):
     assert np.all(history[:-1] > floor)
     assert "what is left is the targets' noise" in summary["notes"][0]
     assert "what is left is the targets' noise" in " ".join(capsys.readouterr().err.split())
+    # Killed while its pictures were made, it has ended all the same.
+    path = folder / "summary.json"
+    path.write_text(json.dumps(summary | {"complete": False}))
+    assert main(["run", f"resume={folder}"]) == 0
+    assert record(folder)[1]["iterations"] == summary["iterations"]
+
+
+def test_an_error_that_cannot_be_told_is_no_end(monkeypatch):
+    loop = SimpleNamespace(
+        floor=SimpleNamespace(image_rmse=0.1), last={"image_rmse": 0.0}, evaluator=None
+    )
+    for unresolved in (False, True):
+        loop.evaluator = SimpleNamespace(unresolved=unresolved)
+        assert Loop.converged.fget(loop) == (not unresolved)
+
+
+def test_numbers_are_moved_by_their_own_size_not_by_their_range():
+    """Densities may be up to 1e4, parameters of an unknown renderer anything."""
+    rng = np.random.default_rng(0)
+    truth, seen = np.full(50, 2.0, np.float32), np.ones(50, bool)
+    wide = SimpleNamespace(truth=truth, start=1.5 * truth, seen=seen, low=0.001, high=1e4)
+    assert np.abs(_moved(wide, rng) - truth).max() == pytest.approx(0.1, rel=1e-3)
+    narrow = SimpleNamespace(truth=truth, start=truth, seen=seen, low=1.9, high=2.5)
+    assert np.abs(_moved(narrow, rng) - truth).max() == pytest.approx(0.03, rel=1e-3)
 
 
 def test_an_image_error_of_none_is_said_to_be_no_perfect_fit(tmp_path, monkeypatch):
@@ -127,12 +154,15 @@ def test_one_setting_says_how_clean_targets_are():
 @pytest.mark.parametrize(
     ("words", "parts"),
     [
-        (["run", "target.spp=1"], ["budget.converged=true", "not known"]),
+        (["run", "target.spp=1"], ["budget.converged=true", "one path a pixel"]),
+        (["run", "target.spp=2", "scene.weights=equal"], ["where views have weights"]),
+        (["run", "scene=occlusion", "~scene.method"], ["'red.depth', which moves objects"]),
         (["race", "samplers=uniform,ours", "target.spp=2"], ["a race gives all the same time"]),
     ],
 )
 def test_where_it_cannot_stop_it_says_why(capfd, words, parts, tmp_path):
-    command = [*words, *(each for each in TINY if not each.startswith("sampler"))]
+    tiny = [each for each in TINY if not each.startswith("sampler")]
+    command = [words[0], *tiny, *words[1:]]
     assert main([*command, "budget.converged=true", f"hydra.run.dir={tmp_path / 'r'}"]) == 2
     said = " ".join(capfd.readouterr().err.split())
     for part in parts:

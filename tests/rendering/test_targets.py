@@ -4,16 +4,19 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from scenes_for_tests import ROUGHNESS, TEXTURE, dictionary, problem
+from isas_cli.scenes import kirby
+from scenes_for_tests import ROUGHNESS, TEXTURE, dictionary, problem, without_targets
+from shapes_for_tests import ball, shaped
 
-from isas_cli.config.schema import TargetConfig
+from isas_cli.config.schema import TargetConfig, UnknownConfig
 from isas_cli.engine import assemble
 from isas_cli.engine.evaluate import Evaluator
 from isas_cli.losses import L2
 from isas_cli.rendering import coverage, targets
 from isas_cli.rendering.renderer import Renderer
-from isas_cli.runtime import images
+from isas_cli.runtime import backend, images
 from isas_cli.runtime.errors import InputError
+from isas_cli.scene import built
 from isas_cli.unknowns.kind import well_seen
 
 
@@ -185,3 +188,38 @@ def test_a_given_target_without_colours_is_said(tmp_path, channels):
     told = p.warnings[len(before) :]
     assert len(told) == (channels == ["Y"])
     assert all("no colours" in each and str(files[0]) in each for each in told)
+
+
+def test_targets_of_what_unknowns_write_otherwise_are_others():
+    """A file's own normals are not those that a shape's unknown vertices have."""
+    with backend.loading():
+        figure = shaped(*ball(2), "figure")
+    values = mi.traverse(figure)
+    normals = np.array(values["vertex_normals"]).reshape(-1, 3) + [0.3, 0, 0]
+    values["vertex_normals"] = mi.Float(
+        (normals / np.linalg.norm(normals, axis=1)[:, None]).ravel()
+    )
+    values.update()
+    described = kirby.build(1, 8, 2) | {"figure": figure}
+    keys = []
+    for unknown in ("figure.bsdf.reflectance.value", "figure.vertices"):
+        p = without_targets(
+            described, {unknown: UnknownConfig(start=0.4 if "bsdf" in unknown else "smooth")}
+        )
+        keys.append(targets.render(p, paths(4), silent)[2])
+        replaced = [key for key, _ in p.unknowns.replaced()]
+        assert replaced == ([] if "bsdf" in unknown else ["figure.vertex_normals"])
+    assert keys[0] != keys[1]
+
+
+def test_what_a_builder_says_beside_arrays_is_in_the_hash():
+    """Mitsuba's own text of a bitmap leaves its wrap mode out."""
+    texture = {"type": "bitmap", "data": np.zeros((2, 2, 3)), "wrap_mode": "clamp"}
+    place = mi.ScalarTransform4f().translate([1, 2, 3.0000001])
+    first = built.told({"a": {"texture": texture, "to_world": place}})
+    assert "clamp" in first and "ndarray" in first
+    assert first != built.told(
+        {"a": {"texture": texture | {"wrap_mode": "mirror"}, "to_world": place}}
+    )
+    moved = mi.ScalarTransform4f().translate([1, 2, 3.5])
+    assert first != built.told({"a": {"texture": texture, "to_world": moved}})

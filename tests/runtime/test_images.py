@@ -393,3 +393,22 @@ def test_a_picture_that_cannot_be_written_leaves_the_earlier_one(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["a.exr"]
     with pytest.raises(IsasError, match="cannot be written"):
         images.write_exr(path / "below" / "b.exr", image, ["R", "G", "B"], {})
+
+
+def test_a_cropped_exr_lies_where_it_belongs(tmp_path):
+    """Renderers leave out what is empty: the data window is a part of the display window."""
+    path, part = tmp_path / "cropped.exr", picture(3, 4)
+    spec = oiio.ImageSpec(4, 3, 3, oiio.FLOAT)
+    spec.x, spec.y, spec.full_width, spec.full_height = 2, 1, 7, 5
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec) and output.write_image(part)
+    output.close()
+    found = images.read(path)
+    assert images.size(path) == (7, 5) and found.shape == (5, 7, 3)
+    assert np.array_equal(found[1:4, 2:6], part) and found.sum() == pytest.approx(part.sum())
+
+
+def test_a_bmp_is_not_multiplied_by_its_alpha(tmp_path):
+    path = tmp_path / "half.bmp"
+    Image.fromarray(np.full((3, 4, 4), (200, 200, 200, 128), np.uint8)).save(path)
+    assert images.has_alpha(path) and not images.multiplied(path)

@@ -6,6 +6,10 @@ import subprocess
 import sys
 import time
 
+import pytest
+
+from isas_cli.runtime import interrupt
+
 _LOOP = """
 import time
 from isas_cli.runtime import interrupt
@@ -34,3 +38,14 @@ def test_a_suspended_run_is_not_billed():
     loop.send_signal(signal.SIGINT)
     billed = float(loop.communicate()[0])
     assert 0 < billed < time.perf_counter() - begun - 2
+
+
+def test_what_is_held_is_done_before_ctrl_c_counts():
+    done = []
+    with pytest.raises(KeyboardInterrupt), interrupt.prompt():
+        with interrupt.held():
+            signal.raise_signal(signal.SIGINT)
+            done.append("first")
+            done.append("second")
+        done.append("never")
+    assert done == ["first", "second"]

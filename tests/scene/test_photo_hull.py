@@ -1,6 +1,7 @@
 """The visual hull of alpha or masks: where there is no mesh."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -135,10 +136,40 @@ def test_labels_that_are_no_outline_are_named(ball):  # noqa: F811
         picture = np.array(Image.open(ball / f"{number}.png"))
         label = np.where(picture[..., 3] > 127, 2, 1).astype(np.uint8)
         label[:2] = 0
-        Image.fromarray(label if number % 2 else 3 - label).save(ball / f"masks/{number}.png")
+        Image.fromarray(label).save(ball / f"masks/{number}.png")
         Image.fromarray(picture[..., :3]).save(ball / f"{number}.png")
+    content = json.loads((ball / "transforms.json").read_text())
+    for frame in content["frames"][::2]:
+        place = np.array(frame["transform_matrix"])
+        place[:3, 3] += 3 * place[:3, 0]
+        frame["transform_matrix"] = place.tolist()
+    (ball / "transforms.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match="png holds several values, .* as labels are"):
         load(ball)
+
+
+def test_pictures_without_an_end_of_the_object_are_no_hull(ball):  # noqa: F811
+    around(ball)
+    for number in range(14):
+        pixels = np.array(Image.open(ball / f"{number}.png"))
+        pixels[..., 3] = 255
+        Image.fromarray(pixels).save(ball / f"{number}.png")
+    with pytest.raises(InputError, match="nothing says where it ends: save masks"):
+        load(ball)
+
+
+def test_an_unknown_margin_ends_nothing(ball):  # noqa: F811
+    """What a lens leaves empty at a picture's border says no more than the border itself."""
+    around(ball)
+    shown = load(ball).shown
+    for each in shown:
+        each.part[:] = np.roll(each.part, -HEIGHT // 2, axis=0)
+        each.part[HEIGHT // 2 :] = 0
+    before = hull.bounds(shown)
+    for each in shown:
+        each.part = np.pad(each.part, ((2, 0), (0, 0)), constant_values=-1)
+        each.camera = replace(each.camera, height=each.camera.height + 2, cy=each.camera.cy + 2)
+    np.testing.assert_allclose(hull.bounds(shown), before)
 
 
 def test_specks_are_left_out_and_said(ball):  # noqa: F811

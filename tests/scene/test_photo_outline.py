@@ -206,6 +206,34 @@ def test_an_alpha_that_says_nothing_is_doubted_or_refused(ball):
         told(ball, background="black")
 
 
+def test_an_alpha_of_ones_leaves_the_word_to_masks(ball):
+    """As programs write it that know of no alpha."""
+    (ball / "masks").mkdir()
+    for number in range(4):
+        rewrite(ball, number, np.ones((HEIGHT, WIDTH)))
+        Image.fromarray(np.uint8(255 * (covered() > 0.5))).save(ball / f"masks/{number}.png")
+    for each in load(ball, background="black"):
+        assert 0.5 < each.part.sum() / covered().sum() < 1.5
+
+
+def test_smaller_pictures_keep_their_outline(ball):
+    """Where object and wall are patterns, a border pixel's share is not told by its colour."""
+    rng = np.random.default_rng(2)
+    (ball / "masks").mkdir()
+    for number in range(4):
+        inside = np.kron(covered(), np.ones((4, 4))) > 0.5
+        colours = np.where(inside[..., None], 60, 190) + rng.integers(-50, 50, (*inside.shape, 1))
+        Image.fromarray(np.uint8(np.repeat(colours, 3, axis=2))).save(ball / f"{number}.png")
+        Image.fromarray(np.uint8(255 * inside)).save(ball / f"masks/{number}.png")
+    content = json.loads((ball / "transforms.json").read_text())
+    for name in ("w", "h", "fl_x", "cx", "cy"):
+        content[name] *= 4
+    (ball / "transforms.json").write_text(json.dumps(content))
+    whole, small = (load(ball, background="black", width=w)[0].part for w in (None, WIDTH))
+    assert (whole < 0).any() and not (small < 0).any()
+    assert small.sum() == pytest.approx(covered().sum(), rel=0.05)
+
+
 def test_an_environment_that_is_not_there_is_refused_at_once(ball):
     with pytest.raises(InputError, match="photos.environment=gone.exr: no such picture file"):
         told(ball, environment="gone.exr")

@@ -101,6 +101,20 @@ def test_metashapes_rigs_are_told(tmp_path):
     assert "1 cameras, first beside, hang on others in a rig" in note and "COLMAP" in note
 
 
+def test_metashapes_active_component_counts(tmp_path):
+    metashape(tmp_path)
+    file = tmp_path / "cameras.xml"
+    text_ = file.read_text().replace(
+        'id="0" sensor_id="0" component_id="0"', 'id="0" sensor_id="0" component_id="1"', 1
+    )
+    file.write_text(text_)
+    capture = reading.read(str(tmp_path))
+    assert [camera.name for camera in capture.cameras] == ["view_1", "view_2"]
+    assert any(
+        "1 cameras, first view_0, are of another component" in note for note in capture.notes
+    )
+
+
 def test_metashapes_lens(tmp_path):
     """By the manual's formulas, written out: P1 and P2 the other way round, B1 and B2."""
     k1, k2, k3, k4, p1, p2, b1, b2 = 0.1, -0.05, 0.02, 0.01, 0.003, 0.002, 1.5, 0.7
@@ -160,6 +174,8 @@ def test_polycam(tmp_path, kind):
     assert capture.cameras[0].name == f"keyframes/{kind}images/view_0.png"
     assert bool(capture.notes) == (kind == "")
     assert agree(tmp_path, cameras="keyframes").kind == "Polycam"
+    for named in (f"keyframes/{kind}cameras", f"keyframes/{kind}cameras/view_1.json"):
+        assert agree(tmp_path, cameras=named).kind == "Polycam"
 
 
 def test_polycams_mesh_is_in_a_world_of_its_own(tmp_path):
@@ -379,3 +395,36 @@ def test_what_of_arrays_is_refused(tmp_path):
     (tmp_path / "cameras_sphere.npz").unlink()
     np.save(tmp_path / "poses_bounds.npy", np.zeros((3, 16)))
     refused(tmp_path, "poses_bounds.npy: is no table of 17 numbers a row")
+
+
+def test_xmp_of_several_components_is_refused(tmp_path):
+    xmp(tmp_path, ComponentId="{A}")
+    assert len(reading.read(str(tmp_path)).cameras) == 3
+    file = tmp_path / "view_1.xmp"
+    file.write_text(file.read_text().replace("{A}", "{B}"))
+    refused(tmp_path, "its XMP files are of 2 components, whose poses share no world")
+
+
+def test_the_first_format_is_not_asked_what_others_are(tmp_path):
+    photo_sets.transforms(Files(tmp_path, POSES))
+    for name in ("left.yaml", "right.yaml"):
+        (tmp_path / name).write_text("camera_matrix: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n")
+    assert len(reading.read(str(tmp_path)).cameras) == 3
+
+
+def test_a_name_of_two_views_is_refused(tmp_path):
+    content = photo_sets.transforms(Files(tmp_path, POSES))
+    for number, frame in enumerate(content["frames"][:2]):
+        (tmp_path / f"cam{number}").mkdir()
+        (tmp_path / frame["file_path"]).rename(tmp_path / f"cam{number}/000.exr")
+        frame["file_path"] = f"cam{number}/000.exr"
+    photo_sets.write(tmp_path / "transforms.json", content)
+    capture = reading.read(str(tmp_path))
+    with pytest.raises(InputError, match="000.exr is the name of 2 views, cam0/000.exr and cam1"):
+        reading.split(capture, ["000.exr"])
+    assert [c.name for c in reading.split(capture, ["cam1/000.exr"])[1]] == ["cam1/000.exr"]
+
+
+def test_a_theta_lens_of_zero_is_one(tmp_path):
+    photo_sets.transforms(Files(tmp_path, POSES), ftheta_p0=0.0)
+    refused(tmp_path, "ftheta_p0; valid: ")

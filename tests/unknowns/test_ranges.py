@@ -135,3 +135,23 @@ def test_what_an_object_lacks_at_present_is_no_unknown():
     params = ball(type="hair")
     assert "ball.bsdf.sigma_a" in params
     assert "ball.bsdf.sigma_a" not in registry.offered(Loaded(params))
+
+
+def test_a_range_that_is_given_may_be_wider_than_the_usual_one():
+    """It is what messages advise, and values may go there."""
+    params, key = ball(type="principled", clearcoat=1.75), "ball.bsdf.clearcoat.value"
+    (found,) = parse(params, {key: UnknownConfig(start=0.5, range=[0, 1.75])}, True)
+    assert (found.low, found.high) == pytest.approx((0, 1.75), abs=1e-5)
+    fog = {"type": "homogeneous", "sigma_t": 0.5, "albedo": 0.7}
+    described = {"type": "scene", "box": {"type": "cube", "interior": fog}}
+    params = mi.traverse(mi.load_dict(described, optimize=False))
+    key = "box.interior_medium.albedo.value.value"
+    (found,) = parse(params, {key: UnknownConfig(start=5.0, range=[0, 10])}, False)
+    assert found.high == 10 and found.start.max() == 5
+    # A hair from an end of its own that has no derivative, and whatever is narrower.
+    params, key = ball(type="principled", metallic=0.5), "ball.bsdf.metallic.value"
+    for given in (None, [0, 1], [0.2, 0.7]):
+        (found,) = parse(params, {key: UnknownConfig(start=0.5, range=given)}, True)
+        bare = found.kind.bare
+        wanted = (0.2, 0.7) if given == [0.2, 0.7] else (bare[0], 1 - bare[1])
+        assert (found.low, found.high) == pytest.approx(wanted)

@@ -55,8 +55,9 @@ class Job:
         status = summary.get("status")
         if status == "done" and summary.get("complete", True):
             return DONE
-        # "done" without the rest of its record: killed while its pictures were made.
-        stopped = status in (None, "interrupted", "done") or summary.get("killed")
+        # "done" without the rest of its record: killed while its pictures were made. What failed
+        # otherwise than by its numbers, such as on a full disk, goes on as well.
+        stopped = status != "numerical failure"
         checkpoint = (self.folder / "checkpoint" / "state.npz").exists()
         return UNFINISHED if stopped and checkpoint else FAILED
 

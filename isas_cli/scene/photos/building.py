@@ -267,7 +267,10 @@ def glass(photographs: Photographs) -> Glass:
     whose cameras are alike in all numbers; those of views held out alone, or, of ``each`` picture
     its own, of all held out, are not unknown."""
     settings, cameras = photographs.settings, [each.camera for each in photographs.all]
-    told = [(c.width, c.height, c.fx, c.cx, c.cy) for c in cameras]
+    # As their files have them, before distortion was taken out.
+    before = {c.name: c for c in photographs.capture.cameras}
+    read = [before[c.name] for c in cameras]
+    told = [(c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.lens) for c in read]
     if settings.lenses == "each":
         told = [(c.name,) for c in cameras]
     shown = len(photographs.shown)

@@ -126,10 +126,11 @@ def bounds(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:
             seen = np.flatnonzero(inside.any(axis=1 - axis))
             if not seen.size:
                 continue
-            # Where it is cut off by the picture's border nothing is known of it.
-            if seen[0] > 0:
+            # Where it is cut off by the border of what is known nothing is known of it.
+            known = np.flatnonzero((each.part >= 0).any(axis=1 - axis))
+            if seen[0] > known[0]:
                 planes.append(of - (seen[0] - middle) / focal * depth)
-            if seen[-1] < inside.shape[axis] - 1:
+            if seen[-1] < known[-1]:
                 planes.append((seen[-1] + 1 - middle) / focal * depth - of)
         rows += [-plane[:3] for plane in planes]
         limits += [plane[3] for plane in planes]
@@ -148,6 +149,12 @@ def bounds(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:
                 raise InputError(
                     "photos.start=hull: no place lies within the object's outline in every view: "
                     f"{_unfit(photographs)}"
+                )
+            if all((each.part[each.part >= 0] > 0.5).all() for each in photographs):
+                raise InputError(
+                    "photos.start=hull: by alpha the object fills all of every picture, so nothing "
+                    "says where it ends: save masks of the pictures' names in masks/, or give "
+                    "photos.mesh"
                 )
             if solved.status != 0:
                 raise InputError(

@@ -23,8 +23,6 @@ _FORMAT = 1
 # Points a side of each new pixel at which a photograph is looked up, at most: one for each old
 # pixel that it covers.
 _MOST = 16
-# Files that hold any brightness, and are never full.
-_FLOATS = (".exr", ".hdr", ".pfm")
 # Pixels, to which a camera is made small where it is only asked what resampling does to noise.
 _SMALL = 256
 # In place of whether the background counts: it does, and is black in photographs and renderings.
@@ -66,8 +64,11 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
     camera = turns.resized(camera, image.shape[1::-1], settings)
     alpha, part = images.read_alpha(camera.image, turned), None
     given = None if camera.mask is None else _given_mask(camera, settings, turned)
+    if alpha is not None and given is not None and not camera.hides and (alpha >= _WHOLE).all():
+        alpha = None  # as programs write it that know of none
     if settings.background == BLACK:
         part, associated = _part(camera, alpha, None if camera.hides else given)
+        told = part
         if alpha is None and np.isin(part, (0, 1)).all():
             image, part = outlines.softened(image, part)
         elif not associated:
@@ -93,8 +94,12 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
         image, mask = made["image"], made["mask"]
         variance = None if variance is None else variance * _noise_kept(camera, target)
         if part is not None:
+            known = (part >= 0).astype(np.float32)
+            if target.width < camera.width:
+                # Or each small pixel of the border would be unknown: the mask is right to half one.
+                part, known = np.where(part < 0, told, part), np.ones_like(known)
             grey = np.repeat(part[..., None], 3, axis=2)
-            shrunk, inside = resample(camera, target, grey, (part >= 0).astype(np.float32))
+            shrunk, inside = resample(camera, target, grey, known)
             part = np.where(inside > 0, shrunk[..., 0], -1).astype(np.float32)
     if not mask.any():
         if counted and target.width < camera.width:
@@ -143,7 +148,7 @@ def _mask(
         # A pixel that is partly transparent shows what is behind as well.
         mask *= alpha >= _WHOLE
         lost["transparent"] = int(np.count_nonzero(alpha < _WHOLE))
-    if settings.saturated is not None and camera.image.suffix.lower() not in _FLOATS:
+    if settings.saturated is not None and images.counted(camera.image):
         # Said of the file's numbers, not of light.
         full = picture.brightest >= np.float32(settings.saturated)
         if part is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import struct
 from pathlib import Path
 
@@ -42,8 +43,17 @@ def _of(path: Path) -> str:
 
 
 def _file(folder: Path) -> Path | None:
-    files = (folder / f"cameras.{ending}" for ending in ("txt", "bin"))
-    return next((file for file in files if file.is_file()), None)
+    """Its cameras: binary where both are whole, as COLMAP reads it, if it can be read here."""
+    files = [folder / f"cameras.{ending}" for ending in ("bin", "txt")]
+    files = [file for file in files if file.is_file()]
+    whole = [
+        file
+        for file in files
+        if all(file.with_name(f"{name}{file.suffix}").is_file() for name in ("images", "points3D"))
+    ]
+    if len(whole) == 2 and importlib.util.find_spec("pycolmap") is None:
+        return whole[1]
+    return (whole or files or [None])[0]
 
 
 def images(file: Path) -> int:
@@ -67,7 +77,16 @@ def images(file: Path) -> int:
 def notes(model: Path, root: Path) -> list[str]:
     """What to say of a ``model`` that was taken from ``root`` although there are more."""
     file, found = chosen(root)
-    if len(found) < 2 or file is None or file.parent != model:
+    if file is None or file.parent != model:
+        return []
+    both = [model / f"{name}.{end}" for name in ("cameras", "images") for end in ("bin", "txt")]
+    if all(each.is_file() for each in both):
+        other = model / f"cameras{'.txt' if file.suffix == '.bin' else '.bin'}"
+        return [
+            f"{model} holds its model twice: {file.name} is taken, and {other.name} is not: move "
+            "the one away that is not the latest"
+        ]
+    if len(found) < 2:
         return []
     told = [f"{each.parent.relative_to(root)} ({count} images)" for each, count in found]
     other = next(each.parent for each, _ in found if each != file)

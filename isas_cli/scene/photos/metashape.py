@@ -53,11 +53,15 @@ def read(file: Path, asked: Asked) -> Capture:
     sensors = {each.get("id"): each for each in chunk.findall("sensors/sensor")}
     worlds = {each.get("id"): each.find("transform") for each in chunk.iter("component")}
     folders = layouts.pictures(file.parent, asked.root)
-    cameras, lost, rigged, aligned = [], [], [], 0
+    cameras, lost, rigged, beside, aligned = [], [], [], [], 0
+    active = _active(chunk)
     for each in chunk.iter("camera"):
         label = each.get("label", "")
         if each.find("transform") is None or each.get("enabled") in ("false", "0"):
             (rigged if each.get("master_id") is not None else lost).append(label)
+            continue
+        if active is not None and each.get("component_id") != active:
+            beside.append(label)
             continue
         where = f"{file}: camera {label}"
         if each.get("sensor_id") not in sensors:
@@ -78,6 +82,11 @@ def read(file: Path, asked: Asked) -> Capture:
     notes = []
     if lost:
         notes = [f"{file}: {len(lost)} cameras are not aligned or disabled, first {lost[0]}"]
+    if beside:
+        notes.append(
+            f"{file}: {len(beside)} cameras, first {beside[0]}, are of another component than the "
+            "active one, in a world of its own: left out"
+        )
     if rigged:
         notes.append(
             f"{file}: {len(rigged)} cameras, first {rigged[0]}, hang on others in a rig, which is "
@@ -101,6 +110,15 @@ def _camera(
         described=where.partition(": camera")[0],
         **_inner(sensors[each.get("sensor_id")], where),
     )
+
+
+def _active(chunk: ElementTree.Element) -> str | None:
+    """The component that counts, where cameras are of several."""
+    posed = [each for each in chunk.iter("camera") if each.find("transform") is not None]
+    if len({each.get("component_id") for each in posed}) < 2:
+        return None
+    components = chunk.find("components")
+    return None if components is None else components.get("active_id")
 
 
 def _numbers(element: ElementTree.Element, path: str, count: int, where: str) -> list[float]:

@@ -31,6 +31,8 @@ def claims(file: Path) -> bool:
 
 def find(folder: Path) -> Path | None:
     """The first camera's file."""
+    if folder.name in dict(_PAIRS) and folder.with_name(dict(_PAIRS)[folder.name]).is_dir():
+        return next(iter(sorted(folder.glob("*.json"))), None)
     for place in _PLACES:
         for cameras, pictures in _PAIRS:
             if (folder / place / pictures).is_dir():

@@ -65,15 +65,17 @@ def read(path: str, test=None, cameras: str | None = None, world: str = "mesh") 
 
 def _found(folder: Path, where: str):
     """The format of a folder, and the file that says so. ``where``: for messages."""
-    found = [(module, file) for module in _FORMATS if (file := module.find(folder)) is not None]
-    if not found:
+    # The first alone: others may ask which of their files is meant.
+    every = ((module, module.find(folder)) for module in _FORMATS)
+    found = next((each for each in every if each[1] is not None), None)
+    if found is None:
         raise InputError(
             f"{where}: no cameras there: looked for {ours.NAME}, "
             f"{', '.join(transforms.NAMES)}, COLMAP's cameras.txt and cameras.bin (also below "
             "sparse and dense), OpenCV's YAML or XML, Metashape's XML, Polycam's keyframes, "
             "RealityCapture's XMP, NeuS' cameras_sphere.npz and LLFF's poses_bounds.npy"
         )
-    return found[0]
+    return found
 
 
 def _named_file(folder: Path, cameras: str):
@@ -83,7 +85,9 @@ def _named_file(folder: Path, cameras: str):
         return _found(place, f"photos.cameras={cameras}")
     if not place.is_file():
         raise InputError(f"photos.cameras={cameras}: no such file or folder in {folder}")
-    module = next((module for module in _FORMATS if module.claims(place)), None)
+    # Any other JSON may be of nerfstudio's form.
+    asked = sorted(_FORMATS, key=lambda module: module is transforms)
+    module = next((module for module in asked if module.claims(place)), None)
     if module is None:
         raise InputError(f"photos.cameras={cameras}: is of no format of cameras that isas reads")
     return module, place
@@ -117,9 +121,16 @@ def split(capture: Capture, test) -> tuple[list[Camera], list[Camera]]:
 
 
 def _named(cameras: list[Camera], name: str) -> Camera:
-    for camera in cameras:
-        if name in (camera.name, Path(camera.name).name, Path(camera.name).stem):
-            return camera
+    names = [(c.name, Path(c.name).name, Path(c.name).stem) for c in cameras]
+    for part in range(3):
+        found = [camera for camera, each in zip(cameras, names) if each[part] == name]
+        if len(found) > 1:
+            raise InputError(
+                f"photos.test: {name} is the name of {len(found)} views, "
+                f"{' and '.join(each.name for each in found[:2])}: give it with its folder"
+            )
+        if found:
+            return found[0]
     raise InputError(
         f"photos.test: no view {name}; {nearest(name, [camera.name for camera in cameras][:40])}"
     )

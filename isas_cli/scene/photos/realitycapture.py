@@ -26,6 +26,7 @@ _SPACE = "{http://www.capturingreality.com/ns/xcr/1.1#}"
 _FILM = 36.0  # mm
 _LENSES = ("perspective", "brown3", "brown4", "brown3t2", "brown4t2")
 _POSE = {"Rotation", "Position"}
+_COMPONENT = "ComponentId"
 _WAY_OUT = "export the registration for COLMAP, or undistorted pictures with XMP"
 
 
@@ -59,6 +60,12 @@ def read(file: Path, asked: Asked) -> Capture:
     lost = [each.name for each in files if each not in posed]
     if not posed:
         raise InputError(f"{file}: no XMP file there holds Rotation and Position of a camera")
+    parts = {told[each][_COMPONENT] for each in posed if _COMPONENT in told[each]}
+    if len(parts) > 1:
+        raise InputError(
+            f"{file.parent}: its XMP files are of {len(parts)} components, whose poses share no "
+            "world: remove those of earlier exports, or export one component"
+        )
     cameras = [present(_camera, each, told[each], asked.root) for each in posed]
     found = [camera for camera in cameras if camera is not None]
     notes = [f"{file.parent}: {len(lost)} XMP files hold no pose, first {lost[0]}"] if lost else []

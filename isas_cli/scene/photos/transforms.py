@@ -36,7 +36,7 @@ TEST = "transforms_test.json"
 _PERSPECTIVE = "PERSPECTIVE"
 _NUMBERS = tuple(f"k{n}" for n in range(1, 7)) + ("p1", "p2")
 # Of instant-ngp: these make a picture something else than a lens does, or move the camera.
-_OTHERS = ("ftheta_p0", "latlong", "equirectangular", "orthographic")
+_THETA, _OTHERS = "ftheta_p0", ("latlong", "equirectangular", "orthographic")
 # From the camera's axes as the file has them to x right, y down, z forward.
 TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -193,6 +193,8 @@ def _lens(both: dict, where: str) -> Lens:
     if model == _PERSPECTIVE:
         model = "OPENCV"
     other = next((name for name in _OTHERS if both.get(name)), None)
+    if _THETA in both:  # whose number may be 0
+        other = _THETA
     if other is not None or not isinstance(model, str) or model not in models.PARAMETERS:
         told = f"camera_model {model}" if other is None else other
         valid = ", ".join(models.PARAMETERS)
