@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 from isas_cli import records
 from isas_cli.cli.app import main
 from isas_cli.cli.sweeps import fingerprint, launchers, worker
-from isas_cli.cli.sweeps.job import Report
+from isas_cli.cli.sweeps.job import UNFINISHED, Job, Report
 from isas_cli.cli.sweeps.outcome import Outcome, exit_status
 from isas_cli.config import schema
 from isas_cli.config.compose import compose
@@ -156,6 +156,11 @@ def test_interrupted_and_killed_jobs_go_on_where_they_were(isas):
     first = records.load(folder)
     assert first.summary["status"] == "interrupted"
     assert len(list(folder.parent.iterdir())) == 1  # nothing of the second job
+
+    # So does one that ended by a full disk, or by a renderer of one's own.
+    (folder / "summary.json").write_text(json.dumps(first.summary | {"status": "failed"}))
+    assert Job("", [], folder, OmegaConf.load(folder / "config.yaml")).found() == UNFINISHED
+    (folder / "summary.json").write_text(json.dumps(first.summary))
 
     with pytest.MonkeyPatch.context() as patched:  # a resumption that is refused costs nothing
         patched.setattr(worker, "run", lambda *unused: Report(2, "another machine"))

@@ -294,6 +294,16 @@ def test_what_is_not_set_is_measured(monkeypatch, tmp_path):
         assert ("as set" in plan.statements["light samples"]) == (not ways)
 
 
+def test_nothing_is_cut_while_differences_need_it(monkeypatch, tmp_path):
+    """Beside path replay: they are not among the gradients that the probe looks at."""
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    p, loose = problem({TEXTURE: 0.5}, depth=4), {"tolerance": 0.9, "derivative_tolerance": 0.9}
+    assert decided(p, 60.0, **loose, **ONE).paths.depth < 4
+    monkeypatch.setattr(p.unknowns[TEXTURE].kind, "aside", "not rightly", raising=False)
+    p.target_hash = "another, or the plan would be the one that is kept"
+    assert decided(p, 60.0, **loose, **ONE).paths.depth == 4
+
+
 def behind_a_mirror(*more, moves: bool = False):
     """A wall that only a mirror shows, lit by a sky. ``more``: where other cameras look at.
     ``moves``: its place is unknown, not its albedo."""

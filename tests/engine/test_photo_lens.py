@@ -1,5 +1,8 @@
 """Unknown lenses of photographs: which way rays go, who shares one, and that they are found."""
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import _drawn_box as box
 import drjit as dr
 import mitsuba as mi
@@ -10,6 +13,7 @@ from shapes_for_tests import covered
 import isas_cli
 from isas_cli import losses
 from isas_cli.config.compose import compose, translate
+from isas_cli.config.schema import PhotosConfig
 from isas_cli.engine import experiment
 from isas_cli.engine.choices import Choices
 from isas_cli.engine.display import Display
@@ -21,6 +25,9 @@ from isas_cli.rendering.outline import Cameras
 from isas_cli.runtime import backend, streams
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene import export
+from isas_cli.scene.photos import building
+from isas_cli.scene.photos.camera import Camera
+from isas_cli.scene.photos.lens import Lens
 
 QUIET = ["scene=photos", "evaluation.count=2", "frames.views=0", "frames.snapshots=0"]
 QUIET += ["report=false", "estimator.batch=4096"]
@@ -103,6 +110,26 @@ def test_lenses_are_shared_by_cameras_that_are_alike(taken, tmp_path):
     two = problem(f"photos.path={tmp_path}", *taken[1:], "photos.lens=[focal]")
     assert list(two.unknowns["lens"].kind.glass.of) == [0, 1, 0]
     assert list(two.unknowns["lens"].kind.told(np.zeros((2, 1)))) == ["0.png", "1.png"]
+
+
+def test_lenses_of_unlike_distortion_are_not_shared():
+    """Although their pictures look alike once it is taken out."""
+    cameras = [
+        Camera(name, Path(name), 40, 30, 50.0, fy, 20.0, 15.0, np.eye(4), lens=lens)
+        for name, fy, lens in (
+            ("a", 50.0, Lens()),
+            ("b", 50.0, Lens(radial=(0.1, 0.0, 0.0, 0.0))),
+            ("c", 51.0, Lens()),
+            ("d", 50.0, Lens()),
+        )
+    ]
+    taken = SimpleNamespace(
+        settings=PhotosConfig(lens=["focal"]),
+        all=[SimpleNamespace(camera=each.pinhole()) for each in cameras],
+        shown=cameras,
+        capture=SimpleNamespace(cameras=cameras),
+    )
+    assert list(building.glass(taken).of) == [0, 1, 2, 0]
 
 
 @pytest.mark.parametrize(
