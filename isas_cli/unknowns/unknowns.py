@@ -111,8 +111,10 @@ class Unknowns:
         """Of what the unknowns write, by the scene's parameter."""
         found = {}
         for key in self.params.keys():
-            array = np.ascontiguousarray(np.array(read(self.params, key)))
-            found[key] = hashlib.blake2b(array.tobytes(), digest_size=16).hexdigest()
+            value = read(self.params, key)
+            array = np.frombuffer(b"", np.uint8) if value is None else np.array(value)
+            flat = np.ascontiguousarray(array).ravel()
+            found[key] = hashlib.blake2b(flat, digest_size=16).hexdigest()
         return found
 
     def replaced(self) -> list[tuple[str, str]]:

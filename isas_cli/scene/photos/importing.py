@@ -68,7 +68,7 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
         alpha = None  # as programs write it that know of none
     if settings.background == BLACK:
         part, associated = _part(camera, alpha, None if camera.hides else given)
-        told = part
+        plain = part
         if alpha is None and np.isin(part, (0, 1)).all():
             image, part = outlines.softened(image, part)
         elif not associated:
@@ -97,7 +97,7 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
             known = (part >= 0).astype(np.float32)
             if target.width < camera.width:
                 # Or each small pixel of the border would be unknown: the mask is right to half one.
-                part, known = np.where(part < 0, told, part), np.ones_like(known)
+                part, known = np.where(part < 0, plain, part), np.ones_like(known)
             grey = np.repeat(part[..., None], 3, axis=2)
             shrunk, inside = resample(camera, target, grey, known)
             part = np.where(inside > 0, shrunk[..., 0], -1).astype(np.float32)
