@@ -33,7 +33,8 @@ class Bumps(Texture):
 
     def __init__(self, key: str, loaded: Loaded):
         super().__init__(key, loaded)
-        self.present = self.normal(self.present)
+        read, self.present = self.present, self.normal(self.present)
+        self.rewrites |= not np.array_equal(read, self.present)
 
     def normal(self, array: np.ndarray) -> np.ndarray:
         directions = 2 * array.astype(np.float64) - 1

@@ -28,7 +28,8 @@ class Direction(Kind):
 
     def __init__(self, key: str, loaded: Loaded):
         super().__init__(key, loaded)
-        self.present = self.normal(self.present)
+        read, self.present = self.present, self.normal(self.present)
+        self.rewrites |= not np.array_equal(read, self.present)
         self.range, self.unit = (-np.inf, np.inf), "radians"
 
     def write(self, leaf, written: dict) -> None:

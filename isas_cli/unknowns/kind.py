@@ -88,6 +88,8 @@ class Kind:
 
     ``order``: of those that write the same parameter, the lower comes first. ``settings``: what the
     configuration says of it beside ``scene.unknowns``, in a text that changes as that does.
+    ``rewrites``: whether the truth, once it is written, is another than the file has: values are
+    lifted from ends of ranges, and a shape's normals are its own.
     ``doublings``: how often a coarser version of it may double its resolution before it is whole;
     ``undivided``: what a user is told who wants levels of what has none. ``levels``: how many it
     passes through, as configured.
@@ -117,6 +119,7 @@ class Kind:
     uniform: bool = False
     doubtful: bool = False
     doublings: int = 0
+    rewrites: bool = False
     levels: int = 1
     undivided: ClassVar[str] = "one level; leave it out"
     carried: bool = True
@@ -148,9 +151,9 @@ class Kind:
         self.bare = bare(loaded.params, key)
         low, high = self.kept(*self.range)
         legal = (self.present >= self.range[0]) & (self.present <= self.range[1])
-        self.present = np.where(legal, np.clip(self.present, low, high), self.present).astype(
-            np.float32
-        )
+        kept = np.where(legal, np.clip(self.present, low, high), self.present).astype(np.float32)
+        self.rewrites = not np.array_equal(kept, self.present, equal_nan=True)
+        self.present = kept
         self.role = role(loaded.params, key)
 
     def kept(self, low: float, high: float) -> tuple[float, float]:

@@ -15,7 +15,6 @@ import numpy as np
 from ..config.schema import BlurConfig
 from ..runtime.errors import InputError
 from .kind import Kind
-from .parameters import read
 
 if TYPE_CHECKING:
     from .optics import Together
@@ -104,23 +103,15 @@ class Unknowns:
         written = dict.fromkeys(key for kind in self._in_order for key in kind.writes)
         # Mitsuba takes keys for patterns of beginnings, and ids may be any text: 'Cube (1)'.
         params.keep([re.escape(key) + r"\Z" for key in written])
-        self._loaded = self._hashes()
         self.leaves = self.values_of({u.key: u.kind.present for u in items})
 
-    def _hashes(self) -> dict[str, str]:
-        """Of what the unknowns write, by the scene's parameter."""
-        found = {}
-        for key in self.params.keys():
-            value = read(self.params, key)
-            array = np.frombuffer(b"", np.uint8) if value is None else np.array(value)
-            flat = np.ascontiguousarray(array).ravel()
-            found[key] = hashlib.blake2b(flat, digest_size=16).hexdigest()
-        return found
-
     def replaced(self) -> list[tuple[str, str]]:
-        """The scene's parameters that at present are not as they were loaded, and hashes of them: a
-        shape's normals are its own, and values keep a hair from ends of their range."""
-        return sorted(set(self._hashes().items()) - set(self._loaded.items()))
+        """Keys of those whose truth is written otherwise than the file has it, and its hash."""
+        return [
+            (u.key, hashlib.blake2b(u.kind.present.tobytes(), digest_size=16).hexdigest())
+            for u in self.items
+            if u.kind.rewrites
+        ]
 
     def __iter__(self):
         return iter(self.items)

@@ -51,6 +51,7 @@ class Vertices(Kind):
     name = "vertices"
     moves_geometry = True
     deforms = True
+    rewrites = True
     uniform = True
     doubtful = True
     undivided = (

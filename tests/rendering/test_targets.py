@@ -208,7 +208,7 @@ def test_targets_of_what_unknowns_write_otherwise_are_others():
         )
         keys.append(targets.render(p, paths(4), silent)[2])
         replaced = [key for key, _ in p.unknowns.replaced()]
-        assert replaced == ([] if "bsdf" in unknown else ["figure.vertex_normals"])
+        assert replaced == ([] if "bsdf" in unknown else ["figure.vertices"])
     assert keys[0] != keys[1]
 
 
