@@ -9,7 +9,7 @@ from photo_sets import CENTRE, FOCAL, POSES, Files
 
 from isas_cli.cli.app import main
 from isas_cli.runtime.errors import InputError
-from isas_cli.scene.photos import reading
+from isas_cli.scene.photos import layouts, reading
 
 NAMES = [f"view_{number}.png" for number in range(3)]
 
@@ -283,3 +283,19 @@ def test_cameras_that_are_named(tmp_path):
     for name, told in (("gone", "no such file or folder"), ("view_0.exr", "of no format")):
         with pytest.raises(InputError, match=f"photos.cameras={name}: .*{told}"):
             reading.read(str(tmp_path), cameras=name)
+
+
+@pytest.mark.parametrize("readable, taken", [(True, "cameras.bin"), (False, "cameras.txt")])
+def test_of_a_model_in_both_forms_the_binary_one_counts(tmp_path, monkeypatch, readable, taken):
+    """As COLMAP has it; and it is said."""
+    photo_sets.colmap(Files(tmp_path, POSES))
+    model = tmp_path / "sparse/0"
+    found = object() if readable else None
+    monkeypatch.setattr(layouts.importlib.util, "find_spec", lambda name: found)
+    (model / "cameras.bin").touch()
+    assert layouts.chosen(tmp_path)[0].name == "cameras.txt"  # what is not whole does not count
+    for name in ("images", "points3D"):
+        (model / f"{name}.bin").touch()
+    assert layouts.chosen(tmp_path)[0].name == taken
+    (note,) = layouts.notes(model, tmp_path)
+    assert f"holds its model twice: {taken} is taken" in note

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import OpenImageIO as oiio
 import photo_sets
 import pytest
 from icc import P3, light, profile
@@ -239,3 +240,18 @@ def test_pictures_in_another_folder(tmp_path):
 def test_what_no_setting_is(settings, told):
     with pytest.raises(InputError, match=told):
         PhotosConfig(**settings)
+
+
+def test_no_pixel_of_a_float_file_is_full(tmp_path):
+    """Whatever its ending: a TIFF may hold radiance."""
+    content = photo_sets.transforms(Files(tmp_path, POSES))
+    for number, frame in enumerate(content["frames"]):
+        spec = oiio.ImageSpec(*SIZE, 3, oiio.FLOAT)
+        output = oiio.ImageOutput.create(str(tmp_path / f"{number}.tif"))
+        assert output.open(str(tmp_path / f"{number}.tif"), spec)
+        assert output.write_image(np.full((SIZE[1], SIZE[0], 3), 3.0, np.float32))
+        output.close()
+        frame["file_path"] = f"{number}.tif"
+    photo_sets.write(tmp_path / "transforms.json", content)
+    for each in loaded(tmp_path).shown:
+        assert each.mask.all() and each.image.max() == 3
