@@ -37,11 +37,11 @@ def render(
     """
     wanted = target.wanted
     how = ["spp", target.spp] if wanted is None else ["noise", wanted]
-    problem.unknowns.write(problem.unknowns.truths())
     what = problem.content_hash, *problem.unknowns.replaced()
     key = digest("target", _FORMAT, *what, how, target.seed, mi.__version__)
 
     def compute() -> dict[str, np.ndarray]:
+        problem.unknowns.write(problem.unknowns.truths())
         with unfinished(f"target-{key}-part") as (part, keep):
             if problem.integrator.black_box:
                 return black_box.rendered(problem, target, told, part, keep)

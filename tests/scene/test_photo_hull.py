@@ -33,6 +33,16 @@ def around(folder, count: int = 14) -> None:
     (folder / "transforms.json").write_text(json.dumps(content | {"frames": frames}))
 
 
+def aside(folder, chosen: slice, far: float) -> None:
+    """Cameras of those views moved to their right."""
+    content = json.loads((folder / "transforms.json").read_text())
+    for frame in content["frames"][chosen]:
+        place = np.array(frame["transform_matrix"])
+        place[:3, 3] += far * place[:3, 0]
+        frame["transform_matrix"] = place.tolist()
+    (folder / "transforms.json").write_text(json.dumps(content))
+
+
 def load(folder, **settings):
     return photographs.load(PhotosConfig(path=str(folder), **settings))
 
@@ -107,12 +117,7 @@ def test_what_does_not_enclose_it_is_refused(ball):  # noqa: F811
 
 def test_outlines_without_a_common_place_are_refused(ball):  # noqa: F811
     around(ball)
-    content = json.loads((ball / "transforms.json").read_text())
-    for frame in content["frames"][::2]:
-        place = np.array(frame["transform_matrix"])
-        place[:3, 3] += 3 * place[:3, 0]
-        frame["transform_matrix"] = place.tolist()
-    (ball / "transforms.json").write_text(json.dumps(content))
+    aside(ball, slice(None, None, 2), 3.0)
     with pytest.raises(InputError, match="photos.start=hull: no(thing| place) lies within"):
         load(ball)
 
@@ -120,11 +125,7 @@ def test_outlines_without_a_common_place_are_refused(ball):  # noqa: F811
 def test_a_view_that_contradicts_the_others_is_named(ball):  # noqa: F811
     around(ball)
     assert not any("alone takes away" in line for line in load(ball, voxels=16).warnings)
-    content = json.loads((ball / "transforms.json").read_text())
-    place = np.array(content["frames"][4]["transform_matrix"])
-    place[:3, 3] += 0.6 * RADIUS * place[:3, 0]
-    content["frames"][4]["transform_matrix"] = place.tolist()
-    (ball / "transforms.json").write_text(json.dumps(content))
+    aside(ball, slice(4, 5), 0.6 * RADIUS)
     (line,) = (line for line in load(ball, voxels=16).warnings if "alone takes away" in line)
     assert "photos.start=hull: 4.png alone takes away" in line
 
@@ -138,12 +139,7 @@ def test_labels_that_are_no_outline_are_named(ball):  # noqa: F811
         label[:2] = 0
         Image.fromarray(label).save(ball / f"masks/{number}.png")
         Image.fromarray(picture[..., :3]).save(ball / f"{number}.png")
-    content = json.loads((ball / "transforms.json").read_text())
-    for frame in content["frames"][::2]:
-        place = np.array(frame["transform_matrix"])
-        place[:3, 3] += 3 * place[:3, 0]
-        frame["transform_matrix"] = place.tolist()
-    (ball / "transforms.json").write_text(json.dumps(content))
+    aside(ball, slice(None, None, 2), 3.0)
     with pytest.raises(InputError, match="png holds several values, .* as labels are"):
         load(ball)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from ...runtime import guests
 from ...runtime.errors import InputError, nearest
 from ...scenes.library import ASSETS
-from . import arrays, colmap, metashape, opencv, ours, polycam, realitycapture, transforms
+from . import colmap, metashape, neus_llff, opencv, ours, polycam, realitycapture, transforms
 from .base import Asked, Capture
 from .camera import Camera
 
@@ -18,7 +18,7 @@ OWN = ("chessboard",)
 # In place of names, the views that the files hold out.
 GIVEN = "given"
 # In the order in which a folder is asked: what people write themselves first.
-_OURS = (ours, transforms, colmap, opencv, metashape, polycam, realitycapture, arrays)
+_OURS = (ours, transforms, colmap, opencv, metashape, polycam, realitycapture, neus_llff)
 _FORMATS = (*_OURS, *guests.loaded(guests.CAMERAS))
 
 

@@ -67,7 +67,7 @@ def _named(image: Path, root: Path) -> str:
 
 
 def _neus(file: Path, arrays: dict, asked: Asked) -> Capture:
-    known = {int(m[1]): arrays[name] for name in arrays if (m := _MATRIX.fullmatch(name))}
+    known = {int(m[1]): arrays[key] for key in arrays if (m := _MATRIX.fullmatch(key))}
     if not known:
         raise InputError(
             f"{file}: has no world_mat_0, world_mat_1, …, which NeuS' and IDR's cameras have"
@@ -95,20 +95,9 @@ def _neus(file: Path, arrays: dict, asked: Asked) -> Capture:
             centred += 1
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = turn.T, place
-        cameras.append(
-            Camera(
-                name=_named(image, asked.root),
-                image=image,
-                width=width,
-                height=height,
-                fx=inner[0, 0],
-                fy=inner[1, 1],
-                cx=centre[0],
-                cy=centre[1],
-                to_world=pose,
-                described=str(file),
-            )
-        )
+        numbers = width, height, inner[0, 0], inner[1, 1], *centre
+        name = _named(image, asked.root)
+        cameras.append(Camera(name, image, *numbers, pose, described=str(file)))
     notes = [f"{file}: its {len(cameras)} cameras are of the pictures in the order of their names"]
     if centred:
         notes.append(
@@ -141,20 +130,9 @@ def _llff(file: Path, rows: np.ndarray, asked: Asked) -> Capture:
         height, width = (whole(x, f"{file}: size of {image.name}") for x in matrix[:2, 4])
         pose = np.eye(4)
         pose[:3] = np.column_stack([right, down, -backward, place])
-        cameras.append(
-            Camera(
-                name=_named(image, asked.root),
-                image=image,
-                width=width,
-                height=height,
-                fx=matrix[2, 4],
-                fy=matrix[2, 4],
-                cx=width / 2,
-                cy=height / 2,
-                to_world=pose,
-                described=str(file),
-            )
-        )
+        numbers = width, height, matrix[2, 4], matrix[2, 4], width / 2, height / 2
+        name = _named(image, asked.root)
+        cameras.append(Camera(name, image, *numbers, pose, described=str(file)))
     notes = [
         f"{file}: its {len(cameras)} cameras are of the pictures in the order of their names; it "
         "tells of no lens, so what COLMAP found of one is lost: photos.cameras=sparse/0 has it, "
