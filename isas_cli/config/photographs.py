@@ -33,7 +33,8 @@ class PhotosConfig:
     texture; ``normals``: whether a normal map is, false or ``map``; ``texels``: a side of these
     maps (None: as many as the base colour has, or 256 where that is known);
     ``sky``: rows of an unknown environment; ``test``: views held out, [names], n for every n-th, or
-    ``given``: those that the files hold out; ``exposure``: of the views, besides what their file
+    ``given``: those that the files hold out; ``without``: names of views that are left out as if
+    they were not there; ``exposure``: of the views, besides what their file
     says, ``fixed``: all alike, or unknown, ``scale``: a factor each, ``channels``: three each;
     ``refine``: whether the cameras' poses are unknown as well; ``lens``: what of their lenses is,
     of ``focal``, the length, ``centre``, the principal point, and ``radial`` distortion, and
@@ -73,6 +74,7 @@ class PhotosConfig:
     texels: Optional[int] = None
     sky: int = 8
     test: Any = None
+    without: List[str] = field(default_factory=list)
     exposure: str = "fixed"
     refine: bool = False
     lens: List[str] = field(default_factory=list)

@@ -1,5 +1,6 @@
 """The visual hull of alpha or masks: where there is no mesh."""
 
+import itertools
 import json
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ from test_photo_outline import FOCAL, HEIGHT, RADIUS, WIDTH, ball, covered, pose
 from isas_cli.cli.app import main
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime.errors import InputError
-from isas_cli.scene.photos import hull, photographs
+from isas_cli.scene.photos import hull, outlines, photographs
 
 
 def around(folder, count: int = 14) -> None:
@@ -67,7 +68,7 @@ def test_a_ball_from_all_sides(ball):  # noqa: F811
 
 def test_large_pictures_are_made_smaller(ball, monkeypatch):  # noqa: F811
     around(ball)
-    monkeypatch.setattr(hull, "_LARGE", WIDTH // 2)
+    monkeypatch.setattr(outlines, "_LARGE", WIDTH // 2)
     monkeypatch.setattr(hull, "_FORMAT", 0)  # none that is kept
     radius = np.linalg.norm(mesh_of(load(ball)).vertices, axis=1)
     print("radius", radius.min(), radius.mean(), radius.max())
@@ -122,12 +123,83 @@ def test_outlines_without_a_common_place_are_refused(ball):  # noqa: F811
         load(ball)
 
 
-def test_a_view_that_contradicts_the_others_is_named(ball):  # noqa: F811
+def coherent(taken) -> list[str]:
+    return [line for line in taken.warnings if line.startswith("photos.start=hull:")]
+
+
+@pytest.mark.parametrize("view", [4])
+def test_a_view_that_contradicts_the_others_is_named(ball, view):  # noqa: F811
+    """By what it takes away of the others' masks; without it nothing is said."""
     around(ball)
-    assert not any("alone takes away" in line for line in load(ball, voxels=16).warnings)
-    aside(ball, slice(4, 5), 0.6 * RADIUS)
-    (line,) = (line for line in load(ball, voxels=16).warnings if "alone takes away" in line)
-    assert "photos.start=hull: 4.png alone takes away" in line
+    assert not coherent(load(ball, voxels=16))
+    aside(ball, slice(view, view + 1), 0.5 * RADIUS)
+    (line,) = coherent(load(ball, voxels=16))
+    assert f"photos.start=hull: {view}.png alone takes away" in line
+    assert f"photos.without=[{view}.png]" in line
+    assert not coherent(load(ball, voxels=16, without=[f"{view}.png"]))
+
+
+def test_two_views_that_contradict_the_others_are_named(ball):  # noqa: F811
+    around(ball, 16)
+    aside(ball, slice(3, 4), 0.5 * RADIUS)
+    aside(ball, slice(9, 10), -0.5 * RADIUS)
+    odd = {line.split()[1] for line in coherent(load(ball, voxels=16))}
+    assert odd == {"3.png", "9.png"}
+
+
+def test_a_view_so_far_off_that_nothing_is_left_is_named(ball):  # noqa: F811
+    around(ball)
+    aside(ball, slice(6, 7), 3.0 * RADIUS)
+    with pytest.raises(InputError, match=r"6.png contradicts the others.*photos.without=\[6.png\]"):
+        load(ball, voxels=16)
+
+
+def test_one_view_alone_may_cut_much(ball):  # noqa: F811
+    """A view from a side that no other has takes much away of what the others leave, rightly."""
+    around(ball)
+    content = json.loads((ball / "transforms.json").read_text())
+    content["frames"] = [
+        frame
+        for frame in content["frames"]
+        if abs(frame["transform_matrix"][1][3]) < 1.2 or frame["transform_matrix"][1][3] > 2.2
+    ]
+    assert len(content["frames"]) >= 6
+    (ball / "transforms.json").write_text(json.dumps(content))
+    assert not coherent(load(ball, voxels=16))
+
+
+def test_a_mask_that_holds_more_than_the_object_is_named(ball):  # noqa: F811
+    around(ball)
+    pixels = np.array(Image.open(ball / "5.png"))
+    pixels[:, : WIDTH // 5, 3] = 255
+    Image.fromarray(pixels).save(ball / "5.png")
+    (line,) = coherent(load(ball, voxels=16))
+    assert "the masks of 1 of 14 views show what no other view leaves room for" in line
+    assert "most of all 5.png (" in line and "hold more than the object" in line
+
+
+@pytest.mark.parametrize("thin", ["sheet", "rods"])
+def test_thin_objects_contradict_nothing(ball, thin):  # noqa: F811
+    """A sheet, and rods, thinner than what is asked in steps of."""
+    around(ball)
+    line, zero = np.linspace(-RADIUS, RADIUS, 400), np.zeros(400)
+    if thin == "sheet":
+        x, y = (each.ravel() for each in np.meshgrid(line, line))
+        points = np.column_stack([x, y, 0.3 * x])
+    else:
+        rods = ([line, zero, zero], [zero, line, zero], [line, line, line])
+        points = np.concatenate([np.column_stack(rod) for rod in rods])
+    for number, each in enumerate(load(ball, voxels=16).shown):
+        place, _ = each.camera.project(points)
+        pixels = np.array(Image.open(ball / f"{number}.png"))
+        pixels[..., 3] = 0
+        column, row = place.astype(int).T
+        for down, right in itertools.product((-1, 0, 1), repeat=2):
+            pixels[np.clip(row + down, 0, HEIGHT - 1), np.clip(column + right, 0, WIDTH - 1), 3] = (
+                255
+            )
+        Image.fromarray(pixels).save(ball / f"{number}.png")
+    assert not [line for line in coherent(load(ball, voxels=16)) if "pieces" not in line]
 
 
 def test_labels_that_are_no_outline_are_named(ball):  # noqa: F811

@@ -25,6 +25,7 @@ _SHARED, _MOST = 50, 12
 # brightness and over that of the other views, below which nothing is to be seen on the object.
 _FITS, _UNLIKE, _PLAIN, _TIMES = 0.5, 0.3, 0.1, 2.5
 _AS_GOOD = 0.97  # of the best: a box fits as well when it is turned round
+_LISTED = 8  # names
 _NORMAL = 1.4826  # a normal number's deviation, over its median
 
 
@@ -68,7 +69,7 @@ def _blind(photographs: list[Photograph], surface: Surface) -> list[str]:
     return [
         f"the object is in {len(names)} of {len(photographs)} views behind the camera or outside "
         f"the picture, first {names[0]}: they tell nothing of it; mend their poses, or leave them "
-        "out"
+        f"out by photos.without=[{','.join(names[:_LISTED])}]"
     ]
 
 
@@ -87,7 +88,7 @@ def _odd(photographs: list[Photograph], together: np.ndarray, apart: np.ndarray)
     return [
         f"{len(odd)} of {len(photographs)} views show the object's places unlike all others, first "
         f"{odd[0]}: its pose, or which picture it has, is probably wrong; or something stands "
-        "before the object"
+        f"before the object; photos.without=[{','.join(odd[:_LISTED])}] leaves them out"
     ]
 
 

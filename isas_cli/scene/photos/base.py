@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -59,6 +60,27 @@ def read_text(file: Path) -> str:
         return file.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: cannot be read as text: {error}") from error
+
+
+def load_xml(file: Path, what: str = "XML") -> ElementTree.Element:
+    """The root of an XML file, which is called ``what``. Raises InputError."""
+    try:
+        return ElementTree.fromstring(read_text(file).encode())
+    except (ElementTree.ParseError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read as {what}: {error}") from error
+
+
+def words(text: str, count: int, where: str) -> list[float]:
+    """``count`` finite numbers between blanks. Raises InputError, naming ``where``."""
+    found = text.split()
+    if len(found) != count:
+        raise InputError(f"{where} has {len(found)} numbers, not {count}")
+    return [number(word, where) for word in found]
+
+
+def name_of(image: Path, root: Path) -> str:
+    """What the view of a picture is called where no file names it."""
+    return image.relative_to(root).as_posix() if root in image.parents else image.name
 
 
 def load_json(file: Path) -> dict:

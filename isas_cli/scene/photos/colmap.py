@@ -26,7 +26,6 @@ from .finding import below, present
 
 # Of a quaternion and a translation: how far images.txt may differ from frames.txt in silence.
 _SAME = 1e-4
-_BOTH = ("txt", "bin")
 
 
 @dataclass(frozen=True)

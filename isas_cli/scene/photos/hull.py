@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import fields
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, label, map_coordinates
+from scipy.ndimage import label
 from scipy.optimize import linprog
 
 from ...runtime.cache import cached, digest
 from ...runtime.errors import InputError
-from . import outlines
+from . import coherence, outlines
 from .importing import Photograph
 
 # Raised when what is kept means something else.
-_FORMAT = 5
+_FORMAT = 7
 # Voxels around the hull that are outside, and how far from the surface distances matter, in voxels.
 _MARGIN, _BAND = 2, 3.0
 # Of the largest piece's volume: smaller ones are specks of masks.
@@ -23,11 +24,6 @@ _SPECK = 0.01
 # 115 of a box of 14,620 triangles, 4 makes 7).
 _GAP, _COST = 1 / 128, 4.0
 _SMOOTHED = 10  # passes
-_LARGE = 512  # pixels: finer pictures say no more to a grid
-# Whether one view contradicts the others is asked where there are so many, by a grid of so many
-# points over twice the hull's size: it does where it alone takes away so much, as a share of what
-# is left, and so many times what any other takes.
-_SEVERAL, _COARSE, _ALONE, _TIMES = 5, 48, 0.2, 4.0
 
 
 def made(photographs: list[Photograph], voxels: int) -> tuple[dict[str, np.ndarray], list[str]]:
@@ -40,15 +36,9 @@ def made(photographs: list[Photograph], voxels: int) -> tuple[dict[str, np.ndarr
     """
     key = digest("hull", _FORMAT, voxels, *map(_hashed, photographs))
     found = cached(f"hull-{key}", lambda: _made(photographs, voxels))
-    dropped, (odd, share) = int(found.pop("dropped")), found.pop("odd")
-    told = []
-    if odd >= 0:
-        told.append(
-            f"photos.start=hull: {photographs[int(odd)].camera.name} alone takes away {share:.0%} "
-            "of what all other views leave of the object: its pose, mask or picture is probably "
-            "wrong; mend it, or leave the view out"
-        )
-    if dropped:
+    fit = coherence.Coherence(*(found.pop(each.name) for each in fields(coherence.Coherence)))
+    told = fit.told([each.camera.name for each in photographs])
+    if dropped := int(found.pop("dropped")):
         told.append(f"photos.start=hull: {dropped} small pieces of the hull are left out")
     return found, told
 
@@ -64,6 +54,7 @@ def _made(photographs: list[Photograph], voxels: int) -> dict[str, np.ndarray]:
     from skimage.measure import marching_cubes
 
     low, high = bounds(photographs)
+    fit = coherence.found(photographs, low, high)
     size = float((high - low).max()) / voxels
     counts = np.ceil((high - low) / size).astype(int) + 2 * _MARGIN
     origin = (low + high) / 2 - size * (counts - 1) / 2
@@ -71,37 +62,13 @@ def _made(photographs: list[Photograph], voxels: int) -> dict[str, np.ndarray]:
     for axis in range(3):  # closed where the grid ends
         for end in (0, -1):
             np.moveaxis(field, axis, 0)[end] = -_BAND * size
-    field, dropped = _cleaned(field, size, photographs)
+    field, dropped = _cleaned(field, size, photographs, fit)
     vertices, faces, _, _ = marching_cubes(field, 0.0, allow_degenerate=False)
     vertices = origin + size * _evened(vertices, faces)
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     if np.einsum("fk,fk->", np.cross(b, c), a - vertices.mean(axis=0)) < 0:
         faces = faces[:, ::-1]
-    odd = np.array(_contradicting(photographs, low, high))
-    return {"dropped": np.array(dropped), "odd": odd, **_unwrapped(vertices, faces)}
-
-
-def _contradicting(
-    photographs: list[Photograph], low: np.ndarray, high: np.ndarray
-) -> tuple[float, float]:
-    """The number of the view that contradicts all others, or -1, and the share that it alone takes
-    away of what they leave, in and around a box."""
-    if len(photographs) < _SEVERAL:
-        return -1.0, 0.0
-    side = np.linspace(-1, 1, _COARSE)
-    cube = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
-    points = (low + high) / 2 + cube * (high - low)
-    outside, by = np.zeros(len(points), int), np.zeros(len(points), int)
-    for number, each in enumerate(photographs):
-        cut = _within(each, points, 1.0) < 0
-        outside += cut
-        by[cut] = number
-    alone = np.bincount(by[outside == 1], minlength=len(photographs))
-    left = np.count_nonzero(outside == 0)
-    *_, other, most = np.sort(alone)
-    if not left or most < max(_ALONE * (left + most), _TIMES * other):
-        return -1.0, 0.0
-    return float(alone.argmax()), most / (left + most)
+    return {"dropped": np.array(dropped), **vars(fit), **_unwrapped(vertices, faces)}
 
 
 def _evened(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -116,39 +83,22 @@ def _evened(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def bounds(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:
     """The box, ``(3,)`` each, around what lies within the rectangle around the object in every view
     and before every camera. Raises InputError."""
-    rows, limits = [], []
-    for each in photographs:
-        camera, inside = each.camera, each.part > 0.5
-        inverse = np.linalg.inv(camera.to_world)
-        x, y, depth = inverse[0], inverse[1], inverse[2]
-        planes = [depth]
-        for axis, of, focal, middle in ((1, x, camera.fx, camera.cx), (0, y, camera.fy, camera.cy)):
-            seen = np.flatnonzero(inside.any(axis=1 - axis))
-            if not seen.size:
-                continue
-            # Where it is cut off by the border of what is known nothing is known of it.
-            known = np.flatnonzero((each.part >= 0).any(axis=1 - axis))
-            if seen[0] > known[0]:
-                planes.append(of - (seen[0] - middle) / focal * depth)
-            if seen[-1] < known[-1]:
-                planes.append((seen[-1] + 1 - middle) / focal * depth - of)
-        rows += [-plane[:3] for plane in planes]
-        limits += [plane[3] for plane in planes]
+    rows, limits = _planes(photographs)
     # In lengths of the cameras' own, around their middle: the solver's tolerances are absolute.
     places = np.array([each.camera.centre for each in photographs])
     origin = places.mean(axis=0)
     unit = float(np.abs(places - origin).max()) or 1.0
-    planes, most = np.array(rows), (np.array(limits) - np.array(rows) @ origin) / unit
+    most = (limits - rows @ origin) / unit
     found = []
     for axis in range(3):
         for sign in (1.0, -1.0):
             goal = np.zeros(3)
             goal[axis] = sign
-            solved = linprog(goal, A_ub=planes, b_ub=most, bounds=(None, None))
+            solved = linprog(goal, A_ub=rows, b_ub=most, bounds=(None, None))
             if solved.status == 2:
                 raise InputError(
                     "photos.start=hull: no place lies within the object's outline in every view: "
-                    f"{_unfit(photographs)}"
+                    f"{_unfit(photographs, _alone(photographs, origin, unit))}"
                 )
             if all((each.part[each.part >= 0] > 0.5).all() for each in photographs):
                 raise InputError(
@@ -165,6 +115,40 @@ def bounds(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:
     return np.array(found[::2]), np.array(found[1::2])
 
 
+def _planes(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:
+    """Half spaces ``rows (N, 3) @ x <= limits (N,)``: before every camera, and within the rectangle
+    around the object in every view."""
+    planes = []
+    for each in photographs:
+        camera, inside = each.camera, each.part > 0.5
+        inverse = np.linalg.inv(camera.to_world)
+        x, y, depth = inverse[0], inverse[1], inverse[2]
+        planes.append(depth)
+        for axis, of, focal, middle in ((1, x, camera.fx, camera.cx), (0, y, camera.fy, camera.cy)):
+            seen = np.flatnonzero(inside.any(axis=1 - axis))
+            if not seen.size:
+                continue
+            # Where it is cut off by the border of what is known nothing is known of it.
+            known = np.flatnonzero((each.part >= 0).any(axis=1 - axis))
+            if seen[0] > known[0]:
+                planes.append(of - (seen[0] - middle) / focal * depth)
+            if seen[-1] < known[-1]:
+                planes.append((seen[-1] + 1 - middle) / focal * depth - of)
+    found = np.array(planes)
+    return -found[:, :3], found[:, 3]
+
+
+def _alone(photographs: list[Photograph], origin: np.ndarray, unit: float) -> list[int]:
+    """The view without which something lies within the rectangles of all others, if it is one."""
+    found = []
+    for odd in range(len(photographs)):
+        rows, limits = _planes([each for k, each in enumerate(photographs) if k != odd])
+        most = (limits - rows @ origin) / unit
+        if linprog(np.zeros(3), A_ub=rows, b_ub=most, bounds=(None, None)).status == 0:
+            found.append(odd)
+    return found if len(found) == 1 else []
+
+
 def _distances(
     photographs: list[Photograph], origin: np.ndarray, size: float, counts: np.ndarray
 ) -> np.ndarray:
@@ -177,57 +161,29 @@ def _distances(
     for each in photographs:
         # What is far outside one outline stays outside.
         left = np.flatnonzero(found > -band)
-        found[left] = np.minimum(found[left], _within(each, points[left], band))
+        found[left] = np.minimum(found[left], outlines.within(each, points[left], band))
     return found.reshape(counts)
 
 
-def _within(photograph: Photograph, points: np.ndarray, band: float) -> np.ndarray:
-    """How deep points lie inside one outline, in scene units, within ``band``; ``band`` where the
-    view says nothing."""
-    camera = photograph.camera
-    deep, by = _signed(photograph.part)
-    place, depth = camera.project(points)
-    known = (depth > 0) & (place >= 0).all(axis=1)
-    known &= (place < [camera.width, camera.height]).all(axis=1)
-    at = place[known][:, ::-1].T / by - 0.5
-    seen = map_coordinates(deep, at, order=1, mode="nearest")
-    found = np.full(len(points), band)
-    found[known] = np.clip(seen * by * depth[known] / camera.fx, -band, band)
-    return found
-
-
-def _signed(part: np.ndarray) -> tuple[np.ndarray, int]:
-    """Of each pixel's middle, how many pixels it lies inside the outline, negative outside; of
-    pixels that the object fills in part, by how much it fills them. Unknown ones are inside. Of
-    large pictures made smaller, and by what."""
-    filled = np.where(part < 0, 1.0, part)
-    by = max(1, max(part.shape) // _LARGE)
-    if by > 1:
-        height, width = (n // by for n in part.shape)
-        blocks = filled[: height * by, : width * by].reshape(height, by, width, by)
-        filled = blocks.mean(axis=(1, 3))
-    inside = filled >= 0.5
-    if inside.all():
-        return np.full(filled.shape, float(max(filled.shape))), by
-    deep = distance_transform_edt(inside) - distance_transform_edt(~inside)
-    deep -= np.sign(deep) * 0.5
-    between = (filled > 0) & (filled < 1) & (np.abs(deep) < 1)
-    return np.where(between, filled - 0.5, deep), by
-
-
-def _unfit(photographs: list[Photograph]) -> str:
-    """Why outlines do not fit each other."""
+def _unfit(photographs: list[Photograph], odd: list[int]) -> str:
+    """Why outlines do not fit each other. ``odd``: views that contradict all others."""
     dark = [each for each in photographs if each.white is not None and each.white < outlines.DARK]
     if dark:
         return (
             f"{dark[0].camera.mask} holds several values, none above {dark[0].white:.2g} of white, "
             "as labels are: save the object as white and all else as black"
         )
+    if odd:
+        names = [photographs[view].camera.name for view in odd]
+        return (
+            f"{' and '.join(names)} contradicts the others: its pose, mask or picture is probably "
+            f"wrong; mend it, or photos.without=[{','.join(names)}]"
+        )
     return "poses do not fit the pictures, or masks are inverted (white is the object)"
 
 
 def _cleaned(
-    field: np.ndarray, size: float, photographs: list[Photograph]
+    field: np.ndarray, size: float, photographs: list[Photograph], fit: coherence.Coherence
 ) -> tuple[np.ndarray, int]:
     """Without pieces that are specks, and how many these were. Raises InputError where nothing is
     left inside."""
@@ -235,7 +191,7 @@ def _cleaned(
     if not count:
         raise InputError(
             "photos.start=hull: nothing lies within the object's outline in every view: "
-            f"{_unfit(photographs)}"
+            f"{_unfit(photographs, fit.odd.tolist())}"
         )
     volumes = np.bincount(pieces.ravel())[1:]
     specks = np.flatnonzero(volumes < _SPECK * volumes.max()) + 1

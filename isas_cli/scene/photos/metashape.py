@@ -16,7 +16,7 @@ import numpy as np
 
 from ...runtime.errors import InputError
 from . import layouts
-from .base import Asked, Capture, claimed, lone, matrix, number, read_text, whole
+from .base import Asked, Capture, claimed, load_xml, lone, matrix, number, read_text, whole, words
 from .camera import Camera
 from .finding import below, present
 from .lens import Lens
@@ -42,11 +42,7 @@ def find(folder: Path) -> Path | None:
 
 def read(file: Path, asked: Asked) -> Capture:
     """Raises InputError, naming sensor or camera, for what is missing, wrong or not known."""
-    try:
-        root = ElementTree.fromstring(read_text(file).encode())
-    except (ElementTree.ParseError, ValueError) as error:
-        raise InputError(f"{file}: cannot be read as XML: {error}") from error
-    chunks = root.findall("chunk")
+    chunks = load_xml(file).findall("chunk")
     if len(chunks) != 1:
         raise InputError(f"{file}: holds {len(chunks)} chunks: export the cameras of one")
     chunk = chunks[0]
@@ -122,10 +118,7 @@ def _active(chunk: ElementTree.Element) -> str | None:
 
 
 def _numbers(element: ElementTree.Element, path: str, count: int, where: str) -> list[float]:
-    words = element.findtext(path, "").split()
-    if len(words) != count:
-        raise InputError(f"{where}: {path} has {len(words)} numbers, not {count}")
-    return [number(word, f"{where}: {path}") for word in words]
+    return words(element.findtext(path, ""), count, f"{where}: {path}")
 
 
 def _pose(camera: ElementTree.Element, world: ElementTree.Element | None, where: str) -> np.ndarray:

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import rq
 
 from ...runtime.errors import InputError
-from .base import Asked, Capture, whole
+from .base import Asked, Capture, name_of, whole
 from .camera import Camera
 from .finding import listing, size
 
@@ -62,10 +62,6 @@ def _pictures(file: Path, asked: Asked, count: int) -> list[Path]:
     return found
 
 
-def _named(image: Path, root: Path) -> str:
-    return image.relative_to(root).as_posix() if root in image.parents else image.name
-
-
 def _neus(file: Path, arrays: dict, asked: Asked) -> Capture:
     known = {int(m[1]): arrays[key] for key in arrays if (m := _MATRIX.fullmatch(key))}
     if not known:
@@ -96,7 +92,7 @@ def _neus(file: Path, arrays: dict, asked: Asked) -> Capture:
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = turn.T, place
         numbers = width, height, inner[0, 0], inner[1, 1], *centre
-        name = _named(image, asked.root)
+        name = name_of(image, asked.root)
         cameras.append(Camera(name, image, *numbers, pose, described=str(file)))
     notes = [f"{file}: its {len(cameras)} cameras are of the pictures in the order of their names"]
     if centred:
@@ -131,7 +127,7 @@ def _llff(file: Path, rows: np.ndarray, asked: Asked) -> Capture:
         pose = np.eye(4)
         pose[:3] = np.column_stack([right, down, -backward, place])
         numbers = width, height, matrix[2, 4], matrix[2, 4], width / 2, height / 2
-        name = _named(image, asked.root)
+        name = name_of(image, asked.root)
         cameras.append(Camera(name, image, *numbers, pose, described=str(file)))
     notes = [
         f"{file}: its {len(cameras)} cameras are of the pictures in the order of their names; it "

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, uniform_filter
+from scipy.ndimage import distance_transform_edt, map_coordinates, uniform_filter
 
 from ...scenes.meshes import Surface
 
@@ -29,6 +29,7 @@ _SIZED = 1.3
 # how much of that difference a mixture may be off; and of how many of the border's pixels that must
 # tell something, so that the others need not.
 _BORDER, _REACH, _CONTRAST, _MIXED, _TOLD = 1.5, 4.0, 0.1, 0.1, 0.2
+_LARGE = 512  # pixels: finer pictures say no more of how deep a place lies inside
 
 
 def scattered(surface: Surface) -> np.ndarray:
@@ -172,3 +173,37 @@ def _larger(photograph: "Photograph", points: np.ndarray) -> float | None:
     if min(sides[0].min(), sides[1].min()) < 2:
         return None
     return float(np.sqrt(np.prod(sides[0] / sides[1])))
+
+
+def within(photograph: "Photograph", points: np.ndarray, band: float) -> np.ndarray:
+    """How deep points lie inside one outline, in scene units, within ``band``; ``band`` where the
+    view says nothing."""
+    camera = photograph.camera
+    deep, by = _signed(photograph.part)
+    place, depth = camera.project(points)
+    known = (depth > 0) & (place >= 0).all(axis=1)
+    known &= (place < [camera.width, camera.height]).all(axis=1)
+    at = place[known][:, ::-1].T / by - 0.5
+    seen = map_coordinates(deep, at, order=1, mode="nearest")
+    found = np.full(len(points), band)
+    found[known] = np.clip(seen * by * depth[known] / camera.fx, -band, band)
+    return found
+
+
+def _signed(part: np.ndarray) -> tuple[np.ndarray, int]:
+    """Of each pixel's middle, how many pixels it lies inside the outline, negative outside; of
+    pixels that the object fills in part, by how much it fills them. Unknown ones are inside. Of
+    large pictures made smaller, and by what."""
+    filled = np.where(part < 0, 1.0, part)
+    by = max(1, max(part.shape) // _LARGE)
+    if by > 1:
+        height, width = (n // by for n in part.shape)
+        blocks = filled[: height * by, : width * by].reshape(height, by, width, by)
+        filled = blocks.mean(axis=(1, 3))
+    inside = filled >= 0.5
+    if inside.all():
+        return np.full(filled.shape, float(max(filled.shape))), by
+    deep = distance_transform_edt(inside) - distance_transform_edt(~inside)
+    deep -= np.sign(deep) * 0.5
+    between = (filled > 0) & (filled < 1) & (np.abs(deep) < 1)
+    return np.where(between, filled - 0.5, deep), by

@@ -75,6 +75,7 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     with finding.looking(settings, root) as sources:
         capture = reading.read(settings.path, settings.test, settings.cameras, settings.world)
     _check(capture, sources)
+    capture.cameras = reading.without(capture.cameras, settings.without)
     capture.cameras, told = finding.masked(capture.cameras, root, sources)
     over, more = turns.turned(capture.cameras, capture, settings.orientation)
     shown, held = reading.split(capture, settings.test)

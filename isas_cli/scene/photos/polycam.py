@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ...runtime.errors import InputError
-from .base import Asked, Capture, load_json, number, whole
+from .base import Asked, Capture, load_json, name_of, number, whole
 from .camera import Camera
 from .finding import picture, present
 from .transforms import TO_OPENCV
@@ -95,7 +95,7 @@ def _camera(file: Path, pictures: Path, root: Path) -> Camera:
     pose[:3] = [[of(f"t_{row}{column}") for column in range(4)] for row in range(3)]
     image = picture(pictures, file.stem, str(file))
     return Camera(
-        name=image.relative_to(root).as_posix() if root in image.parents else image.name,
+        name=name_of(image, root),
         image=image,
         width=whole(of("width"), f"{file}: width"),
         height=whole(of("height"), f"{file}: height"),

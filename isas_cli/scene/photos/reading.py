@@ -108,7 +108,7 @@ def split(capture: Capture, test) -> tuple[list[Camera], list[Camera]]:
         held = [camera for camera in cameras if camera.name in capture.held]
     elif isinstance(test, Sequence):
         names = [test] if isinstance(test, str) else test
-        held = [_named(cameras, str(name)) for name in names]
+        held = [_named(cameras, str(name), "test") for name in names]
     else:
         raise InputError(f"photos.test={test}: give a list of pictures [a.png,b.png], n, or given")
     names = {camera.name for camera in held}
@@ -120,17 +120,25 @@ def split(capture: Capture, test) -> tuple[list[Camera], list[Camera]]:
     return kept, [camera for camera in cameras if camera.name in names]
 
 
-def _named(cameras: list[Camera], name: str) -> Camera:
+def without(cameras: list[Camera], names: Sequence[str]) -> list[Camera]:
+    """The views but those, which are named as in ``split``. Raises InputError."""
+    out = [_named(cameras, name, "without").name for name in names]
+    left = [camera for camera in cameras if camera.name not in out]
+    if not left:
+        raise InputError("photos.without leaves every view out: leave one to learn from")
+    return left
+
+
+def _named(cameras: list[Camera], name: str, setting: str) -> Camera:
     names = [(c.name, Path(c.name).name, Path(c.name).stem) for c in cameras]
     for part in range(3):
         found = [camera for camera, each in zip(cameras, names) if each[part] == name]
         if len(found) > 1:
             raise InputError(
-                f"photos.test: {name} is the name of {len(found)} views, "
+                f"photos.{setting}: {name} is the name of {len(found)} views, "
                 f"{' and '.join(each.name for each in found[:2])}: give it with its folder"
             )
         if found:
             return found[0]
-    raise InputError(
-        f"photos.test: no view {name}; {nearest(name, [camera.name for camera in cameras][:40])}"
-    )
+    known = [camera.name for camera in cameras]
+    raise InputError(f"photos.{setting}: no view {name}; {nearest(name, known[:40])}")

@@ -12,12 +12,11 @@ coordinate system. Its CSV, of angles, is not read.
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 
 from ...runtime.errors import InputError
-from .base import Asked, Capture, claimed, number, read_text
+from .base import Asked, Capture, claimed, load_xml, name_of, read_text, words
 from .camera import Camera
 from .finding import picture, present, size
 from .lens import Lens
@@ -74,12 +73,8 @@ def read(file: Path, asked: Asked) -> Capture:
 
 def _told(file: Path) -> dict[str, str]:
     """What a file says of its picture's camera, by name. Raises InputError."""
-    try:
-        tree = ElementTree.fromstring(read_text(file).encode())
-    except (ElementTree.ParseError, ValueError) as error:
-        raise InputError(f"{file}: cannot be read as XMP: {error}") from error
     told = {}
-    for element in tree.iter():
+    for element in load_xml(file, "XMP").iter():
         if element.tag.startswith(_SPACE):
             told[element.tag.removeprefix(_SPACE)] = element.text or ""
         for name, value in element.attrib.items():
@@ -90,10 +85,7 @@ def _told(file: Path) -> dict[str, str]:
 
 def _camera(file: Path, told: dict[str, str], root: Path) -> Camera:
     def of(name: str, count: int = 1, otherwise: str = "0") -> list[float]:
-        words = told.get(name, otherwise).split()
-        if len(words) != count:
-            raise InputError(f"{file}: {name} has {len(words)} numbers, not {count}")
-        return [number(word, f"{file}: {name}") for word in words]
+        return words(told.get(name, otherwise), count, f"{file}: {name}")
 
     image = picture(file.parent, file.stem, str(file))
     width, height = size(image)
@@ -105,7 +97,7 @@ def _camera(file: Path, told: dict[str, str], root: Path) -> Camera:
     pose[:3, :3] = np.reshape(of("Rotation", 9), (3, 3)).T
     pose[:3, 3] = of("Position", 3)
     return Camera(
-        name=image.relative_to(root).as_posix() if root in image.parents else image.name,
+        name=name_of(image, root),
         image=image,
         width=width,
         height=height,
