@@ -135,15 +135,13 @@ def decide(
         return Plan(whole.paths, 0.0, told)
     if earlier is not None:
         depth = earlier["max_depth"] or UNLIMITED
-        derivative = earlier.get("derivative_depth") or depth
-        lights, roulette = tuple(earlier["light_samples"]), earlier.get("roulette")
-        caustics = earlier.get("caustics", True)
-        # Several samples were picked before one could be.
-        directions = earlier.get("directions", _PICKED if max(lights) > 1 else 1)
-        paths = Paths(depth, derivative, lights, roulette, caustics, directions=directions)
-        kept = earlier.get("views")
-        plan = Plan(paths, settings.finish, {}, kept and tuple(kept))
-        plan, why = dataclasses.replace(plan, seconds=earlier["probe_seconds"]), {}
+        paths = Paths(
+            *(depth, earlier["derivative_depth"] or depth, tuple(earlier["light_samples"])),
+            *(earlier["roulette"], earlier["caustics"]),
+            directions=earlier["directions"],
+        )
+        kept = earlier["views"] and tuple(earlier["views"])
+        plan, why = Plan(paths, settings.finish, {}, kept, seconds=earlier["probe_seconds"]), {}
     elif follows:
         # Renderings that are compared would differ by what they pick.
         if settings.directions is None and (

@@ -156,6 +156,8 @@ def problem(
         result.set_targets(pixels, None, digest, variance)
     if scene.weights is not None:
         result.weigh(scene.weights)
+    if taken is not None:
+        _compare(result)
     backend.release()
     return result
 
@@ -173,10 +175,6 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
     if taken.settings.edges:
         problem.edges = picture_edges.of(pictures, masks)
     problem.photographed = noise.of_all(taken.shown)
-    ends = np.cumsum([width * height for width, height in problem.film_sizes])[:-1]
-    counts = np.array([part.sum() for part in np.split(np.array(problem.mask), ends)])
-    for unknown in problem.unknowns:
-        unknown.kind.compare(counts)
     problem.warnings += _untold(taken, problem.unknowns)
     if not taken.held:
         return
@@ -200,6 +198,14 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
         return
     problem.warnings += held.warnings
     problem.held_out = held
+
+
+def _compare(problem: Problem) -> None:
+    """Tell the unknowns by how much each view counts, as it is weighed."""
+    ends = np.cumsum([width * height for width, height in problem.film_sizes])[:-1]
+    counts = np.array([part.sum() for part in np.split(np.array(problem.mask), ends)])
+    for unknown in problem.unknowns:
+        unknown.kind.compare(counts)
 
 
 def _untold(taken: photographs.Photographs, unknowns: Unknowns) -> list[str]:
@@ -269,7 +275,7 @@ def _flat_densities(found: list[Unknown], integrator: integrators.Integrator) ->
     flat = [
         each.key
         for each in found
-        if each.kind.hides and ".sigma_t." in each.key and np.ptp(each.start) == 0
+        if each.kind.hides and "sigma_t" in each.kind.words and np.ptp(each.start) == 0
     ]
     if not flat or isinstance(integrator, integrators.Medium):
         return []

@@ -130,7 +130,7 @@ class Evaluator:
         now, truth = self._shown(), self._moved_in_truth
         either = float(dr.sum(mi.Float(now | truth))[0])
         both = float(dr.sum(mi.Float(now & truth))[0])
-        return {f"{VALUE_PREFIX}outlines/overlap": both / either if either else 1.0}
+        return {f"{VALUE_PREFIX}outlines/overlap": both / either} if either else {}
 
     def _shown(self) -> mi.Bool:
         p = self.problem

@@ -86,6 +86,8 @@ class Loop:
         self.clock = Clock()
         self.position = Position()
         self.last: dict | None = None
+        # As the evaluator, which loops may share, had it then.
+        self.unresolved = False
         self.lost = 0  # paths of evaluations that came out non-finite
         # And of steps, where the estimator counts them: so far, and by the estimator when counted.
         self.lost_in_steps = self._lost_before = 0
@@ -115,7 +117,7 @@ class Loop:
     def converged(self) -> bool:
         """Whether what the last evaluation found is the targets' noise."""
         floor, last = self.floor, self.last
-        if floor is None or last is None or self.evaluator.unresolved:
+        if floor is None or last is None or self.unresolved:
             return False
         return last["image_rmse"] <= floor.image_rmse
 
@@ -359,7 +361,7 @@ class Loop:
             "stage1_seconds": self.clock.billed_seconds["stage1"],
             "learning_rate": self.stepper.rate(self.scheduled),
         }
-        self.last = row
+        self.last, self.unresolved = row, self.evaluator.unresolved
         hooks.evaluated(row)
         self._check(nonfinite, int(self.stepper.touched[0]))
 
@@ -413,6 +415,7 @@ class Loop:
             "counted": self._counted,
             "lost": self.lost,
             "lost_in_steps": self.lost_in_steps,
+            "unresolved": self.unresolved,
             "billed": dict(self.clock.billed_seconds),
             "unbilled": dict(self.clock.unbilled_seconds),
         }
@@ -432,6 +435,7 @@ class Loop:
         self.position.before, self.position.looked = before, looked
         self._counted, self.lost = tuple(state["counted"]), state["lost"]
         self.lost_in_steps = state["lost_in_steps"]
+        self.unresolved = state["unresolved"]
         self.clock.billed_seconds.update(state["billed"])
         for phase, seconds in state["unbilled"].items():
             self.clock.unbilled_seconds[phase] += seconds

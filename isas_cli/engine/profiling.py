@@ -32,21 +32,20 @@ and values and moments are put back to the bit.
 
 from __future__ import annotations
 
-import csv
-import io
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import pandas
 from rich.table import Table
 
 from ..estimators.two_path import TwoPath
-from ..records import write_atomically
+from ..records import write_text
 from ..rendering.kernels import recorded
 from ..runtime import streams
 from ..runtime.backend import sync
@@ -243,13 +242,9 @@ def _measured(timed: _Pass) -> list[dict[str, float]]:
 
 def write(profile: Profile, folder: Path) -> None:
     """profile.csv. Raises IsasError, one line naming the file, when the disk refuses."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
     names = [field.name for field in fields(Phase)]
-    table.writerow(names)
-    table.writerows([getattr(phase, name) for name in names] for phase in profile.phases)
-    content = text.getvalue()
-    write_atomically(folder / FILE, lambda path: path.write_text(content, encoding="utf-8"))
+    rows = pandas.DataFrame(map(asdict, profile.phases), columns=names)
+    write_text(folder / FILE, rows.to_csv(index=False))
 
 
 def table(profile: Profile) -> Table:

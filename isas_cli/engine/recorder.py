@@ -283,7 +283,7 @@ class Recorder:
                 "what is left is the targets' noise: a fit to them ends at an image_rmse of "
                 f"{self.loop.floor.image_rmse:.2g}; target.noise=… lowers it"
             )
-        if self.loop.evaluator.unresolved:
+        if self.loop.unresolved:
             notes.append(
                 "image_rmse ends at 0, which is no perfect fit: it is less than the "
                 f"{self.cfg.evaluation.spp} paths a pixel of an evaluation can tell; "

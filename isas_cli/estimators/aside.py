@@ -58,6 +58,7 @@ class Aside:
             return radiance, residual
 
         self._shown = recorded(shown, problem, freeze)
+        self.nonfinite = 0  # products so far that were left out as they were not finite
 
     @property
     def paths_per_step(self) -> int:
@@ -81,10 +82,15 @@ class Aside:
         residual = self._render(distribution, seed, iteration, "primal")[1]
         found = {}
         for unknown in self.unknowns:
-            each = [dr.sum(residual * s, axis=None) for s in slopes[unknown.key]]
-            sums = np.array([float(one[0]) for one in each]) * float(self.problem.share[0])
+            each = [self._sum(dr.sum(residual * slope)) for slope in slopes[unknown.key]]
+            sums = np.array(each) * float(self.problem.share[0])
             found[unknown.key] = sums.reshape(unknown.start.shape).astype(np.float32)
         return self.problem.unknowns.values_of(found)
+
+    def _sum(self, terms: mi.Float) -> float:
+        whole = dr.isfinite(terms)
+        self.nonfinite += int(dr.count(~whole)[0])
+        return float(dr.sum(dr.select(whole, terms, 0))[0])
 
     def _slopes(self, unknown: Unknown, values: dict, *drawn) -> list[mi.Color3f]:
         unknowns, array, found = self.problem.unknowns, as_numpy(values[unknown.key]), []

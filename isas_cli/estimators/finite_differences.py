@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
 from ..runtime.errors import InputError
 from ..unknowns import smoothing
@@ -61,18 +60,15 @@ class FiniteDifferences(Gradients):
         self._renderings = Renderings(problem, loss, batch, self.blur, freeze, spp)
 
     @property
+    def nonfinite(self) -> int:
+        return self._renderings.nonfinite
+
+    @property
     def paths_per_step(self) -> int:
         """Light paths of one estimate."""
         return 4 * self.batch * self.spp * self.blur.size
 
-    def estimate(
-        self,
-        values: dict,
-        distribution: PixelDistribution,
-        seed: int,
-        iteration: int,
-        spent: float,
-    ) -> dict:
+    def estimate(self, values: dict, distribution, seed: int, iteration: int, spent: float) -> dict:
         """The difference quotients at ``values``, by key. Waits."""
         θ = self.blur.vector(values)
         steps = self.blur.resolved(self.step * self.blur.widths(θ, 1.0), θ)

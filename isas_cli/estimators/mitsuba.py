@@ -11,7 +11,6 @@ import numpy as np
 
 from ..rendering import convex, undone
 from ..rendering.own_film import OwnFilm
-from ..rendering.pixels import PixelDistribution
 from ..rendering.projective import projective
 from ..rendering.volume import only_emits
 from ..runtime import streams
@@ -122,14 +121,7 @@ class WholeImages(Gradients):
         paths = 2 * self.spp + (self.smooth == "image")
         return paths * self.problem.views.total * self.samples
 
-    def estimate(
-        self,
-        values: dict,
-        distribution: PixelDistribution,
-        seed: int,
-        iteration: int,
-        spent: float,
-    ) -> dict:
+    def estimate(self, values: dict, distribution, seed: int, iteration: int, spent: float) -> dict:
         """The gradient at ``values``, by key. ``distribution`` is not used: all pixels. Waits."""
         rng = np.random.default_rng(streams.seed(seed, iteration, "offset"))
         if self.smooth is None:

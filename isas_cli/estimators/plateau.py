@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from ..config.schema import MOST_LANES
-from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
 from ..runtime.errors import InputError
 from ..samplers.sampler import Blurred, Sampler
@@ -191,6 +190,10 @@ class Plateau(Gradients):
         self._renderings = Renderings(problem, loss, batch, self.blur, freeze, spp, half)
 
     @property
+    def nonfinite(self) -> int:
+        return self._renderings.nonfinite
+
+    @property
     def paths_per_step(self) -> int:
         """Light paths of one estimate."""
         renderings = self._renderings
@@ -200,14 +203,7 @@ class Plateau(Gradients):
             each = 4 * renderings.spp * self._together
         return self.batch * self.pairs * each
 
-    def estimate(
-        self,
-        values: dict,
-        distribution: PixelDistribution,
-        seed: int,
-        iteration: int,
-        spent: float,
-    ) -> dict:
+    def estimate(self, values: dict, distribution, seed: int, iteration: int, spent: float) -> dict:
         """The gradient at ``values``, by key, in the unknowns' own shapes; the share ``spent``
         of the budget decides the widths. Waits."""
         θ = self.blur.vector(values)

@@ -59,6 +59,12 @@ class Renderings:
         self._images = wrap(_image_kernel(batch))
         self._losses = wrap(_loss_kernel(loss, batch))
         self._locality = Locality(problem, blur, batch, freeze)
+        self._lost = dr.opaque(mi.UInt32, 0)
+
+    @property
+    def nonfinite(self) -> int:
+        """Pixels so far, of all differences, that were left out as theirs was not finite. Waits."""
+        return int(self._lost[0])
 
     def of_images(
         self,
@@ -86,7 +92,7 @@ class Renderings:
         for pair, own in zip(pairs, np.reshape(seeds[3:], (-1, 2))):
             offsets = (pair.plus, pair.minus)
             images = [self._traced(θ + o, drawn, s, 1, self.spp)[0] for o, s in zip(offsets, own)]
-            terms = self._images(adjoint, p.mask, drawn[3:], images, p.share)
+            terms = self._kept(self._images(adjoint, p.mask, drawn[3:], images, p.share))
             found.append(self._locality.differences(θ, pair, drawn[:3], terms))
         return found
 
@@ -102,8 +108,13 @@ class Renderings:
         drawn = self._drawn(distribution, seeds[0])
         offsets = (pair.plus, pair.minus)
         sides = [self._traced(θ + o, drawn, s, 2, self.spp) for o, s in zip(offsets, seeds[1:])]
-        terms = self._losses(p.targets, p.mask, drawn[3:], sides, p.share)
+        terms = self._kept(self._losses(p.targets, p.mask, drawn[3:], sides, p.share))
         return self._locality.differences(θ, pair, drawn[:3], terms)
+
+    def _kept(self, found: tuple[mi.Float, mi.UInt32]) -> mi.Float:
+        terms, lost = found
+        self._lost += lost
+        return terms
 
     def _drawn(self, distribution: PixelDistribution, seed: int) -> tuple:
         return self._draw(self.problem.views, distribution, dr.opaque(mi.UInt32, int(seed)))
@@ -208,10 +219,17 @@ def _loss_kernel(loss, batch: int):
     return kernel
 
 
-def _terms(values: mi.Color3f, pixel, probability, mask, share, batch: int) -> mi.Float:
-    """Of every drawn pixel: their sum estimates Σ_j w_j ``values``_j / (3 Σ w). Evaluates."""
+def _terms(
+    values: mi.Color3f, pixel, probability, mask, share, batch: int
+) -> tuple[mi.Float, mi.UInt32]:
+    """Of every drawn pixel: their sum estimates Σ_j w_j ``values``_j / (3 Σ w), without those that
+    are not finite, one of which would spoil a whole step; and how many those are. Evaluates."""
     if mask is not None:
         values *= dr.gather(mi.Float, mask, pixel)
     terms = dr.sum(values) * share / (probability * batch)
-    dr.eval(terms)
-    return terms
+    whole = dr.isfinite(terms)
+    terms, lost = dr.select(whole, terms, 0), dr.select(whole, mi.UInt32(0), 1)
+    dr.eval(terms, lost)
+    lost = dr.sum(lost)
+    dr.eval(lost)
+    return terms, lost

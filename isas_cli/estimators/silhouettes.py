@@ -14,7 +14,6 @@ from ..rendering.border import Border
 from ..rendering.contours import Contours
 from ..rendering.light import shapes_with
 from ..rendering.picture_edges import PictureEdges
-from ..rendering.pixels import PixelDistribution
 from ..rendering.projective import Attached
 from ..rendering.reflections import Reflections
 from ..rendering.shadows import Shadows
@@ -221,14 +220,7 @@ class ByShape(Gradients):
         """Paths so far whose residual was not finite."""
         return self.inside.nonfinite
 
-    def estimate(
-        self,
-        values: dict,
-        distribution: PixelDistribution,
-        seed: int,
-        iteration: int,
-        spent: float,
-    ) -> dict:
+    def estimate(self, values: dict, distribution, seed: int, iteration: int, spent: float) -> dict:
         """The gradient at ``values``, by key; up to the share ``undrawn`` of the budget, that of
         outlines alone."""
         unknowns, self.alone = self.problem.unknowns, spent < self.undrawn

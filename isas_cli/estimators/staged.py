@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..rendering.pixels import PixelDistribution
 from .estimator import Gradients
 
 
@@ -32,14 +31,7 @@ class Staged(Gradients):
         """Paths so far whose residual was not finite."""
         return self.first.nonfinite + self.second.nonfinite
 
-    def estimate(
-        self,
-        values: dict,
-        distribution: PixelDistribution,
-        seed: int,
-        iteration: int,
-        spent: float,
-    ) -> dict:
+    def estimate(self, values: dict, distribution, seed: int, iteration: int, spent: float) -> dict:
         """The gradient at ``values``, by key, see ``Gradients``."""
         self.present = self.first if spent < self.until else self.second
         return self.present.estimate(values, distribution, seed, iteration, spent)

@@ -191,16 +191,9 @@ class TwoPath(Gradients):
     @property
     def nonfinite(self) -> int:
         """Paths so far whose residual was not finite. Waits for what was launched."""
-        return int(self._lost[0][0])
+        return int(self._lost[0][0]) + self._aside.nonfinite
 
-    def estimate(
-        self,
-        values: dict,
-        distribution: PixelDistribution,
-        seed: int,
-        iteration: int,
-        spent: float,
-    ) -> dict:
+    def estimate(self, values: dict, distribution, seed: int, iteration: int, spent: float) -> dict:
         """The gradient at ``values``, by key; where it is blurred, at values that are off by
         Gaussian offsets of the widths at the share ``spent`` of the budget, else the same at all.
 

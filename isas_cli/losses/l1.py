@@ -27,7 +27,9 @@ class L1(Loss):
 
     def derivative(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
         difference = image - target
-        return dr.select(difference == 0, 0, dr.sign(difference))
+        # The sign of what is no number would count as one.
+        sign = dr.select(dr.isfinite(difference), dr.sign(difference), dr.nan)
+        return dr.select(difference == 0, 0, sign)
 
     def curvature(self, target: mi.Color3f) -> mi.Color3f:
         """1 everywhere. The curvature of E|⟨I⟩ - T| is twice the density of ⟨I⟩ at T, which one

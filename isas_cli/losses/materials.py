@@ -2,11 +2,11 @@
 
     R = smooth R_s + metallic Σ_m mean x (1 - x) + roughness Σ_r mean (x - expected)²
 
-R_s as in ``priors.Smoothness``, over all unknowns with neighbours; m over the unknowns called
-metallic, r over those called roughness or alpha, by a word of their key. The PBDR paper has such
-a "material regularisation" and prints no formula: x (1 - x) stands for the entropy of a share x,
-which is 0 at both ends too, and has a derivative there. Each term is left out at a weight of 0;
-each unknown's part has a factor of its own (``Unknown.prior``).
+R_s as in ``priors.Smoothness``, over all unknowns with neighbours; m over the unknowns that a
+material takes as its metallic, r over those that it takes as its roughness or alpha. The PBDR paper
+has such a "material regularisation" and prints no formula: x (1 - x) stands for the entropy of a
+share x, which is 0 at both ends too, and has a derivative there. Each term is left out at a weight
+of 0; each unknown's part has a factor of its own (``Unknown.prior``).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from ..config.schema import roughness_of
+from ..config.schema import ROUGHNESSES, roughness_of
 from ..runtime.errors import InputError
 from ..unknowns.parameters import flat, unflat
 from ..unknowns.unknowns import Unknowns
@@ -44,8 +44,8 @@ class Materials(Prior):
             raise InputError(f"prior.expected={self.expected}: a roughness, in [0, 1]")
 
     def on(self, unknowns: Unknowns) -> "OnMaterials":
-        rough = [key for key in unknowns.keys if roughness_of(key)]
-        metal = [key for key in unknowns.keys if "metallic" in key.split(".")]
+        rough = [u.key for u in unknowns if roughness_of(u.key) or set(ROUGHNESSES) & u.kind.words]
+        metal = [u.key for u in unknowns if "metallic" in u.kind.words]
         wide = any(u.kind.axes for u in unknowns)
         if not (rough or metal or wide):
             raise InputError(

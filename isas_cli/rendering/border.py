@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from ..scene.problem import Problem
 from ..scene.topology import Topology
@@ -33,6 +34,12 @@ class Border:
         self.problem, self.samples, self._paths = problem, samples, paths
         self.cameras = Cameras.of(problem)
         self._outlines = {count: Outline.of(each) for count, each in topologies.items()}
+
+    @property
+    def factors(self) -> np.ndarray:
+        """How much each view counts, ``(V,)``."""
+        given = self.problem.weights
+        return np.ones(len(self.problem.film_sizes)) if given is None else given
 
     @property
     def edges(self) -> int:

@@ -29,9 +29,9 @@ class Contours(Border):
         C = 1/N Σ_j (c_j - m_j)² ,
 
     c_j the share of pixel j that surfaces fill, m_j the share that the object fills by alpha or
-    masks (``Problem.part``), N the number of pixels of which that is known. It asks for no light
-    and no material. c steps from 1 to 0 at the contours alone, so, as for ``Silhouettes``, whose
-    terms these are,
+    masks (``Problem.part``), N the number of pixels of which that is known; where views have
+    weights, pixels have that of their view. It asks for no light and no material. c steps from 1 to
+    0 at the contours alone, so, as for ``Silhouettes``, whose terms these are,
 
         ∂C/∂θ ≈ 1/M Σ_i 2/N ⟨c - m⟩_{j(q_i)} s(q_i) |dq/dt| n·∂q_i/∂θ / P_i ,
 
@@ -51,8 +51,10 @@ class Contours(Border):
         super().__init__(problem, topologies, samples, paths + 1)
         views = len(problem.film_sizes)
         self.met = met_by(views)
-        known = float(dr.count(problem.part >= 0)[0])
-        share = dr.opaque(mi.Float, 2 * weight / max(known, 1))
+        ends = np.cumsum([width * height for width, height in problem.film_sizes])[:-1]
+        parts = np.split(np.array(problem.part), ends)
+        known = float(np.dot([np.count_nonzero(each >= 0) for each in parts], self.factors))
+        share = own(mi.Float, np.float32(2 * weight * self.factors / (known or 1.0)))
 
         def kernel(
             scene, sensors, films, positions, outline, cameras, targets, mask, seeds, _, met, part,
@@ -71,7 +73,8 @@ class Contours(Border):
                     place = crossing.view, crossing.column, crossing.row
                     ray, _weight = rays.spawn(sensors, films, *place, stream)
                     covered += dr.select(scene.ray_test(ray, valid), 1.0 / paths, 0)
-                adjoint = dr.select(valid, (covered - filled) * share, 0)
+                own_share = dr.gather(mi.Float, share, crossing.view, valid)
+                adjoint = dr.select(valid, (covered - filled) * own_share, 0)
                 beside = cameras.project(drawn.eye, point) + crossing.away * _BESIDE
                 steps = ~scene.ray_test(_through(sensors, films, crossing.view, beside), valid)
                 weight = adjoint * crossing.speed / (drawn.probability * samples)

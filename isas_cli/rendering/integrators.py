@@ -381,13 +381,15 @@ def adapt(
             f"{where}: the integrator emission has no {base.strange[0]}, as nothing scatters: "
             "leave it out"
         )
-    medium = volume.medium_of(scene) if scene is not None and not base.hide_emitters else None
+    keys, medium = tuple(keys), None
+    if scene is not None and not base.hide_emitters:
+        medium = volume.medium_of(scene, keys)
     if "media" in _REPLAYED[type(base).__name__][0] and medium is not None:
         return Medium(base, medium)
     if volume.only_emits(base):
         raise InputError(
             f"{where}: the integrator emission is for one medium in a cube or sphere without a "
-            "surface, under a sky, and nothing else"
+            "surface, its extinction alike in all channels, under a sky, and nothing else"
         )
     lobes = touched(mi.traverse(scene), keys) if keys else None
     if replayed.handles(base):

@@ -20,11 +20,14 @@ def mis_weight(a: mi.Float, b: mi.Float) -> mi.Float:
 
 
 def shapes_with(scene: mi.Scene, *flags: str) -> list[str]:
-    """The names of shapes whose BSDF has one of ``flags``, names of ``mi.BSDFFlags``."""
+    """The names of shapes whose BSDF has one of ``flags``, names of ``mi.BSDFFlags``; also of those
+    in groups, which instances show."""
     wanted = [getattr(mi.BSDFFlags, flag) for flag in flags]
-    bsdfs = ((shape.id(), shape.bsdf()) for shape in scene.shapes())
+    grouped = (each for each in mi.traverse(scene).hierarchy if isinstance(each, mi.Shape))
+    bsdfs = ((shape.id(), shape.bsdf()) for shape in (*scene.shapes(), *grouped))
     own = ((name, bsdf.flags()) for name, bsdf in bsdfs if bsdf is not None)
-    return [name for name, found in own if any(mi.has_flag(found, flag) for flag in wanted)]
+    found = (name for name, has in own if any(mi.has_flag(has, flag) for flag in wanted))
+    return list(dict.fromkeys(found))
 
 
 def by_chance(scattered: mi.Bool, delta: mi.Bool) -> mi.Bool:
@@ -168,7 +171,9 @@ def _picked(
         value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, si.to_local(ds.d), lit)
         weight = dr.select(ds.delta, 1, mis_weight(part[1] * each * ds.pdf, pdf))
         found.append((ds, emitted, dr.select(lit, weight, 0)))
-        brings.append(dr.select(lit, dr.maximum(dr.mean(weight * value * emitted), 0), 0))
+        brought = dr.maximum(dr.mean(weight * value * emitted), 0)
+        # One that is not finite is as likely as one that brings nothing, and spoils no other.
+        brings.append(dr.select(lit & dr.isfinite(brought), brought, 0))
     sure = _SURE * dr.rcp(sum(brings))
     sure = dr.select(dr.isfinite(sure), sure, 0)
     least = dr.select(sure > 0, 1 - _SURE, 1) / each

@@ -74,8 +74,9 @@ class PictureEdges(Border):
         self.narrow(0.0)
 
         def kernel(
-            scene, sensors, films, positions, outline, cameras, targets, mask, seeds, _, maps, reach
-        ):
+            scene, sensors, films, positions, outline, cameras, targets, mask, seeds, _, maps,
+            reach, factors,
+        ):  # fmt: skip
             with dr.suspend_grad():
                 now = dr.detach(positions)
                 weights = _lengths(now, outline, cameras, films, views)
@@ -97,11 +98,14 @@ class PictureEdges(Border):
                 slope = mi.Vector2f(apart(0.5, 0) - apart(-0.5, 0), apart(0, 0.5) - apart(0, -0.5))
                 # Drawn by length: each point stands for as much.
                 far, share = reach
+                share *= dr.gather(mi.Float, factors, drawn.eye)
                 weight = dr.select(valid & (d < far), 2 * d * share / samples, 0)
                 dr.eval(weight, slope)
                 pull(positions, cameras, drawn, slope, weight)
 
-        self._made(kernel, freeze, problem.edges, self._reach)
+        self._made(
+            kernel, freeze, problem.edges, self._reach, own(mi.Float, np.float32(self.factors))
+        )
 
     def narrow(self, passed: float) -> None:
         """Set D for the share ``passed`` of the time in which edges alone are followed: what is far

@@ -8,7 +8,6 @@ import numpy as np
 from ..scene.problem import Problem
 from ..scene.topology import Topology
 from ..unknowns.parameters import own
-from ..unknowns.vertices import POSITIONS
 from . import rays
 from .shadows import Lamps
 
@@ -47,7 +46,7 @@ def others(problem: Problem) -> tuple[mi.Float, Topology] | None:
 def meshes_of(problem: Problem, params: mi.SceneParameters) -> list[str]:
     """The keys of the positions of the meshes that stand still."""
     ids = {shape.id() for shape in problem.scene.shapes() if shape.is_mesh()}
-    every = (f"{id}.{name}" for id in sorted(ids - problem.unknowns.moved) for name in POSITIONS)
+    every = (f"{id}.vertex_positions" for id in sorted(ids - problem.unknowns.moved))
     return [key for key in every if key in params]
 
 
@@ -99,7 +98,7 @@ def _lamps(problem: Problem) -> tuple[np.ndarray, np.ndarray] | None:
 
 def _moving(problem: Problem, params: mi.SceneParameters) -> np.ndarray:
     """Vertices of all that moves, ``(n, 3)``."""
-    keys = (f"{id}.{name}" for id in sorted(problem.unknowns.moved) for name in POSITIONS)
+    keys = (f"{id}.vertex_positions" for id in sorted(problem.unknowns.moved))
     return np.concatenate([np.array(params[key]).reshape(-1, 3) for key in keys if key in params])
 
 

@@ -19,7 +19,7 @@ from . import black_box, rays, stratified
 from .stratified import Sums
 
 # Raised when what a cached target means changes.
-_FORMAT = 3
+_FORMAT = 4
 # Times the noise that is wanted: more than this is said.
 _MISSED = 1.05
 # Pixels: of photographs no wider than this an object may well fill none.

@@ -8,8 +8,11 @@ probability.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from ..runtime import backend
 
@@ -19,6 +22,8 @@ from ..runtime import backend
 # variance smaller, and costs less than it saves up to here (benchmarks/majorant.py).
 _MARGIN, _FEWEST = 1.1, {"scatters": 8.0, "emits": 25.0}
 
+_EXTINCTION = "sigma_t"
+
 backend.plugin(f"{__package__}.emission")
 
 
@@ -27,17 +32,41 @@ def only_emits(integrator: mi.Integrator) -> bool:
     return type(integrator).__name__ == "Emission"
 
 
-def medium_of(scene: mi.Scene) -> mi.Medium | None:
+def medium_of(scene: mi.Scene, keys: Iterable[str] = ()) -> mi.Medium | None:
     """The medium, where ``trace`` simulates all that there is: one shape, a convex shell without a
-    surface of its own around one medium, and a sky."""
+    surface of its own around one medium, whose extinction is alike in all channels, and a sky.
+    ``keys``: of the scene's parameters that are unknown; none may be of the phase function, which
+    is not differentiated."""
     shapes = scene.shapes()
     if len(shapes) != 1 or scene.environment() is None or len(scene.emitters()) != 1:
         return None
     shell = shapes[0]
     convex = shell.class_name() in ("Cube", "Sphere")
-    bare = shell.bsdf() is None or mi.has_flag(shell.bsdf().flags(), mi.BSDFFlags.Null)
+    # Others have gaps as well, beside what they reflect.
+    bare = shell.bsdf() is None or shell.bsdf().class_name() == "Null"
     inside = shell.interior_medium()
-    return inside if convex and bare and inside is not None else None
+    if not (convex and bare) or inside is None or shell.exterior_medium() is not None:
+        return None
+    if any("phase_function" in key for key in keys) or not _grey(inside, keys):
+        return None
+    return inside
+
+
+def _grey(medium: mi.Medium, keys: Iterable[str]) -> bool:
+    """Whether extinction is, and stays, the same in all channels."""
+    params = mi.traverse(medium)
+    for name in (each for each in params.keys() if _EXTINCTION in each):
+        value = params[name]
+        if isinstance(value, mi.Color3f):
+            channels = np.array(value).reshape(3, -1)
+        elif isinstance(value, mi.TensorXf) and value.shape[-1] == 3:
+            channels = np.array(value).reshape(-1, 3).T
+        else:
+            continue
+        alike = (channels == channels[:1]).all()
+        if not alike or any(_EXTINCTION in key for key in keys):
+            return False
+    return True
 
 
 def trace(

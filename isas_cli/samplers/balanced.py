@@ -17,14 +17,12 @@ class Shares(Looking):
     """``Balanced`` at work."""
 
     settings: Balanced
-
-    def usual_resolution(self, batch: int) -> int:
-        # One look is for the whole run: fine cells, as long as all views together stay cheap.
-        return min(128, self._resolution_for(1 << 19))
+    lasting = True
 
     def look(self, values, seed, iteration, moments=None, spent=0.0) -> mi.Float:
         own = self.settings
-        sensitivity = self._stage1.sensitivity(values, own.passes, seed, iteration)
+        counting = self._stage1.counting(seed, iteration)
+        sensitivity = self._stage1.sensitivity(values, own.passes, seed, iteration, counting)
         tangents = {}
         for key, c in sensitivity.items():
             seen = (c > 0) & dr.isfinite(c)  # one entry that is not must not spoil the mean
@@ -37,6 +35,8 @@ class Shares(Looking):
         for probe in range(own.stage1.probes):
             number = iteration * own.stage1.probes + probe
             first += self._stage1.derivative(values, tangents, seed, number)[0]
+        if counting is not None:
+            first *= counting
         weights = dr.power(dr.sum(self._denoise(first)), own.power)
         dr.eval(weights)
         return weights

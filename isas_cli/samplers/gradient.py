@@ -13,9 +13,6 @@ from .sampler import Looking, Sampler
 class Residuals(Looking):
     """``Gradient`` at work."""
 
-    def look(self, values, seed, iteration, moments=None, spent=0.0) -> mi.Float:
-        return self.weighed(self.measured(values, seed, iteration))
-
     def measured(self, values: dict, seed: int, iteration: int) -> list[mi.Color3f]:
         return [self._stage1.residual(values, seed, iteration)[0]]
 

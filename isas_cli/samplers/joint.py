@@ -18,9 +18,6 @@ class PerPath(Looking):
         super().__init__(settings, problem, loss, batch, freeze, blurred)
         self._product = Product(problem, loss, self.cells, settings.stage1.spp, freeze)
 
-    def look(self, values, seed, iteration, moments=None, spent=0.0) -> mi.Float:
-        return self.weighed(self.measured(values, seed, iteration))
-
     def measured(self, values: dict, seed: int, iteration: int) -> list[mi.Color3f]:
         # The denoiser's images have three channels.
         probes = self.settings.stage1.probes

@@ -22,9 +22,7 @@ class Weighted(Product):
         scale = None if moments is None else root_weights(moments.second, own.least)
         _, first = self._stage1.residual(values, seed, iteration)
         second = self._stage1.second_moment(values, own.stage1.probes, seed, iteration, scale)
-        weights = dr.sqrt(dr.sum(self._denoise(first) * self._denoise(second)))
-        dr.eval(weights)
-        return weights
+        return self.weighed([first, second])
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,13 @@ class Mask(Looking):
     """``Relevant`` at work."""
 
     settings: Relevant
-
-    def usual_resolution(self, batch: int) -> int:
-        # One look is for the whole run: fine cells, as long as all views together stay cheap.
-        return min(128, self._resolution_for(1 << 19))
+    lasting = True
 
     def look(self, values, seed, iteration, moments=None, spent=0.0) -> mi.Float:
         probes = self.settings.stage1.probes
         moment = self._stage1.second_moment(values, probes, seed, iteration)
+        if (counting := self._stage1.counting(seed, iteration)) is not None:
+            moment *= counting
         seen = dr.select(dr.sum(moment) > 0, mi.Float(1), 0)
         dr.eval(seen)
         weights = self.cells.dilate(seen)

@@ -88,6 +88,9 @@ class OnImages:
     traced yet.
     """
 
+    # Whether one look is for the whole run: fine cells, as long as all views together stay cheap.
+    lasting: ClassVar[bool] = False
+
     def __init__(
         self,
         settings: Sampler,
@@ -112,6 +115,8 @@ class OnImages:
 
     def usual_resolution(self, batch: int) -> int:
         """The same, where it is not set."""
+        if self.lasting:
+            return min(128, self._resolution_for(1 << 19))
         return self._resolution_for(batch)
 
     def _resolution_for(self, lanes: float) -> int:
@@ -132,7 +137,10 @@ class OnImages:
         ``moments``: Adam's, from the second step on, for a sampler that ``needs`` them; ``spent``:
         progress of the schedules, in [0, 1].
         """
-        raise NotImplementedError
+        images = self.measured(values, seed, iteration)
+        if images is None:
+            raise NotImplementedError
+        return self.weighed(images)
 
     def measured(self, values: dict, seed: int, iteration: int) -> list[mi.Color3f] | None:
         """What a look measures before it is denoised, images ``(3, C)`` over the cells whose means

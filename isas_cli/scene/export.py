@@ -24,7 +24,6 @@ from ..scenes import meshes
 from ..unknowns.parameters import as_numpy
 from ..unknowns.specs import parse
 from ..unknowns.unknowns import Unknowns
-from ..unknowns.vertices import POSITIONS
 from . import built, found_cameras, gltf, instances, mesh_files, scene_file
 from .gltf_maps import Said
 from .photos import building, photographs
@@ -213,8 +212,8 @@ def _paint(loaded: mi.Scene, folder: Path) -> None:
             if isinstance(owner, mi.Texture) and isinstance(texels, mi.TensorXf):
                 pictures[key.rpartition(".")[0]] = texels
         colours = [name for name in pictures if f".{name}".endswith(_COLOURS)]
-        positions = [key for key in POSITIONS if key in mesh]
-        if not colours or not positions:  # a rectangle is a mesh that tells no vertices
+        # A rectangle is a mesh that tells no vertices.
+        if not colours or "vertex_positions" not in mesh:
             continue
         texels = pictures[colours[0]]
         coordinates = np.array(mesh["vertex_texcoords"]).reshape(-1, 2)
@@ -223,7 +222,9 @@ def _paint(loaded: mi.Scene, folder: Path) -> None:
             coordinates = coordinates @ turn[:2, :2].T + turn[:2, 2]
         colour = as_numpy(texels)
         colour = np.broadcast_to(colour, (*colour.shape[:2], 3))
-        points, faces = (np.array(mesh[key]).reshape(-1, 3) for key in (positions[0], "faces"))
+        points, faces = (
+            np.array(mesh[key]).reshape(-1, 3) for key in ("vertex_positions", "faces")
+        )
         folder.mkdir(exist_ok=True)
         name = re.sub(r"[^\w.-]", "_", shape.id())
         for file, content in mesh_files.painted(name, points, faces, coordinates, colour).items():

@@ -6,6 +6,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..unknowns.parameters import as_numpy, owner, read
+from ..unknowns.ranges import fed
 
 # Rows and columns of what is left. Mitsuba draws directions of a map by its texels, of which there
 # must be some at every height; a map's columns stand beside copies of the first and the last.
@@ -22,6 +23,9 @@ def reduce(params: mi.SceneParameters, unknown: set[str]) -> list[str]:
         if key in unknown or getattr(value, "ndim", 0) != 3:
             continue
         least = _least(owner(params, key))
+        # A projector's picture is as wide and high as what it shines on.
+        if any(taker.class_name() == "Projector" for taker, _, _ in fed(params, key)):
+            continue
         if least is None or value.shape[0] * value.shape[1] <= least[0] * least[1]:
             continue
         texels = as_numpy(value)

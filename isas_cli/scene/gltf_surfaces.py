@@ -10,7 +10,6 @@ import mitsuba as mi
 import numpy as np
 
 from ..scenes.meshes import Surface
-from ..unknowns.vertices import POSITIONS
 from .mesh_checks import degenerate
 
 
@@ -37,9 +36,9 @@ def front(shape: mi.Shape, flipped: bool, pictured: bool, bumpy: bool) -> Front 
     """``shape``'s, None where it is no such surface. ``flipped``: its normals, as ``flip_normals``
     has it; ``pictured``: it needs texture coordinates; ``bumpy``: and normals."""
     values = mi.traverse(shape)
-    positions = next((name for name in POSITIONS if name in values), None)
-    if shape.is_mesh() and positions is not None:
-        vertices, faces = (np.array(values[name]).reshape(-1, 3) for name in (positions, "faces"))
+    if shape.is_mesh() and "vertex_positions" in values:
+        vertices = np.array(values["vertex_positions"]).reshape(-1, 3)
+        faces = np.array(values["faces"]).reshape(-1, 3)
         texcoords, normals = np.zeros((0, 2), np.float32), np.zeros((0, 3), np.float32)
         if shape.has_vertex_texcoords():
             texcoords = np.array(values["vertex_texcoords"]).reshape(-1, 2)

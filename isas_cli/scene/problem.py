@@ -36,7 +36,8 @@ class Problem:
     ``photographed``: of photographs, the standard deviation of a pixel's noise in units of radiance
     and how it was found, or None and why it is not known; ``part``: ``(n,) float32``, how much of
     each pixel the object fills by alpha or masks, -1 where these say nothing; None without any;
-    ``edges``: distances of edges in photographs (``rendering.picture_edges``), where they count.
+    ``edges``: distances of edges in photographs (``rendering.picture_edges``), where they count;
+    ``weights``: ``(V,)``, a factor on the loss of each view, mean 1, which ``mask`` has in it.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Problem:
     photographed: tuple[float | None, str] | None = None
     part: mi.Float | None = None
     edges: mi.Float | None = None
+    weights: np.ndarray | None = None
 
     @property
     def truth_known(self) -> bool:
@@ -83,7 +85,7 @@ class Problem:
         """Let views count as ``weights.of_views`` says, by their pixels' masks."""
         counts = [width * height for width, height in self.film_sizes]
         mask = np.ones(self.views.total, np.float32) if self.mask is None else np.array(self.mask)
-        factors = weights.of_views(given, np.split(mask, np.cumsum(counts)[:-1]))
+        self.weights = factors = weights.of_views(given, np.split(mask, np.cumsum(counts)[:-1]))
         mask = own(mi.Float, mask * np.repeat(factors, counts).astype(np.float32))
         weighed = digest("weights", self.target_hash, [float(each) for each in factors])
         self.set_targets(self.targets, mask, weighed, self.variance)
@@ -108,6 +110,7 @@ class Problem:
             mask=None if self.mask is None else dr.gather(mi.Float, self.mask, pixels),
             part=None if self.part is None else dr.gather(mi.Float, self.part, pixels),
             edges=None if self.edges is None else self._edges(pixels),
+            weights=None if self.weights is None else self.weights[list(views)],
             kept=tuple(views),
         )
 

@@ -42,11 +42,11 @@ class Grid(Kind):
 
     def __init__(self, key: str, loaded: Loaded):
         super().__init__(key, loaded)
-        self.bare = (0.0, 0.0)  # the ranges below are off the ends
-        if ".albedo." in key:
-            self.range, self.unit = _ALBEDO, "albedo"
-        elif ".sigma_t." in key:
-            self.range, self.unit = _DENSITY, "1 / scene unit"
+        # Which are off the ends by themselves.
+        if "albedo" in self.words:
+            self.range, self.unit, self.bare = _ALBEDO, "albedo", (0.0, 0.0)
+        elif "sigma_t" in self.words:
+            self.range, self.unit, self.bare = _DENSITY, "1 / scene unit", (0.0, 0.0)
         # Down to two points along the longest side.
         self.doublings = max(0, (max(self.present.shape[:3]) - 1).bit_length() - 1)
 

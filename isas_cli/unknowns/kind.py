@@ -20,7 +20,7 @@ from ..config.schema import PoseConfig
 from ..runtime import images
 from ..runtime.errors import InputError
 from .parameters import as_numpy, like
-from .ranges import bare, role, usual
+from .ranges import bare, fed, role, usual
 
 if TYPE_CHECKING:
     from ..scene.outside import Outside
@@ -71,7 +71,8 @@ class Kind:
     ``name``: of the kind, in words. ``key``: of the unknown. ``present``: the value that the scene
     was loaded with, float32, in the shape of the unknown; never changed. ``writes``: the scene's
     parameters that it writes. ``range``: legal where the configuration gives no other, (low, high).
-    ``bare``: how far from its ends values stay, where derivatives vanish at them.
+    ``bare``: how far from its ends values stay, where derivatives vanish at them. ``words``: what
+    materials, lights and media that take the parameter's numbers call them.
     ``unit``: of its error, a word for reports; errors of one unit may be averaged. ``period``:
     after which a value means the same again, or None. ``scale``: the size, in its unit, of what it
     is added to in the scene, whose rounding limits how finely it can be moved.
@@ -104,6 +105,7 @@ class Kind:
 
     name: ClassVar[str] = "parameter"
     bare: tuple[float, float] = (0.0, 0.0)
+    words: frozenset[str] = frozenset()
     moves_geometry: bool = False
     affine: bool = False
     deforms: bool = False
@@ -155,6 +157,7 @@ class Kind:
         self.rewrites = not np.array_equal(kept, self.present, equal_nan=True)
         self.present = kept
         self.role = role(loaded.params, key)
+        self.words = frozenset(word for _, word, _ in fed(loaded.params, key))
 
     def kept(self, low: float, high: float) -> tuple[float, float]:
         """The part of a range in which values stay: a hair from the kind's own ends where these
@@ -205,7 +208,10 @@ class Kind:
     def start(self, spec: str, where: str) -> np.ndarray:
         """The start that the configuration calls ``spec``: a file. Raises InputError, naming
         ``where``."""
-        picture = images.read(Path(spec))
+        # What is no colour is stored as it is, whatever the file is of.
+        picture = images.read(Path(spec), linear=None if self.role else True)
+        if self.present.shape[-1] == 1 and (picture == picture[..., :1]).all():
+            picture = picture[..., :1]
         if picture.shape != self.present.shape:
             raise InputError(
                 f"{where}: {spec} is {picture.shape}, the parameter {self.present.shape}"

@@ -20,7 +20,7 @@ import numpy as np
 
 from ..runtime.errors import InputError, nearest
 from .kind import Kind, Loaded
-from .parameters import like
+from .parameters import like, owner
 
 _UNITS = {"rotation": "degrees", "translation": "scene units", "scale": "doublings"}
 _MOVABLE = ("vertex_positions", "to_world", "position")
@@ -113,6 +113,7 @@ class Pose(Kind):
         if self.parts > 1:
             for id in self.ids:
                 _check_parts(where, id, self.parts, params)
+        self._left = [id for id in self.ids if _filled(params, id)]
         turns = spec.kind == "rotation"
         self.affine = self.parts == 1
         self.each = len(spec.directions) if spec.kind == "translation" else 1
@@ -131,6 +132,13 @@ class Pose(Kind):
         self.scale = self._scale()
         # After all that gives an object its shape, and in the order in which poses are given.
         self.order = 1, list(loaded.poses).index(key)
+
+    def warnings(self) -> list[str]:
+        return [
+            f"scene.poses['{self.key}'] moves '{id}', and the grid of the medium in it stays where "
+            "it is: Mitsuba places it by itself"
+            for id in self._left
+        ]
 
     @property
     def size(self) -> int:
@@ -263,3 +271,15 @@ def _check_parts(where: str, id: str, parts: int, params: mi.SceneParameters) ->
         raise InputError(
             f"{where}.parts={parts}: '{id}' has {vertices} vertices, no multiple of it"
         )
+
+
+def _filled(params: Mapping, id: str) -> bool:
+    """Whether a medium whose numbers lie on a grid fills the shape ``id``."""
+    for name in ("vertex_positions", "to_world"):
+        if f"{id}.{name}" in params:
+            shape = owner(params, f"{id}.{name}")
+            inside = shape.interior_medium() if isinstance(shape, mi.Shape) else None
+            if inside is not None:
+                values = mi.traverse(inside)
+                return any(getattr(values[key], "ndim", 0) == 4 for key in values.keys())
+    return False

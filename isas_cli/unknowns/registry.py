@@ -33,11 +33,6 @@ def register(kind: type[Kind]) -> type[Kind]:
     return kind
 
 
-def unregister(kind: type[Kind]) -> None:
-    """Forget a kind again."""
-    _KINDS.remove(kind)
-
-
 def kinds() -> tuple[type[Kind], ...]:
     """All kinds, in the order in which they are asked."""
     return tuple(_KINDS)

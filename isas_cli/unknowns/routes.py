@@ -50,8 +50,7 @@ def refusal(params: mi.SceneParameters, key: str) -> str:
             inside = dict(held(holder)).get("nested_bsdf") if word == "opacity" else None
             if inside is not None and inside.class_name() == "Null":
                 return "it changes nothing: what it masks lets all light through, as a gap does"
-    turns = set(_TURNING) & set(key.split("."))  # of no other need one ask what takes it
-    for holder, word, _ in fed(params, key) if turns else ():
+    for holder, word, _ in fed(params, key):
         if word in _TURNING and discrete(holder):
             return (
                 "it turns what mirrors and clear glass show, which path replay does not "

@@ -16,6 +16,8 @@ from importlib import resources
 
 import mitsuba as mi
 
+from .ranges import fed
+
 UNKNOWN = "not in the census"
 WRONG = ("wrong (isas)", "never differentiated (isas)")
 
@@ -50,6 +52,8 @@ def place(params: mi.SceneParameters, key: str) -> tuple[str, str]:
     while isinstance(holder, (mi.Texture, mi.Volume)):
         parent = params.hierarchy[holder][0]
         if parent is None or isinstance(parent, mi.Scene):
+            # Of a shared one that of the first that takes it.
+            holder, word, _ = (fed(params, key) or [(holder, word, 1.0)])[0]
             break
         climbed += 1
         word = words[-climbed] if climbed <= len(words) else word

@@ -28,8 +28,9 @@ _FOLDED = 0.005
 _NEARLY = 1e-5
 # Edges that have grown or shrunk by such a factor, in the mean, are not what is looked for either.
 _STRETCHED = 10.0
-POSITIONS = ("vertex_positions", "positions")  # as Mitsuba calls them, by version
-_NORMALS = ("vertex_normals", "normals")
+_POSITIONS = "vertex_positions"
+# The cosine of 20°, and a share of a mesh's vertices: a few may be where a surface has no normal.
+_ALIKE, _FEW_TURNED = 0.94, 0.01
 # Of a mesh's own: (vertex|face)_<name>, but for what is positions, normals or texture coordinates.
 _ATTRIBUTE = re.compile(r"\.(vertex_(?!positions|normals|texcoords)|face_).*")
 
@@ -66,14 +67,16 @@ class Vertices(Kind):
     def __init__(self, key: str, loaded: Loaded):
         self.key, self.id = key, key.rpartition(".")[0]
         params = loaded.params
-        self.positions, self.faces = _named(params, self.id, POSITIONS), f"{self.id}.faces"
-        self.normals = _named(params, self.id, _NORMALS)
+        self.positions, self.faces = f"{self.id}.{_POSITIONS}", f"{self.id}.faces"
+        self.normals = f"{self.id}.vertex_normals"
         where = f"scene.unknowns['{key}']"
         if not dr.width(params[self.normals]):
             raise InputError(
                 f"{where}: the mesh '{self.id}' has face normals: its shading steps from facet to "
                 "facet, which is not differentiated; give it smooth normals (face_normals=false)"
             )
+        given = np.array(params[self.normals], np.float64).reshape(-1, 3)
+        self._given = given / np.maximum(np.linalg.norm(given, axis=1, keepdims=True), 1e-30)
         positions = np.array(params[self.positions]).reshape(-1, 3)
         faces = np.array(params[self.faces]).reshape(-1, 3).astype(np.int64)
         self.topology = Topology.of(positions, faces)
@@ -215,8 +218,9 @@ class Vertices(Kind):
         )
 
     def warnings(self) -> list[str]:
+        found = self._turned()
         said = "silhouettes there are ambiguous, and gradients biased"
-        found = [f"mesh {self.id}: {flaw}: {said}" for flaw in self.topology.flaws()]
+        found += [f"mesh {self.id}: {flaw}: {said}" for flaw in self.topology.flaws()]
         twice = self._twice() if self.topology.edges.open else 0
         if twice:
             found.append(
@@ -230,6 +234,24 @@ class Vertices(Kind):
                 "through each other: images step there without an edge, and gradients are biased"
             )
         return found
+
+    def _turned(self) -> list[str]:
+        """That it is shaded otherwise than its file says: by the normals of its faces."""
+        _, own = self._at(len(self.present)).arrays(self.value(self.present))
+        own = np.array(own, np.float64).reshape(-1, 3)
+        cosine = np.einsum("vk,vk->v", own, self._given)
+        off = np.count_nonzero(cosine < _ALIKE)
+        if off <= _FEW_TURNED * len(cosine):
+            return []
+        told = (
+            "point the other way than its triangles turn"
+            if np.median(cosine) < 0
+            else f"lie more than 20° beside those of the surface at {off} of {len(cosine)} vertices"
+        )
+        return [
+            f"mesh {self.id}: the normals of its file {told}: while its shape is unknown it is "
+            "shaded by those of the surface, so that hard edges look round"
+        ]
 
     def _twice(self) -> int:
         """How many vertices have another one that is nearly at their place."""
@@ -323,9 +345,5 @@ class Vertices(Kind):
 def _meshes(params: mi.SceneParameters) -> list[str]:
     """Ids of the shapes that are meshes."""
     words = [key.rpartition(".") for key in params.keys()]
-    ids = [id for id, _, word in words if word in POSITIONS]
+    ids = [id for id, _, word in words if word == _POSITIONS]
     return [id for id in ids if f"{id}.faces" in params]
-
-
-def _named(params: mi.SceneParameters, id: str, names: tuple[str, ...]) -> str:
-    return next(f"{id}.{name}" for name in names if f"{id}.{name}" in params)

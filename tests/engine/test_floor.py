@@ -106,11 +106,9 @@ def test_a_run_stops_there_and_says_so(tmp_path, capsys):
 
 
 def test_an_error_that_cannot_be_told_is_no_end(monkeypatch):
-    loop = SimpleNamespace(
-        floor=SimpleNamespace(image_rmse=0.1), last={"image_rmse": 0.0}, evaluator=None
-    )
+    loop = SimpleNamespace(floor=SimpleNamespace(image_rmse=0.1), last={"image_rmse": 0.0})
     for unresolved in (False, True):
-        loop.evaluator = SimpleNamespace(unresolved=unresolved)
+        loop.unresolved = unresolved
         assert Loop.converged.fget(loop) == (not unresolved)
 
 

@@ -44,6 +44,7 @@ def found(folder: Path, material: str, key: str, *settings: str, depth=4, shape=
     run = isas_cli.run(
         *("scene=file", f"scene.path={path}", f"scene.unknowns={unknowns}", "report=false"),
         *("budget.iterations=150", "evaluation.count=2", "frames.views=0"),
+        *("optimizer.lr=0.05", "optimizer.schedule=exponential", "estimator.batch=4096"),
         *("frames.snapshots=0", f"hydra.run.dir={folder / 'run'}", *settings),
     )
     return run.parameters()[f"ball.bsdf.{key}"], run
@@ -72,9 +73,8 @@ def test_a_number_ends_at_the_truth(tmp_path, material, key, truth, depth):
 def test_a_texture_ends_at_the_truth(tmp_path, material, word, texels):
     images.write_exr(str(tmp_path / "map.exr"), texels, ["Y"], {})
     material = material.format(_TEXTURE.format(word))
-    _, run = found(
-        tmp_path, material, f"{word}.data", _TOLD, "optimizer.lr=0.05", shape="rectangle"
-    )
+    more = "estimator.batch=16384", "effects=full"
+    _, run = found(tmp_path, material, f"{word}.data", _TOLD, *more, shape="rectangle")
     errors = run.history["parameter_rmse"]
     assert errors.iloc[-1] < 0.01, errors.tolist()
 
@@ -87,7 +87,7 @@ def test_where_no_value_fits_it_ends_at_the_least_loss(tmp_path):
     scene = mi.load_file(str(path))
     params, key = mi.traverse(scene), "ball.bsdf.weight.value"
 
-    def picture(weight: float) -> np.ndarray:
+    def picture(weight: float, spp: int = 2048) -> np.ndarray:
         params[key] = mi.Float(weight)
         params.update()
         # Pixels are means over their squares, whatever the film's filter.
@@ -96,11 +96,11 @@ def test_where_no_value_fits_it_ends_at_the_least_loss(tmp_path):
         place = mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])
         sensor = mi.load_dict({"type": "perspective", "to_world": place, "film": film})
         with dr.suspend_grad():
-            return np.array(mi.render(scene, sensor=sensor, spp=4096, seed=1))
+            return np.array(mi.render(scene, sensor=sensor, spp=spp, seed=1))
 
-    target = picture(0.7) * np.linspace(0.6, 1.1, 32)[None, :, None]
+    target = picture(0.7, 4096) * np.linspace(0.6, 1.1, 32)[None, :, None]
     images.write_exr(str(tmp_path / "target.exr"), target.astype(np.float32), [*"RGB"], {})
-    weights = np.linspace(0.3, 0.8, 11)
+    weights = np.linspace(0.3, 0.8, 7)
     losses = [np.mean((picture(each) - target) ** 2) for each in weights]
     a, b, _ = np.polyfit(weights, losses, 2)
     least = -b / (2 * a)

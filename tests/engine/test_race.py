@@ -179,7 +179,7 @@ def test_one_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeypatch, 
     assert records.load(tmp_path / "uniform/seed1").summary["status"] == "done"
 
 
-def test_an_interrupted_race_goes_on(tmp_path, capsys):
+def test_an_interrupted_race_goes_on(tmp_path, capsys, no_page):
     folder = tmp_path / "race"
     command = [sys.executable, "-m", "isas_cli", "race", *SMALL, "samplers=[uniform,gradient]"]
     command += ["budget.iterations=4000", "evaluation.count=60", "slice=0.05", "report=false"]

@@ -138,3 +138,17 @@ def test_shapes_follow_it_alone_before_anything_else_moves():
         assert np.isfinite(np.array(found)).all() and np.any(np.array(found))
         paths.append(estimator.paths_per_step)
     assert paths[0] == 4096 * 5 < paths[1]
+
+
+def test_views_count_by_their_weights():
+    """The gradient of two views is the sum of theirs, each times its factor."""
+    p = masked()
+    found = []
+    for given in (None, [1.0, 1.0, 1.0], [1.9, 0.1, 1.0], [0.1, 1.9, 1.0]):
+        p.weights = None if given is None else np.array(given)
+        told = estimates(p, 2, adaptive=False)
+        found.append(np.array([told[name].mean() for name in NAMES]))
+    size = np.abs(found[0]).max()
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-4)
+    np.testing.assert_allclose(found[2] + found[3], 2 * found[0], atol=0.05 * size)
+    assert np.abs(found[2] - found[3]).max() > 0.2 * size

@@ -49,6 +49,14 @@ def test_black_targets_stay_finite():
 
 
 @pytest.mark.parametrize("name", LOSSES)
+@pytest.mark.parametrize("radiance", [np.nan, np.inf, -np.inf])
+def test_what_is_no_number_has_no_derivative(name, radiance):
+    """Estimators leave it out and count it; the sign of it would pass for one."""
+    found = np.array(LOSSES[name].derivative(mi.Color3f(radiance), mi.Color3f(0.3)))
+    assert not np.isfinite(found).any()
+
+
+@pytest.mark.parametrize("name", LOSSES)
 def test_nothing_to_do_at_the_target(name):
     assert np.all(np.array(LOSSES[name].derivative(mi.Color3f(0.3), mi.Color3f(0.3))) == 0)
 

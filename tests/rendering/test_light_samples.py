@@ -198,11 +198,21 @@ def test_several_light_samples_are_unbiased(bench, lights, directions, seed):
     assert outcome.always_visible < 0.15, str(outcome)
 
 
-@pytest.mark.parametrize("sure, honest", [(0.9, True), (1.0, False)])
-def test_a_direction_that_brings_nothing_counts_as_well(sure, honest, seed, monkeypatch):
+@pytest.mark.parametrize(
+    "brings, sure, honest",
+    [
+        ((1.0, 0.0, -2.0, 4.0), 0.9, True),
+        ((1.0, 0.0, -2.0, 4.0), 1.0, False),
+        ((1.0, 0.0, np.inf, 4.0), 0.9, True),
+        ((1.0, np.nan, -2.0, 4.0), 0.9, True),
+    ],
+    ids=["nothing", "never", "infinite", "no number"],
+)
+def test_a_direction_that_brings_nothing_counts_as_well(brings, sure, honest, seed, monkeypatch):
     """One of four is picked and stands for the sum over all. It may come from a lamp that is off,
-    which has a derivative, or be negative, as a map's texel may."""
-    count, brings = 1 << 18, (1.0, 0.0, -2.0, 4.0)
+    which has a derivative, or be negative, as a map's texel may. One that is not finite spoils no
+    other."""
+    count = 1 << 18
     loaded = mi.load_dict({"type": "scene", "sky": {"type": "constant"}})
     si = dr.zeros(mi.SurfaceInteraction3f, count)
     si.sh_frame = mi.Frame3f(mi.Normal3f(0, 0, 1))

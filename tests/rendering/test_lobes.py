@@ -11,6 +11,7 @@ from scenes_for_tests import without_targets
 
 from isas_cli.rendering import rays
 from isas_cli.rendering.integrators import Replayed, Unrolled, sampled
+from isas_cli.rendering.kernels import recorded
 from isas_cli.runtime.errors import InputError
 
 LANES, SEEDS = 1 << 15, 24
@@ -70,41 +71,50 @@ def problem(material: dict, word: str, start: float = 0.5, depth: int = 4, **int
     return without_targets(description, {f"ball.bsdf.{word}": start})
 
 
-def drawn(p, seed: int):
-    """Rays through the whole picture, and their random numbers."""
-    stream = rays.stream(mi.UInt32(seed), LANES)
-    pixel = dr.minimum(mi.UInt32(stream.next_1d() * p.views.total), p.views.total - 1)
-    ray, _ = rays.spawn(p.sensors, p.views, *p.views.locate(pixel), stream)
-    return stream, ray
+def shown(p, render):
+    """A function of a seed: what ``render(scene, stream, ray)`` finds, in the mean of rays through
+    the whole picture. Recorded once."""
+    total = p.views.total
 
+    def kernel(scene, sensors, views, leaves, seed):
+        with dr.suspend_grad():
+            stream = rays.stream(seed, LANES)
+            pixel = dr.minimum(mi.UInt32(stream.next_1d() * total), total - 1)
+            ray, _ = rays.spawn(sensors, views, *views.locate(pixel), stream)
+            found = render(scene, stream, ray)
+            dr.eval(found)
+            return found
 
-def mean(radiance) -> float:
-    return float((WEIGHTS @ np.array(radiance)).mean())
+    run = recorded(kernel, p)
+
+    def mean(seed: int) -> float:
+        seed = dr.opaque(mi.UInt32, seed)
+        found = run(p.scene, p.sensors, p.views, p.unknowns.leaves, seed)
+        return float((WEIGHTS @ np.array(found)).mean())
+
+    return mean
 
 
 def radiances(p, value: float, render, first: int) -> np.ndarray:
-    key = p.unknowns.keys[0]
+    key, mean = p.unknowns.keys[0], shown(p, render)
     p.unknowns.write(p.unknowns.values_of({key: np.full_like(p.unknowns[key].start, value)}))
-    with dr.suspend_grad():
-        return np.array([mean(render(*drawn(p, first + s))) for s in range(SEEDS)])[:, None]
+    return np.array([mean(first + seed) for seed in range(SEEDS)])[:, None]
 
 
 def mitsuba(p):
     """Mitsuba's own paths."""
     base = p.integrator.mitsuba
-    return lambda stream, ray: sampled(base, dr.ADMode.Primal, p.scene, stream, ray)[0]
+    return lambda scene, stream, ray: sampled(base, dr.ADMode.Primal, scene, stream, ray)[0]
 
 
 def derivatives(p, value: float, integrator, first: int) -> np.ndarray:
-    key = p.unknowns.keys[0]
+    key, mean = p.unknowns.keys[0], shown(p, integrator.forward)
     like, found = p.unknowns[key].start, []
     for seed in range(SEEDS):
         p.unknowns.push_tangent(
             *(p.unknowns.values_of({key: np.full_like(like, x)}) for x in (value, 1))
         )
-        with dr.suspend_grad():
-            stream, ray = drawn(p, first + seed)
-            found.append(mean(integrator.forward(p.scene, stream, ray)))
+        found.append(mean(first + seed))
     return np.array(found)[:, None]
 
 
@@ -155,7 +165,7 @@ def test_derivatives_and_radiances_are_those_of_mitsubas_pictures(material, word
         assert found.always_visible < 0.12 * abs(expected.mean()) + 2e-3, str(found)
     # What a replay replays, taken apart, shows the same picture.
     own = Replayed(p.integrator.mitsuba, paths, lobes)
-    traced = lambda stream, ray: own.once(dr.ADMode.Primal, p.scene, stream, ray, True)
+    traced = lambda scene, stream, ray: own.once(dr.ADMode.Primal, scene, stream, ray, True)
     found = welch(radiances(p, at, traced, 7000), radiances(p, at, mitsuba(p), 8000))
     assert found.p_value > 1e-3, str(found)
 
@@ -179,21 +189,18 @@ def test_textures_get_the_derivative_of_each_texel(material, word):
     rng = np.random.default_rng(1)
     at = (0.2 + 0.6 * rng.random((4, 4, 1))).astype(np.float32)
     signs = rng.choice([-1.0, 1.0], (4, 4, 1)).astype(np.float32)
-    render = mitsuba(p)
+    render, forward = shown(p, mitsuba(p)), shown(p, p.integrator.forward)
 
     def difference(seed: int) -> float:
         sides = []
         for offset in (-0.02, 0.02):
             p.unknowns.write(p.unknowns.values_of({key: at + offset * signs}))
-            with dr.suspend_grad():
-                sides.append(mean(render(*drawn(p, seed))))
+            sides.append(render(seed))
         return (sides[1] - sides[0]) / 0.04
 
     def derivative(seed: int) -> float:
         p.unknowns.push_tangent(*(p.unknowns.values_of({key: each}) for each in (at, signs)))
-        with dr.suspend_grad():
-            stream, ray = drawn(p, seed)
-            return mean(p.integrator.forward(p.scene, stream, ray))
+        return forward(seed)
 
     found = welch(*(np.array([[f(s)] for s in range(SEEDS)]) for f in (derivative, difference)))
     assert found.p_value > 1e-3, str(found)

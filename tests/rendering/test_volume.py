@@ -26,7 +26,7 @@ from volumes_for_tests import (
 from isas_cli import losses
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.rendering import rays, volume
-from isas_cli.rendering.integrators import Integrator
+from isas_cli.rendering.integrators import Integrator, Medium
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns.parameters import flat
@@ -211,3 +211,62 @@ def test_what_is_not_one_medium_alone_keeps_mitsubas_paths(what):
     assert type(without_targets(scene, {DENSITY: 1.0}).integrator) is Integrator
     with pytest.raises(InputError, match="emission is for one medium in a cube or sphere"):
         without_targets(scene | {"integrator": {"type": "emission"}}, {DENSITY: 1.0})
+
+
+GREY = {"type": "rgb", "value": [0.5, 0.5, 0.5]}
+COLOURED = {"type": "rgb", "value": [0.2, 0.4, 0.8]}
+GLASS = {"type": "thindielectric"}
+HALF = {"type": "mask", "opacity": 0.5, "nested": {"type": "diffuse"}}
+BLEND = {"type": "blendphase", "weight": 0.3, "a": {"type": "isotropic"}, "b": {"type": "hg"}}
+
+
+def fog(extinction, bsdf=None, **more) -> dict:
+    inside = {"type": "homogeneous", "sigma_t": extinction, "albedo": 0.8, **more}
+    whole = description(1.0, 0.5)
+    whole["box"] = {"type": "cube", "bsdf": bsdf or {"type": "null"}, "interior": inside}
+    return whole
+
+
+@pytest.mark.parametrize(
+    "whole, unknowns, own",
+    [
+        (fog(GREY), {}, True),
+        (fog(GREY), {"box.interior_medium.albedo.value.value": 0.5}, True),
+        (fog(GREY), {"box.interior_medium.sigma_t.value.value": 0.5}, False),
+        (fog(COLOURED), {}, False),
+        (fog(GREY, GLASS), {}, False),
+        (fog(GREY, HALF), {}, False),
+        (fog(GREY, phase=BLEND), {}, True),
+        (
+            fog(GREY, phase=BLEND),
+            {"box.interior_medium.phase_function.weight.value.value": 0.5},
+            False,
+        ),
+    ],
+    ids=["grey", "albedo", "three unknown", "coloured", "glass", "half", "blend", "phase unknown"],
+)
+def test_what_is_more_than_a_grey_medium_is_left_to_mitsuba(whole, unknowns, own):
+    p = without_targets(whole, unknowns or {"sky.radiance.value": 0.5})
+    assert type(p.integrator) is (Medium if own else Integrator)
+
+
+def test_a_medium_beside_others_outside_is_left_to_mitsuba():
+    whole = fog(GREY)
+    whole["box"]["exterior"] = {"type": "homogeneous", "sigma_t": 0.1, "albedo": 0.5}
+    assert volume.medium_of(mi.load_dict(whole)) is None
+
+
+def test_a_glow_of_several_extinctions_is_refused():
+    whole = fog(COLOURED) | {"integrator": {"type": "emission"}}
+    with pytest.raises(InputError, match="its extinction alike in all channels"):
+        without_targets(whole, {"sky.radiance.value": 0.5})
+
+
+def test_coloured_fog_looks_as_mitsuba_has_it():
+    """In a furnace that absorbs nothing all channels stay as bright as the sky."""
+    whole = fog(COLOURED)
+    whole["box"]["interior"]["albedo"] = 1.0
+    p = without_targets(whole, {"sky.radiance.value": 0.5})
+    p.unknowns.write(p.unknowns.truths())
+    radiance, _ = p.integrator.primal(p.scene, rays.stream(mi.UInt32(3), N), through_the_middle(p))
+    np.testing.assert_allclose(np.array(radiance).mean(axis=1), SKY, rtol=0.02)

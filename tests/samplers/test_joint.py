@@ -11,7 +11,9 @@ from scenes_for_tests import ROUGHNESS, TEXTURE, UNKNOWNS, problem
 from isas_cli import losses
 from isas_cli.cli.app import main
 from isas_cli.runtime import streams
+from isas_cli.samplers.balanced import Balanced
 from isas_cli.samplers.joint import Joint
+from isas_cli.samplers.relevant import Relevant
 from isas_cli.samplers.sampler import Stage1Settings
 from isas_cli.samplers.stage1.cell_moments import random_signs
 from isas_cli.samplers.stage1.cells import Cells
@@ -132,12 +134,13 @@ def test_a_look_is_the_root_of_the_moment():
     assert sampler.paths_per_look == sampler.cells.count * 4 * 3 * 2
 
 
-def test_masked_pixels_draw_nothing():
+@pytest.mark.parametrize("kind", [Joint, Relevant, Balanced])
+def test_masked_pixels_draw_nothing(kind):
     p = problem(UNKNOWNS)
     mask = np.ones(p.views.total, np.float32)
     mask[: p.views.total // 2] = 0  # the first view
     p.set_targets(p.targets, mi.Float(mask), "test")
-    sampler = Joint(stage1=Stage1Settings(resolution=4, spp=4, denoise="none"))
+    sampler = kind(stage1=Stage1Settings(resolution=4, spp=4, denoise="none"))
     sampler = sampler.on(p, losses.L2(), 512)
     weights = np.array(sampler.look(p.unknowns.starts(), 1, 0))
     p.unknowns.write(p.unknowns.starts())

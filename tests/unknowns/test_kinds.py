@@ -50,12 +50,8 @@ SHORT += ["effects=full"]
 
 
 @pytest.fixture
-def toys():
-    for kind in (LogGrid, Swelling):
-        registry.register(kind)
-    yield
-    for kind in (LogGrid, Swelling):
-        registry.unregister(kind)
+def toys(monkeypatch):
+    monkeypatch.setattr(registry, "_KINDS", [Swelling, LogGrid, *registry.kinds()])
 
 
 @pytest.fixture

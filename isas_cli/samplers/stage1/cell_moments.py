@@ -36,7 +36,8 @@ class Stage1:
         self._residual = wrap(_residual_kernel(problem.integrator, loss, samples))
         self._derivative = wrap(_derivative_kernel(problem.integrator, samples))
         self._sensitivity = wrap(_sensitivity_kernel(problem.integrator, samples))
-        self._curvature = wrap(_curvature_kernel(loss, samples))
+        self._curvature = wrap(_pixels_kernel(loss.curvature, samples))
+        self._counting = wrap(_pixels_kernel(lambda target: mi.Color3f(1), samples))
 
     def _arguments(self):
         p = self.problem
@@ -80,6 +81,14 @@ class Stage1:
         p = self.problem
         seeds = self._seeds(seed, iteration, "stage1_place")
         return self._curvature(p.views, self.cells, p.targets, p.mask, seeds)
+
+    def counting(self, seed: int, iteration: int) -> mi.Color3f | None:
+        """How much a cell's pixels count, in the mean; None where all count."""
+        p = self.problem
+        if p.mask is None:
+            return None
+        seeds = self._seeds(seed, iteration, "stage1_place")
+        return self._counting(p.views, self.cells, p.targets, p.mask, seeds)
 
     def sensitivity(
         self, values: dict, passes: int, seed: int, iteration: int, image: mi.Color3f | None = None
@@ -153,11 +162,13 @@ def _sensitivity_kernel(integrator, samples: int):
     return kernel
 
 
-def _curvature_kernel(loss, samples: int):
+def _pixels_kernel(of, samples: int):
+    """The mean over each cell of ``of`` what its pixels' targets are, times their mask."""
+
     def kernel(views, cells, targets, mask, seeds):
         view, column, row = cells.place(views, samples, seeds[0])
         pixel = views.index(view, column, row)
-        weight = loss.curvature(dr.gather(mi.Color3f, targets, pixel))
+        weight = of(dr.gather(mi.Color3f, targets, pixel))
         if mask is not None:
             weight *= dr.gather(mi.Float, mask, pixel)
         zero = dr.zeros(mi.Float, cells.count * samples)
