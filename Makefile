@@ -24,8 +24,8 @@ demo: setup ## recover a pottery texture in about three minutes and write a repo
 test: setup ## run the tests, a worker a core: about twenty minutes on two
 	@$(VENV)/bin/python -m pytest $(WORKERS)
 
-test-all: setup ## run the slow tests as well
-	@$(VENV)/bin/python -m pytest $(WORKERS) -m ''
+test-all: setup ## run the slow tests as well, and compute all that tests compare with anew
+	@ISAS_REFERENCES=live $(VENV)/bin/python -m pytest $(WORKERS) -m ''
 
 docs: setup ## build the documentation site, build/docs/index.html
 	@$(PIP) install -c constraints.txt --no-build-isolation -e '.[docs]'

@@ -6,7 +6,7 @@ from __future__ import annotations
 import itertools
 import subprocess
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -83,13 +83,17 @@ def judged(
     return first, race(scene, root / "seeds", settings, chosen, others, seconds, row)
 
 
-def write(path: Path, rows: pandas.DataFrame) -> None:
-    """Rows of some scenes; those of scenes that were not measured now stay."""
-    rows = rows.drop(columns=["history", "folder"], errors="ignore")
+def write(
+    path: Path, rows: pandas.DataFrame, keys: Sequence[str] = ("scene",), form: str = "%.4g"
+) -> None:
+    """In the place of earlier rows of the same ``keys``; what was not measured now stays."""
+    rows, keys = rows.drop(columns=["history", "folder"], errors="ignore"), list(keys)
     if path.exists():
         before = pandas.read_csv(path)
-        rows = pandas.concat([before[~before["scene"].isin(rows["scene"])], rows])
-    rows.to_csv(path, index=False, float_format="%.4g")
+        own, others = (each[keys].apply(tuple, axis=1) for each in (rows, before))
+        rows = pandas.concat([before[~others.isin(own)], rows])
+    path.parent.mkdir(exist_ok=True)
+    rows.to_csv(path, index=False, float_format=form)
 
 
 def draw(

@@ -85,7 +85,7 @@ class Point:
     def look(self) -> float:
         moments = None
         if "moments" in self.sampler.settings.needs and self.stepper.taken:
-            moments = self.stepper.moments()
+            moments = self.stepper.moments(0.0)
         return self._timed(lambda: self._look(moments))
 
     def _look(self, moments) -> None:

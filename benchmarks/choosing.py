@@ -15,6 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import _contest
 import pages
 import pandas
 from _choosing import SCENES
@@ -67,10 +68,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory(prefix="isas-choosing-") as folder:
             raced(scene, chosen.seconds, chosen.seeds, Path(folder) / "race")
             made = rows(scene, Path(folder))
-        if path.exists():
-            known = pandas.read_csv(path)
-            made = pandas.concat([known[known["scene"] != scene], made])
-        made.to_csv(path, index=False, float_format="%.4g")
+        _contest.write(path, made)
         pages.write()
         print(made.to_string(index=False), flush=True)
 

@@ -19,6 +19,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import _contest
 import pages
 import pandas
 
@@ -112,13 +113,9 @@ def main() -> None:
         judged = raced(scene, ways, chosen.seeds, chosen)
         rows = pandas.concat([choosing.assign(judged=0), judged.assign(judged=1)])
         found = against_none(rows)
-        if path.exists():
-            known = pandas.read_csv(path)
-            same = known[RUN[:4]].apply(tuple, axis=1).isin(found[RUN[:4]].apply(tuple, axis=1))
-            found = pandas.concat([known[~same], found])
         found = found.sort_values([*RUN[:4], "judged", "factor", "seed"], kind="stable")
         # After each scene: what is measured survives what follows.
-        found.to_csv(path, index=False, float_format="%.4g")
+        _contest.write(path, found, RUN[:4])
         pages.write()
         means = found[found["judged"] == 1].groupby(RUN[:5])
         print(means[[*MEASURES, *(f"{name}_ratio" for name in MEASURES)]].mean().to_string())

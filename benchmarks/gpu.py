@@ -80,13 +80,8 @@ def race(scene: str, size: str, seconds: float) -> tuple[pandas.DataFrame, panda
 
 
 def write(name: str, rows: pandas.DataFrame, keys: list[str]) -> None:
-    """In the place of earlier rows of the same ``keys``, whatever card they are of."""
-    path = RESULTS / name
-    if path.exists():
-        before = pandas.read_csv(path)
-        own, others = (table[keys].apply(tuple, axis=1) for table in (rows, before))
-        rows = pandas.concat([before[~others.isin(own)], rows])
-    rows.to_csv(path, index=False, float_format="%.4g")
+    """Whatever card earlier rows are of."""
+    _contest.write(RESULTS / name, rows, keys)
     print(rows.to_string(index=False), flush=True)
 
 

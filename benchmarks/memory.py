@@ -22,6 +22,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import _contest
 import pages
 import pandas
 
@@ -73,12 +74,7 @@ def main() -> None:
         row |= {"card": found["card"], "day": datetime.date.today().isoformat()}
         rows.append(row)
         print(pandas.DataFrame([row]).to_string(index=False), flush=True)
-    table, keys = pandas.DataFrame(rows), ["pixels", "sampler", "card"]
-    if RESULTS.exists():
-        known = pandas.read_csv(RESULTS)
-        own, others = (each[keys].apply(tuple, axis=1) for each in (table, known))
-        table = pandas.concat([known[~others.isin(own)], table])
-    table.to_csv(RESULTS, index=False, float_format="%.4g")
+    _contest.write(RESULTS, pandas.DataFrame(rows), ("pixels", "sampler", "card"))
     pages.write()
 
 

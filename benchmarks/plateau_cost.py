@@ -23,6 +23,7 @@ import statistics
 import sys
 from pathlib import Path
 
+import _contest
 import _rows
 import pages
 import pandas
@@ -68,11 +69,7 @@ def main() -> None:
                 f"({ratio.min():.2f} … {ratio.max():.2f})"
             )
         if not chosen.quick or chosen.output:
-            # What was measured of other tasks stays.
-            earlier = [pandas.read_csv(output)] if output.exists() else []
-            rows = pandas.concat([*(e[e["task"] != task] for e in earlier), found])
-            output.parent.mkdir(exist_ok=True)
-            rows.to_csv(output, index=False, float_format="%.6f")
+            _contest.write(output, found, ("task",), "%.6f")
             pages.write()
 
 

@@ -18,6 +18,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
+import _contest
 import _plateau
 import _plateau_table
 import numpy as np
@@ -73,9 +74,6 @@ def main() -> None:
     strange = [task for task in chosen.tasks if task not in TASKS]
     if strange:
         parser.error(f"{strange[0]}: no such task; valid: {', '.join(TASKS)}")
-    earlier = pandas.DataFrame(columns=["task", "factor"])
-    if OUTPUT.exists():
-        earlier = pandas.read_csv(OUTPUT)
     for task in chosen.tasks or TASKS:
         raced = pandas.read_csv(_plateau.RESULTS / f"plateau_{task}.csv").set_index("method")
         iterations = int(raced.loc["plateau", "iterations"])
@@ -83,9 +81,7 @@ def main() -> None:
         trials = range(first, first + chosen.starts)
         rows = pandas.DataFrame(measure(task, trials, chosen.factors, iterations))
         print(rows.to_string(index=False, float_format="%.3g"), flush=True)
-        anew = (earlier["task"] == task) & earlier["factor"].isin(chosen.factors)
-        earlier = pandas.concat([earlier[~anew], rows])
-        earlier.to_csv(OUTPUT, index=False, float_format="%.4g")
+        _contest.write(OUTPUT, rows, ("task", "factor"))
         pages.write()
 
 

@@ -24,6 +24,7 @@ import sys
 import time
 from pathlib import Path
 
+import _contest
 import _rows
 import numpy as np
 import pages
@@ -158,7 +159,6 @@ def main() -> None:
     if chosen.child:
         return child(chosen.tasks[0], chosen)
     output = OUTPUTS[chosen.of]
-    earlier = pandas.read_csv(output) if output.exists() else pandas.DataFrame({"task": []})
     for task in chosen.tasks or TASKS:
         # A process each: several scenes in one slow each other.
         command = [sys.executable, __file__, *sys.argv[1:], "--child"]
@@ -166,8 +166,7 @@ def main() -> None:
         rows = pandas.DataFrame(_rows.collect(command))
         print(rows.to_string(index=False, float_format="%.2f"), flush=True)
         if not chosen.quick:
-            earlier = pandas.concat([earlier[earlier["task"] != task], rows])
-            earlier.to_csv(output, index=False, float_format="%.4g")
+            _contest.write(output, rows, ("task",))
             pages.write()
 
 

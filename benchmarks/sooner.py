@@ -19,6 +19,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import _contest
 import matplotlib.pyplot as plt
 import pages
 import pandas
@@ -100,13 +101,8 @@ def main() -> None:
     old, path = earlier(chosen.commit), RESULTS / "sooner.csv"
     for seed in chosen.seeds:
         for scene in chosen.scenes or TEXTURES:
-            known = pandas.read_csv(path) if path.exists() else pandas.DataFrame()
             row = pandas.DataFrame([measured(scene, seed, old, chosen)])
-            if len(known):
-                same = (known["scene"] == scene) & (known["seed"] == seed)
-                known = known[~same]
-            known = pandas.concat([known, row], ignore_index=True)
-            known.to_csv(path, index=False, float_format="%.4g")
+            _contest.write(path, row, ("scene", "seed"))
             print(row.to_string(index=False), flush=True)
     draw(RESULTS / "sooner.png", chosen.seeds[0])
     pages.write()

@@ -10,6 +10,7 @@ import matplotlib
 import numpy as np
 import pytest
 
+from isas_cli.cli.app import main
 from isas_cli.runtime import backend
 
 _STARTED = pytest.StashKey[backend.Backend]()
@@ -21,8 +22,13 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["MPLBACKEND"] = "Agg"  # for the commands that tests start
     os.environ["ISAS_CACHE_DIR"] = tempfile.mkdtemp(prefix="isas-cache-")
     os.environ["ISAS_ALLOW"] = "flaky_scene"  # a builder of tests' own
-    # Workers side by side have a core each.
-    threads = 1 if "PYTEST_XDIST_WORKER" in os.environ else 0
+    # Workers side by side have a core each, and so have the runs and processes that they start:
+    # threads that wait for work would take it from the others.
+    worker = os.environ.get("PYTEST_XDIST_WORKER")
+    if worker and hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[int(worker[2:]) % len(cores)]})
+    threads = 1 if worker else 0
     config.stash[_STARTED] = backend.start(threads=threads)
 
 
@@ -35,6 +41,16 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     terminal = session.config.pluginmanager.get_plugin("terminalreporter")
     if terminal is not None:
         terminal.write_line(f"{machine}; seeds of tests: CRC-32 of their names")
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Modules stay: the collector need not look at them again and again."""
+    gc.collect()
+    gc.freeze()
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    gc.unfreeze()  # or bindings take what is left for leaks
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -75,3 +91,23 @@ def seed(request: pytest.FixtureRequest) -> int:
 def rng(seed: int) -> np.random.Generator:
     """A NumPy generator from the test's own seed."""
     return np.random.default_rng(seed)
+
+
+@pytest.fixture(scope="module")
+def two_threads():
+    """Mitsuba reads EXR files here, for which a worker's one thread is not enough."""
+    with backend.loading():
+        yield
+
+
+@pytest.fixture
+def isas(tmp_path, monkeypatch, capfd):
+    """Calls the command in an empty folder: arguments → (status, stdout, stderr)."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        status = main(list(arguments))
+        captured = capfd.readouterr()
+        return status, captured.out, captured.err
+
+    return call

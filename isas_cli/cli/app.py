@@ -178,40 +178,50 @@ def _parser() -> argparse.ArgumentParser:
     for command in _UNPARSED:  # here for the list of commands only
         commands.add_parser(command, help=_SUMMARIES[command], add_help=False)
     compare = commands.add_parser("compare", help=_SUMMARIES["compare"])
-    compare.add_argument("folders", nargs="+", metavar="DIR", help="runs, or folders of runs")
-    compare.add_argument("--output", metavar="DIR", help="where to (default: DIR/comparison)")
+    compare.add_argument(
+        "folders", type=Path, nargs="+", metavar="DIR", help="runs, or folders of runs"
+    )
+    compare.add_argument(
+        "--output", type=Path, metavar="DIR", help="where to (default: DIR/comparison)"
+    )
     compare.add_argument(
         "--baseline", metavar="METHOD", help="what others are set against (default: uniform)"
     )
     watch = commands.add_parser("watch", help=_SUMMARIES["watch"])
-    watch.add_argument("folder", metavar="DIR", help="a run's folder, or one of several runs")
+    watch.add_argument(
+        "folder", type=Path, metavar="DIR", help="a run's folder, or one of several runs"
+    )
     watch.add_argument("--once", action="store_true", help="show the present state and leave")
     commands.add_parser("scenes", help=_SUMMARIES["scenes"])
     doctor = commands.add_parser("doctor", help=_SUMMARIES["doctor"])
     doctor.add_argument("--variant", default="auto", help="Mitsuba variant (default: auto)")
     replay = commands.add_parser("replay", help=_SUMMARIES["replay"])
-    replay.add_argument("folder", metavar="DIR", help="a run's folder")
+    replay.add_argument("folder", type=Path, metavar="DIR", help="a run's folder")
     replay.add_argument(
         "iteration", nargs="?", metavar="iteration=N", help="which (default: the checkpoint's last)"
     )
     landscape = commands.add_parser("landscape", help=_SUMMARIES["landscape"])
-    landscape.add_argument("folder", metavar="DIR", help="a run's folder")
+    landscape.add_argument("folder", type=Path, metavar="DIR", help="a run's folder")
     landscape.add_argument(
         "--along", nargs="+", metavar="KEY", help="one or two numbers (default: all, if no more)"
     )
     landscape.add_argument("--spp", type=int, default=32, help="paths a pixel and point, twice")
     report = commands.add_parser("report", help=_SUMMARIES["report"])
-    report.add_argument("folder", help="a run's folder")
+    report.add_argument("folder", type=Path, help="a run's folder")
     export = commands.add_parser("export", help=_SUMMARIES["export"])
-    export.add_argument("folder", help="a run's folder")
-    export.add_argument("--output", help="where to (default: FOLDER/result)")
+    export.add_argument("folder", type=Path, help="a run's folder")
+    export.add_argument("--output", type=Path, help="where to (default: FOLDER/result)")
     relight = commands.add_parser("relight", help=_SUMMARIES["relight"])
-    relight.add_argument("folder", metavar="DIR", help="a run's folder")
+    relight.add_argument("folder", type=Path, metavar="DIR", help="a run's folder")
     relight.add_argument(
-        "pictures", metavar="SET", help="a folder of photographs with cameras, or their file in it"
+        "pictures",
+        type=Path,
+        metavar="SET",
+        help="a folder of photographs with cameras, or their file in it",
     )
     relight.add_argument(
         "--light",
+        type=Path,
         help="an environment in place of the scene's lights, or a folder with one called as each "
         "view (default: the scene's own lights)",
     )
@@ -222,7 +232,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     relight.add_argument("--width", type=int, help="pixels of renderings (default: the pictures')")
     relight.add_argument("--spp", type=int, default=256, help="paths a pixel (default: 256)")
-    relight.add_argument("--output", help="where to (default: DIR/relit)")
+    relight.add_argument("--output", type=Path, help="where to (default: DIR/relit)")
     return parser
 
 
@@ -235,47 +245,9 @@ def _dispatch(arguments: list[str]) -> int:
         return importlib.import_module(f".{command}", __package__).main(arguments[1:])
     if command and not command.startswith("-") and command not in _SUMMARIES:
         raise InputError(f"{command}: no such command; {nearest(command, _SUMMARIES)}")
-    parsed = _parser().parse_args(arguments)
-    if parsed.command == "scenes":
-        from .scenes import main as scenes
-
-        return scenes()
-    if parsed.command == "doctor":
-        from .doctor import report
-
-        return report(parsed.variant)
-    if parsed.command == "compare":
-        from .compare import main as compare
-
-        output = Path(parsed.output) if parsed.output else None
-        return compare([Path(folder) for folder in parsed.folders], output, parsed.baseline)
-    if parsed.command == "watch":
-        from .watch import main as watch
-
-        return watch(Path(parsed.folder), parsed.once)
-    if parsed.command == "replay":
-        from .replay import main as replay
-
-        return replay(Path(parsed.folder), parsed.iteration)
-    if parsed.command == "landscape":
-        from .landscape import main as landscape
-
-        return landscape(Path(parsed.folder), parsed.along, parsed.spp)
-    if parsed.command == "report":
-        from ..report import write
-
-        print(write(Path(parsed.folder)))
-        return 0
-    if parsed.command == "export":
-        from .export import main as export
-
-        return export(Path(parsed.folder), Path(parsed.output) if parsed.output else None)
-    if parsed.command == "relight":
-        from .relight import main as relight
-
-        light, output = (Path(x) if x else None for x in (parsed.light, parsed.output))
-        more = parsed.up, parsed.width, parsed.spp, output
-        return relight(Path(parsed.folder), Path(parsed.pictures), light, *more)
+    given = vars(_parser().parse_args(arguments))
+    if (command := given.pop("command")) is not None:
+        return importlib.import_module(f".{command}", __package__).main(**given)
     _parser().print_help()
     return 0
 

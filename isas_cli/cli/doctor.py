@@ -19,7 +19,7 @@ PACKAGES = ("mitsuba", "drjit", "hydra-core", "OpenImageIO", "mitsuba-oidn")
 GRADIENT_TOLERANCE = 1e-3  # float32 sums and differences; a wrong gradient is off by far more
 
 
-def report(variant: str = "auto") -> int:
+def main(variant: str = "auto") -> int:
     """Print the table. Returns 0 when all that isas needs works, else 2 (see errors.py)."""
     from rich.console import Console
     from rich.table import Table

@@ -11,7 +11,6 @@ from ..config.compose import compose, translate
 from ..engine import experiment
 from ..engine.display import Display
 from ..runtime import interrupt
-from ..runtime.errors import InputError
 from . import one
 
 if TYPE_CHECKING:
@@ -21,9 +20,7 @@ if TYPE_CHECKING:
 
 def main(arguments: list[str]) -> int:
     """Print the plan of the run that ``arguments`` describe. Raises IsasError; returns 0."""
-    for argument in arguments:
-        if argument.startswith("-"):
-            raise InputError(f"{argument}: no such flag; see isas effects --help")
+    one.no_flags("effects", arguments)
     with one.argv(["isas", "effects", *arguments]), interrupt.prompt():
         cfg = compose(translate(arguments))
         typed, budget = experiment.checked(cfg)

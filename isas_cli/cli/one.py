@@ -23,6 +23,13 @@ def argv(arguments: list[str]) -> Iterator[None]:
         sys.argv = saved
 
 
+def no_flags(command: str, arguments: list[str], but: tuple[str, ...] = ()) -> None:
+    """Raises InputError for an argument that is a flag, of those ``but`` some."""
+    for argument in arguments:
+        if argument.startswith("-") and argument not in but:
+            raise InputError(f"{argument}: no such flag; see isas {command} --help")
+
+
 def run(cfg: DictConfig, name: str) -> int:
     if not name:
         raise InputError("hydra.run.dir is empty: give hydra.run.dir=DIR")

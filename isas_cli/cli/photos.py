@@ -11,7 +11,7 @@ from ..config import schema
 from ..config.compose import compose, translate
 from ..runtime.errors import InputError
 from ..scene.photos import brightness, checks, photographs, reading, sheet
-from . import photo_tables
+from . import one, photo_tables
 
 _OUTPUT = "output="
 # Exposures that differ by less than a sixth of a stop are alike.
@@ -22,9 +22,8 @@ def main(arguments: list[str]) -> int:
     """Print the tables of cameras and views, notes and warnings, write the sheet, and say what to
     run. Raises IsasError; returns 0."""
     settings, folders, output = [], [], None
+    one.no_flags("photos", arguments)
     for argument in arguments:
-        if argument.startswith("-"):
-            raise InputError(f"{argument}: no such flag; see isas photos --help")
         if argument.startswith(_OUTPUT):
             output = Path(argument.removeprefix(_OUTPUT))
         else:

@@ -21,7 +21,7 @@ from ..config.grammar import override
 from ..config.roles import meaning
 from ..engine import race, resumption
 from ..engine.race import Entry
-from ..records import write_atomically
+from ..records import write_text
 from ..runtime import interrupt
 from ..runtime.errors import InputError, nearest
 from . import one
@@ -60,9 +60,7 @@ class Plan:
 
 def main(arguments: list[str]) -> int:
     """Race what ``arguments`` (as typed) say. Raises IsasError; else returns the exit status."""
-    for argument in arguments:
-        if argument.startswith("-"):
-            raise InputError(f"{argument}: no such flag; see isas race --help")
+    one.no_flags("race", arguments)
     own, overrides = options_of(arguments)
     with one.argv(["isas", "race", *arguments]), interrupt.prompt():
         turn = slice_seconds(own)
@@ -85,12 +83,15 @@ def main(arguments: list[str]) -> int:
         return _compared(plan.folder, race.run(plan.entries, turn, plan.begin))
 
 
-def options_of(arguments: list[str]) -> tuple[dict[str, str], list[str]]:
-    """The race's own settings by name, and the overrides that all contestants share."""
+def options_of(
+    arguments: list[str], known: tuple[str, ...] = _OWN
+) -> tuple[dict[str, str], list[str]]:
+    """The command's own settings by name, those ``known``, and the overrides that all contestants
+    share. Raises InputError."""
     own, overrides = {}, []
     for argument in arguments:
         key, equals, value = argument.partition("=")
-        if equals and key in _OWN:
+        if equals and key in known:
             if key in own:
                 raise InputError(f"{argument}: {key} is given twice")
             own[key] = value
@@ -150,7 +151,7 @@ def planned(own: dict[str, str], overrides: list[str], home: str | None = None) 
 def write_yaml(path: Path, content: dict[str, Any]) -> None:
     """What there is to go on with."""
     text = yaml.safe_dump({"schema": 1, **content}, sort_keys=False)
-    write_atomically(path, lambda path: path.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def read_yaml(path: Path, key: str, told: str) -> tuple[str | None, list[dict[str, Any]]]:

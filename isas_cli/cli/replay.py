@@ -12,16 +12,16 @@ from ..runtime import interrupt
 from ..runtime.errors import InputError
 
 
-def main(folder: Path, which: str | None = None) -> int:
-    """Print what is not finite in an iteration of the run in ``folder``; ``which``: iteration=N.
-    Raises InputError; returns 0 where all is finite, else 3."""
-    number = re.fullmatch(r"iteration=(\d{1,8})", which or "iteration=0")
+def main(folder: Path, iteration: str | None = None) -> int:
+    """Print what is not finite in an iteration of the run in ``folder``; ``iteration``: which, as
+    iteration=N. Raises InputError; returns 0 where all is finite, else 3."""
+    number = re.fullmatch(r"iteration=(\d{1,8})", iteration or "iteration=0")
     if not number:
-        raise InputError(f"{which}: give iteration=N, a whole number from 0 on")
+        raise InputError(f"{iteration}: give iteration=N, a whole number from 0 on")
     from ..engine import replay
 
     with interrupt.prompt():
-        found = replay.of(folder, int(number[1]) if which else None)
+        found = replay.of(folder, int(number[1]) if iteration else None)
     console = Console()
     console.print(f"iteration {found.iteration}, at the values of the checkpoint")
     table = Table("unknown", "entries of the gradient", "not finite")

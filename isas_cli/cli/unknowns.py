@@ -15,6 +15,7 @@ from ..config.compose import compose, translate
 from ..engine import experiment
 from ..runtime import backend, interrupt
 from ..runtime.errors import InputError
+from . import one
 
 if TYPE_CHECKING:
     from ..engine.offers import Offer, Offers
@@ -26,9 +27,7 @@ _WIDE = 180
 def main(arguments: list[str]) -> int:
     """Print what the scene that ``arguments`` name offers. Raises IsasError; returns 0."""
     flags = [each for each in arguments if each.startswith("-")]
-    for flag in flags:
-        if flag != "--json":
-            raise InputError(f"{flag}: no such flag; see isas unknowns --help")
+    one.no_flags("unknowns", arguments, ("--json",))
     settings = _settings([each for each in arguments if each not in flags])
     with interrupt.prompt():
         cfg = compose(translate(settings))

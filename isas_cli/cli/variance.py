@@ -20,9 +20,7 @@ _REFERENCES = ("uniform", "gradient")
 
 def main(arguments: list[str]) -> int:
     """Measure what ``arguments`` (as typed) say. Raises IsasError; else returns the exit status."""
-    for argument in arguments:
-        if argument.startswith("-"):
-            raise InputError(f"{argument}: no such flag; see isas variance --help")
+    one.no_flags("variance", arguments)
     own, overrides = _own(arguments)
     with one.argv(["isas", "variance", *arguments]), interrupt.prompt():
         settings = {
@@ -43,15 +41,9 @@ def main(arguments: list[str]) -> int:
 
 def _own(arguments: list[str]) -> tuple[dict[str, str], list[str]]:
     """The command's own settings by name, and the overrides that all samplers share."""
-    own, overrides = {}, []
-    for argument in arguments:
-        key, equals, value = argument.partition("=")
-        if equals and key in _OWN:
-            if key in own:
-                raise InputError(f"{argument}: {key} is given twice")
-            own[key] = value
-            continue
-        group = key.lstrip("+~").split("@")[0]
+    own, overrides = race.options_of(arguments, _OWN)
+    for argument in overrides:
+        group = argument.partition("=")[0].lstrip("+~").split("@")[0]
         if group.split(".")[0] == "sampler":
             raise InputError(
                 f"{argument}: there are several: samplers=[A,B], or "
@@ -60,7 +52,6 @@ def _own(arguments: list[str]) -> tuple[dict[str, str], list[str]]:
         # It would pass for something that has an effect.
         if meaning(group).looped:
             raise InputError(f"{argument}: isas variance has no use for it; leave it out")
-        overrides.append(argument)
     return own, overrides
 
 
@@ -115,9 +106,6 @@ def _share(text: str) -> float:
 
 
 def _folder(own: dict[str, str], cfg) -> Path:
-    given = own.get("hydra.run.dir", "").strip("\"'")
-    if given:
-        return Path(given)
     if "hydra.run.dir" in own:
-        raise InputError("hydra.run.dir is empty: give hydra.run.dir=DIR")
+        return race.folder_of(own["hydra.run.dir"])
     return Path("runs") / "variance" / cfg.scene.name / str(cfg.name)

@@ -7,7 +7,7 @@ version, so that whoever reads at any moment, or after a kill, finds a whole fil
 """
 
 from ..runtime.files import write_atomically
-from .files import KEY_PREFIX, SCHEMA_VERSION, VALUE_PREFIX, key_of, safe_name
+from .files import KEY_PREFIX, SCHEMA_VERSION, VALUE_PREFIX, key_of, safe_name, write_text
 from .reader import Run, load, load_checkpoint
 from .writer import RunWriter
 
@@ -22,4 +22,5 @@ __all__ = [
     "load_checkpoint",
     "safe_name",
     "write_atomically",
+    "write_text",
 ]

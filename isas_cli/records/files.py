@@ -16,7 +16,7 @@ from ..runtime.errors import InputError
 from ..runtime.files import write_atomically
 
 # One number until a version is released: records of earlier commits are refused in one line.
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 KEY_PREFIX, VALUE_PREFIX = "parameter_rmse/", "value/"
 BEFORE_KEYS = ["iteration", "seconds", "paths", "loss", "image_rmse", "parameter_rmse"]
@@ -44,10 +44,7 @@ def key_of(name: str) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    def write(temporary: Path) -> None:
-        temporary.write_text(text, encoding="utf-8")
-
-    write_atomically(path, write)
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def write_json(path: Path, d: dict[str, Any]) -> None:

@@ -45,6 +45,18 @@ def alive(manifest: dict) -> bool:
     return latest.get("pid") != os.getpid() and follow.alive(manifest) is True
 
 
+def _made() -> dict:
+    """By what, as which command, and by which process."""
+    return {
+        "isas": __version__,
+        "command": sys.argv,
+        "folder": os.getcwd(),
+        **process(),
+        "packages": {p: _version(p) for p in _PACKAGES},
+        **({"guests": found} if (found := guests.installed()) else {}),
+    }
+
+
 def continuation(
     backend: Backend, iteration: int, seconds: float, earlier_budget: str | None
 ) -> dict:
@@ -53,14 +65,9 @@ def continuation(
     ``earlier_budget``: the budget before, None where it is the same."""
     return {
         **({"earlier_budget": earlier_budget} if earlier_budget else {}),
+        **_made(),
         "threads": backend.threads,
         "device": backend.device,
-        "packages": {p: _version(p) for p in _PACKAGES},
-        **({"guests": found} if (found := guests.installed()) else {}),
-        "isas": __version__,
-        "command": sys.argv,
-        "folder": os.getcwd(),
-        **process(),
         "iteration": iteration,
         "seconds": seconds,
     }
@@ -88,13 +95,8 @@ def describe(
     (``engine.floor.Floor``), or what is known of photographs'; None of what has none."""
     integrator = problem.integrator
     return {
-        "isas": __version__,
-        "command": sys.argv,
-        "folder": os.getcwd(),
-        **process(),
+        **_made(),
         "python": platform.python_version(),
-        "packages": {p: _version(p) for p in _PACKAGES},
-        **({"guests": found} if (found := guests.installed()) else {}),
         "variant": backend.variant,
         "llvm": {"path": str(backend.llvm_path or ""), "version": backend.llvm_version},
         "threads": backend.threads,

@@ -42,8 +42,9 @@ _MADE_FILES = (
     "tensorboard/events.*",
 )
 # Of a killed run.
-_LEFT_OVER = tuple(
-    f"{where}.*.tmp" for where in ("", "frames/", "meshes/", "plots/", "checkpoint/")
+_LEFT_OVER = (
+    *(f"{where}.*.tmp" for where in ("", "frames/", "meshes/", "plots/", "checkpoint/")),
+    "meshes/good_*",  # of a run that failed
 )
 
 
@@ -85,10 +86,9 @@ class RunWriter:
         writer = cls.__new__(cls)
         writer.folder = Path(folder)
         columns, rows = read_rows(writer.folder / "history.csv")
-        added = [name for name in AFTER_KEYS if columns and name not in columns]
-        writer._columns = columns + added
+        writer._columns = columns
         place = columns.index("iteration") if columns else 0
-        writer._rows = [row + [""] * len(added) for row in rows if int(row[place]) <= iteration]
+        writer._rows = [row for row in rows if int(row[place]) <= iteration]
         try:
             writer._claim()
             if columns:
@@ -146,7 +146,6 @@ class RunWriter:
         if not self._columns:
             keys = [name for name in row if name.startswith(KEY_PREFIX)]
             self._columns = BEFORE_KEYS + keys + AFTER_KEYS
-        # Also of a record that an older isas began.
         for name in row:
             if name.startswith(VALUE_PREFIX) and name not in self._columns:
                 self._columns.append(name)
@@ -189,11 +188,8 @@ class RunWriter:
 
     def mesh(self, name: str, content: bytes) -> None:
         """meshes/<name>: a shape for other programs."""
-
-        def write(temporary: Path) -> None:
-            temporary.write_bytes(content)
-
-        write_atomically(self.folder / "meshes" / name, write)
+        path = self.folder / "meshes" / name
+        write_atomically(path, lambda temporary: temporary.write_bytes(content))
 
     def checkpoint(self, arrays: dict[str, np.ndarray], state: dict[str, Any]) -> None:
         """Arrays (any names; ValueError for objects) and JSON state, swapped in as one file."""

@@ -14,7 +14,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from ..records import KEY_PREFIX, VALUE_PREFIX, Run, write_atomically
+from ..records import KEY_PREFIX, VALUE_PREFIX, Run, write_text
 from .figures import Picture
 
 _MEASURES = ("loss", "image_rmse", "parameter_rmse")
@@ -44,11 +44,7 @@ def write_page(run: Run, pictures: list[Picture], plots: list[Picture]) -> Path:
         manifest=json.dumps(run.manifest, indent=2),
     )
     path = run.folder / "report.html"
-
-    def write(temporary: Path) -> None:
-        temporary.write_text(text, encoding="utf-8")
-
-    write_atomically(path, write)
+    write_text(path, text)
     return path
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from .errors import IsasError
 
 
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Calls `write(temporary path)` and renames the result to `path`, which appears whole or not.
 
     The folder is made when missing. If anything fails, the temporary file goes and an earlier

@@ -18,19 +18,6 @@ TINY = ["scene=pottery", "size=tiny", "effects=full", "budget.iterations=2", "ta
 TINY += ["frames.spp=2", "estimator.batch=256"]
 
 
-@pytest.fixture
-def isas(tmp_path, monkeypatch, capfd):
-    """Calls the command in an empty folder: arguments → (status, stdout, stderr)."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments: str) -> tuple[int, str, str]:
-        status = main(list(arguments))
-        captured = capfd.readouterr()
-        return status, captured.out, captured.err
-
-    return call
-
-
 def refused(isas, arguments: list[str], expected: list[str]) -> None:
     """One line on stderr that holds every expected part, status 2, and no file left."""
     status, out, err = isas(*arguments)

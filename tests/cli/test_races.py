@@ -15,7 +15,6 @@ import yaml
 
 from isas_cli import records
 from isas_cli.cli import race
-from isas_cli.cli.app import main
 from isas_cli.cli.sweeps import races, worker
 from isas_cli.cli.sweeps.job import Report
 
@@ -24,17 +23,10 @@ TINY += ["frames.views=0", "frames.snapshots=0", "target.spp=4", "effects=full",
 TINY += ["threads=1", "samplers=uniform,relevant", "hydra.run.dir=all"]
 
 
-@pytest.fixture
-def isas(tmp_path, monkeypatch, capfd):
-    """Calls `isas race` in an empty folder: arguments → (status, stdout, stderr)."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments: str) -> tuple[int, str, str]:
-        status = main(["race", *arguments])
-        captured = capfd.readouterr()
-        return status, captured.out, captured.err
-
-    return call
+@pytest.fixture(autouse=True)
+def no_plots(monkeypatch):
+    """Of comparisons, which have tests of their own."""
+    monkeypatch.setattr("isas_cli.report.compare.page.plots.write_plots", lambda *_: [])
 
 
 def begin(*arguments: str) -> tuple[subprocess.Popen, Path]:
@@ -61,7 +53,7 @@ def runs() -> dict[str, records.Run]:
 
 def test_each_seed_is_a_race_and_what_is_done_is_skipped(isas):
     command = [*TINY, "scene=dodoco", "seed=1,2", "budget.iterations=2"]
-    status, out, err = isas(*command)
+    status, out, err = isas("race", *command)
     assert status == 0, err
     assert "races: 2 of 2 to be held, with 4 runs\n" in err
     assert table(err) == {"dodoco/seed1": "done", "dodoco/seed2": "done"}
@@ -81,7 +73,7 @@ def test_each_seed_is_a_race_and_what_is_done_is_skipped(isas):
 
     # One that was killed before its record was whole.
     (Path(held[3]) / "summary.json").unlink()
-    status, _, err = isas(*command)
+    status, _, err = isas("race", *command)
     assert status == 0 and "races: 1 of 2 to be held, with 2 runs\n" in err
     assert list(table(err).values()) == ["skipped", "resumed"]
     after = runs()
@@ -89,13 +81,13 @@ def test_each_seed_is_a_race_and_what_is_done_is_skipped(isas):
     assert same == [True] * 3 + [False]
     assert len(after[held[3]].manifest["resumed"]) == 1
 
-    status, _, err = isas(*command[:-1], "budget.iterations=3")
+    status, _, err = isas("race", *command[:-1], "budget.iterations=3")
     assert (
         status == 2
         and err.count("\n") == 1
         and "all/dodoco/seed1 holds a race with other settings" in err
     )
-    status, out, err = isas("resume=all")
+    status, out, err = isas("race", "resume=all")
     assert status == 0 and list(table(err).values()) == ["skipped"] * 2
     assert out.endswith("report: all/comparison/report.html\n")
 
@@ -111,7 +103,7 @@ def test_ctrl_c_leaves_what_resume_goes_on_with(isas, monkeypatch):
     assert len(first) == 2 and {end["status"] for end in first.values()} == {"interrupted"}
     monkeypatch.chdir("all")  # files and folders are found from elsewhere
     more = max(end["iterations"] for end in first.values()) + 2
-    status, _, err = isas("resume=.", f"budget.iterations={more}")
+    status, _, err = isas("race", "resume=.", f"budget.iterations={more}")
     assert status == 0, err
     monkeypatch.chdir("..")
     ends = runs()
@@ -185,7 +177,7 @@ def test_one_whose_worker_is_lost_is_told_and_ends_no_other(isas, monkeypatch):
         return Report(3, "a contestant failed numerically, the others went on")
 
     monkeypatch.setattr(worker, "run", attempt)
-    status, _, err = isas(*TINY, "scene=dodoco", "seed=1,2", "budget.seconds=90")
+    status, _, err = isas("race", *TINY, "scene=dodoco", "seed=1,2", "budget.seconds=90")
     assert status == 1 and set(table(err).values()) == {"failed"}
     assert "with 4 runs: 0:06:00 billed, plus targets" in err
     lost = "its worker was lost: OSError: no more processes"
@@ -231,7 +223,7 @@ def test_every_value_is_a_race_with_every_other(typed, places):
 def test_what_cannot_be_held_is_one_line_and_leaves_nothing(isas, monkeypatch, typed, words):
     monkeypatch.setattr("isas_cli.cli.sweeps.launchers._installed", lambda package: True)
     samplers = [] if "samplers=" in typed else ["samplers=[uniform]"]
-    status, out, err = isas(*typed.split(), *samplers)
+    status, out, err = isas("race", *typed.split(), *samplers)
     assert (status, out) == (2, "")
     assert words in err and err.count("\n") == 1, err
     assert os.listdir() == []
@@ -241,5 +233,5 @@ def test_what_cannot_be_held_is_one_line_and_leaves_nothing(isas, monkeypatch, t
 def test_a_damaged_list_of_races_is_refused(isas, text):
     Path("all").mkdir()
     Path("all/races.yaml").write_text(text)
-    status, _, err = isas("resume=all")
+    status, _, err = isas("race", "resume=all")
     assert status == 2 and err == "isas: all holds no race: races.yaml is missing or damaged\n"

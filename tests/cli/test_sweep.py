@@ -14,7 +14,6 @@ import pytest
 from omegaconf import OmegaConf
 
 from isas_cli import records
-from isas_cli.cli.app import main
 from isas_cli.cli.sweeps import fingerprint, launchers, worker
 from isas_cli.cli.sweeps.job import UNFINISHED, Job, Report
 from isas_cli.cli.sweeps.outcome import Outcome, exit_status
@@ -34,19 +33,6 @@ TINY = [
     "target.spp=4",
 ]
 JOBLIB = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
-
-
-@pytest.fixture
-def isas(tmp_path, monkeypatch, capfd):
-    """Calls `isas run` in an empty folder: arguments → (status, stdout, stderr)."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments: str) -> tuple[int, str, str]:
-        status = main(["run", *arguments])
-        captured = capfd.readouterr()
-        return status, captured.out, captured.err
-
-    return call
 
 
 def textures(*sizes: int) -> str:
@@ -72,7 +58,7 @@ def summary(folder: Path) -> dict:
 def test_jobs_that_fail_are_recorded_and_done_again_and_finished_ones_skipped(isas):
     refused, raises, killed = flaky_scene.REFUSED, flaky_scene.RAISES, flaky_scene.KILLED
     sweep = [*TINY, "-m", textures(refused, raises, killed, 8)]
-    status, out, err = isas(*sweep)
+    status, out, err = isas("run", *sweep)
     assert status == 2  # the first failure's
     assert out.count("report: ") == 1
     jobs = {size: f"scene.arguments.texture={size}" for size in (refused, raises, killed, 8)}
@@ -101,7 +87,7 @@ def test_jobs_that_fail_are_recorded_and_done_again_and_finished_ones_skipped(is
     assert [path.name for path in Path("runs").iterdir()] == ["dodoco"]
 
     before = (places[8] / "manifest.json").read_bytes()
-    status, out, err = isas(*TINY, "-m", textures(raises, 8))
+    status, out, err = isas("run", *TINY, "-m", textures(raises, 8))
     assert (status, out) == (1, "")
     assert table(err) == {jobs[raises]: "failed", jobs[8]: "skipped"}
     assert f"{jobs[8]}: skipped: done in {places[8]}" in err.splitlines()
@@ -111,7 +97,7 @@ def test_jobs_that_fail_are_recorded_and_done_again_and_finished_ones_skipped(is
 
 def test_side_by_side_a_job_that_dies_ends_no_other(isas):
     killed = flaky_scene.KILLED
-    status, _, err = isas(*TINY, "-m", *JOBLIB, textures(killed, 8))
+    status, _, err = isas("run", *TINY, "-m", *JOBLIB, textures(killed, 8))
     assert status == 1
     assert list(table(err).values()) == ["failed", "done"]
     places = folders()
@@ -164,7 +150,7 @@ def test_interrupted_and_killed_jobs_go_on_where_they_were(isas):
 
     with pytest.MonkeyPatch.context() as patched:  # a resumption that is refused costs nothing
         patched.setattr(worker, "run", lambda *unused: Report(2, "another machine"))
-        status, _, err = isas(*settings, "budget.seconds=3", "-m", "seed=1")
+        status, _, err = isas("run", *settings, "budget.seconds=3", "-m", "seed=1")
     assert status == 2 and "another machine" in err
     assert records.load(folder).summary == first.summary
 
@@ -177,7 +163,7 @@ def test_interrupted_and_killed_jobs_go_on_where_they_were(isas):
     process.stderr.close()
     assert not (folder / "summary.json").exists()
 
-    status, _, err = isas(*settings, "budget.seconds=3", "-m", "seed=1")
+    status, _, err = isas("run", *settings, "budget.seconds=3", "-m", "seed=1")
     assert status == 0, err
     last = records.load(folder)
     assert "resumed" in err and last.summary["status"] == "done"
@@ -218,7 +204,7 @@ def test_a_changed_setting_makes_another_folder(tmp_path):
     ],
 )
 def test_sweeps_that_cannot_begin_are_refused_in_one_line(isas, typed, expected):
-    status, out, err = isas(*TINY, "-m", *typed.split())
+    status, out, err = isas("run", *TINY, "-m", *typed.split())
     assert (status, out) == (2, "")
     assert err.startswith("isas: ") and err.count("\n") == 1, err
     for part in expected:
@@ -237,7 +223,7 @@ def test_sweeps_that_cannot_begin_are_refused_in_one_line(isas, typed, expected)
 )
 def test_extras_that_are_not_installed_are_named(isas, monkeypatch, choice, extra):
     monkeypatch.setattr("isas_cli.cli.sweeps.launchers._installed", lambda package: False)
-    status, out, err = isas(*TINY, "-m", choice)
+    status, out, err = isas("run", *TINY, "-m", choice)
     assert (status, out) == (2, "")
     install = f"pip install '.[{extra}]' in isas's source folder"
     assert err == f"isas: {choice} is an extra: {install}\n"
@@ -256,7 +242,7 @@ def test_the_same_job_is_done_once_and_a_run_with_other_settings_stays(isas, mon
     other.write_text("seed: 5")
     (other.parent / "manifest.json").write_text("{}")
     arguments = ["hydra.sweep.dir=elsewhere", "hydra.sweep.subdir='${seed}'", "seed=1,1,2"]
-    status, _, err = isas(*TINY, "-m", *arguments)
+    status, _, err = isas("run", *TINY, "-m", *arguments)
     assert status == 0 and [job.cfg.seed for job in calls] == [1, 2]
     assert [job.folder for job in calls] == [
         other.parent.absolute(),
@@ -264,7 +250,7 @@ def test_the_same_job_is_done_once_and_a_run_with_other_settings_stays(isas, mon
     ]
 
     monkeypatch.setattr(worker, "run", lambda *unused: Report(2, "already holds a run"))
-    status, _, err = isas(*TINY, "-m", *arguments)
+    status, _, err = isas("run", *TINY, "-m", *arguments)
     assert status == 2 and err.count("already holds a run") == 3
     assert not (other.parent / "summary.json").exists()
     assert other.read_text() == "seed: 5"
@@ -283,7 +269,7 @@ def test_a_numerical_failure_keeps_its_record_and_is_done_again(isas, monkeypatc
 
     monkeypatch.setattr(worker, "run", attempt)
     for _ in range(2):
-        status, _, err = isas(*TINY, "-m", "seed=1,2")
+        status, _, err = isas("run", *TINY, "-m", "seed=1,2")
         assert status == 3 and err.splitlines()[-1] == "isas: seed=2: the gradient is not finite"
     assert len(calls) == 4
     content = summary(calls[0].folder)
@@ -300,7 +286,7 @@ def test_no_job_begins_after_an_interruption_that_came_too_late(isas, monkeypatc
         return Report(0)
 
     monkeypatch.setattr(worker, "run", attempt)
-    status, _, err = isas(*TINY, "-m", "seed=1,2")
+    status, _, err = isas("run", *TINY, "-m", "seed=1,2")
     assert (status, len(calls)) == (130, 1)
     assert table(err)["seed=2"] == "not begun"
     assert err.splitlines()[-1] == "isas: interrupted"
@@ -316,7 +302,7 @@ def test_a_job_whose_worker_is_lost_is_recorded_and_ends_no_other(isas, monkeypa
         return Report(0)
 
     monkeypatch.setattr(worker, "run", attempt)
-    status, _, err = isas(*TINY, "-m", "seed=1,2")
+    status, _, err = isas("run", *TINY, "-m", "seed=1,2")
     assert status == 1 and table(err) == {"seed=1": "failed", "seed=2": "done"}
     assert "its worker was lost: OSError: no more processes" in summary(calls[0].folder)["error"]
 

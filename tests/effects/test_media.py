@@ -9,22 +9,11 @@ from scenes_for_tests import render_targets
 from volumes_for_tests import ALBEDO, DENSITY, problem
 
 from isas_cli import effects
-from isas_cli.effects import plan as planning
-from isas_cli.effects import probe
 from isas_cli.effects.settings import Effects
 from isas_cli.losses import L2
 from isas_cli.rendering import volume
 from isas_cli.rendering.integrators import Paths
 from isas_cli.runtime.errors import InputError
-
-
-@pytest.fixture(autouse=True)
-def as_many_batches(monkeypatch):
-    """However fast the machine is."""
-    for name in ("_LEAST_BATCHES", "_MOST_BATCHES"):
-        monkeypatch.setattr(probe, name, 64)
-    monkeypatch.setattr(planning, "_MOST", math.inf)
-    monkeypatch.setattr(planning, "_SHARE", math.inf)
 
 
 def decided(p, seconds=None, **settings):

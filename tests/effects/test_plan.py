@@ -27,15 +27,6 @@ WALL = "wall.bsdf.reflectance.value"
 ONE = {"light_samples": [1, 1], "directions": 1}  # which then are not measured
 
 
-@pytest.fixture(autouse=True)
-def as_many_batches(monkeypatch):
-    """However fast the machine is."""
-    for name in ("_LEAST_BATCHES", "_MOST_BATCHES"):
-        monkeypatch.setattr(probe, name, 64)
-    monkeypatch.setattr(planning, "_MOST", math.inf)
-    monkeypatch.setattr(planning, "_SHARE", math.inf)
-
-
 def decided(p, seconds=None, estimator="two_path", crossed=True, **settings):
     made = configured("estimator", estimator, {} if crossed else {"crossed": False})
     return effects.decide(p, Effects(**settings), made, L2(), seconds)

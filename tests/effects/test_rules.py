@@ -7,7 +7,6 @@ from gradient_estimates import Gradients, configured
 from scenes_for_tests import render_targets, without_targets
 
 from isas_cli import effects
-from isas_cli.effects import plan as planning
 from isas_cli.effects import probe
 from isas_cli.effects.settings import Effects
 from isas_cli.losses import L2
@@ -18,13 +17,12 @@ KEY = "thing.bsdf.reflectance.value"
 DEPTH = 6
 
 
+BATCHES = 24  # of a probe
+
+
 @pytest.fixture(autouse=True)
-def measured_alike_everywhere(monkeypatch, tmp_path):
+def own_cache(monkeypatch, tmp_path):
     monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
-    for name in ("_LEAST_BATCHES", "_MOST_BATCHES"):
-        monkeypatch.setattr(probe, name, 24)
-    for name in ("_MOST", "_SHARE"):
-        monkeypatch.setattr(planning, name, np.inf)
 
 
 def to():

@@ -15,7 +15,7 @@ import isas_cli
 TINY = [
     *("scene=pottery", "size=tiny", "sampler=progress", "target.spp=4", "estimator.batch=1024"),
     *("frames.views=0", "frames.snapshots=0", "evaluation.pixels=256", "report=false"),
-    "budget.paths=150000",
+    *("budget.paths=150000", "effects=full"),
 ]
 
 

@@ -25,6 +25,7 @@ from isas_cli.runtime.errors import InputError
 TINY = [
     *("scene=pottery", "size=tiny", "sampler=uniform", "target.spp=4", "estimator.batch=256"),
     *("frames.views=0", "frames.snapshots=0", "evaluation.pixels=256", "report=false"),
+    "effects=full",
 ]
 
 

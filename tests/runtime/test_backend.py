@@ -207,7 +207,7 @@ def test_importing_the_backend_imports_no_mitsuba():
 
 
 def test_the_doctor_is_content_here(capsys):
-    assert doctor.report() == 0
+    assert doctor.main() == 0
     printed = capsys.readouterr().out
     for word in ("mitsuba", "threads", "memory", "kernel cache", "denoiser", "gradient ok"):
         assert word in printed
@@ -215,13 +215,13 @@ def test_the_doctor_is_content_here(capsys):
 
 def test_the_doctor_says_what_is_wrong(capsys, monkeypatch):
     monkeypatch.setattr(doctor, "gradient_difference", lambda: float("nan"))
-    assert doctor.report() == 2
+    assert doctor.main() == 2
     assert "problem: the gradient of a test scene is wrong" in capsys.readouterr().out
 
 
 def test_the_doctor_reports_a_machine_without_llvm():
     environment = dict(os.environ, **{llvm.VARIABLE: "/absent/libLLVM.so"})
-    code = "from isas_cli.cli import doctor; raise SystemExit(doctor.report('llvm_ad_rgb'))"
+    code = "from isas_cli.cli import doctor; raise SystemExit(doctor.main('llvm_ad_rgb'))"
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert done.returncode == 2, done.stderr

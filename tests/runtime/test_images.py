@@ -14,15 +14,10 @@ import pytest
 from PIL import Image
 
 from isas_cli import __version__
-from isas_cli.runtime import backend, images
+from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError, IsasError
 
-
-@pytest.fixture(autouse=True, scope="module")
-def _two_threads():
-    """Mitsuba reads EXR files here, for which a worker's one thread is not enough."""
-    with backend.loading():
-        yield
+pytestmark = pytest.mark.usefixtures("two_threads")
 
 
 def write(path, pixels, channels=("R", "G", "B"), **attributes):

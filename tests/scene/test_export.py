@@ -18,12 +18,14 @@ from isas_cli.config.schema import PoseConfig, SceneConfig, TargetConfig, Unknow
 from isas_cli.engine import assemble
 from isas_cli.rendering import rays
 from isas_cli.rendering.emission import Emission
-from isas_cli.runtime import backend, images
+from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene import built, export, instances, scene_file
 from isas_cli.scene.views import Views
 from isas_cli.unknowns.specs import parse
 from isas_cli.unknowns.unknowns import Unknowns
+
+pytestmark = pytest.mark.usefixtures("two_threads")
 
 SCENE = """<scene version="3.0.0">
   <integrator type="path"><integer name="max_depth" value="3"/></integrator>
@@ -54,13 +56,6 @@ CLOUD = """<scene version="3.0.0">
     <volume type="gridvolume" name="sigma_t"><string name="filename" value="grid.vol"/></volume>
     <volume type="constvolume" name="albedo"><rgb name="value" value="0.5"/></volume>
   </medium></shape></scene>"""
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _two_threads():
-    """Mitsuba reads EXR files here, for which a worker's one thread is not enough."""
-    with backend.loading():
-        yield
 
 
 PAINT, SKY, RED = "paint.brdf_0.base_color.data", "sky.data", "figure.bsdf.reflectance.value"

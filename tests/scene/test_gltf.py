@@ -12,9 +12,11 @@ import pytest
 import trimesh
 
 from isas_cli.config.schema import SceneConfig, UnknownConfig
-from isas_cli.runtime import backend, images
+from isas_cli.runtime import images
 from isas_cli.scene import export
 from isas_cli.unknowns.parameters import held
+
+pytestmark = pytest.mark.usefixtures("two_threads")
 
 SCENE = """<scene version="3.0.0">
   <integrator type="path"><integer name="max_depth" value="2"/></integrator>
@@ -82,13 +84,6 @@ SHOWCASE = """
     <transform name="to_world"><translate x="6"/></transform>
     <bsdf type="diffuse"><rgb name="reflectance" value="0.2"/></bsdf></shape>
 """
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _two_threads():
-    """Mitsuba reads EXR files here, for which a worker's one thread is not enough."""
-    with backend.loading():
-        yield
 
 
 def sheet(path, mirrored: bool = False) -> None:

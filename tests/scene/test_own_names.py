@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from isas_cli import records
-from isas_cli.runtime import backend, images
+from isas_cli.runtime import images
 from isas_cli.scene import built, scene_file
+
+pytestmark = pytest.mark.usefixtures("two_threads")
 
 SIDES = '<integer name="width" value="8"/><integer name="height" value="8"/>'
 FILM = f'<film type="hdrfilm">{SIDES}</film>'
@@ -26,13 +28,6 @@ SHARED = f"""<scene version="3.0.0"><integrator type="path"/>{CAMERA}{SKY}
   </bsdf></shape></scene>"""
 # Whose text is its address.
 BATCH = SHARED.replace(CAMERA, f'<sensor type="batch"><sensor type="perspective"/>{FILM}</sensor>')
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _two_threads():
-    """Mitsuba reads EXR files here, for which a worker's one thread is not enough."""
-    with backend.loading():
-        yield
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ import pytest
 import trimesh
 from photo_sets import POSES, SIZE, Files
 
-from isas_cli.cli.app import main
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
@@ -16,17 +15,9 @@ from isas_cli.scene.photos import corners, photographs, shape
 
 
 @pytest.fixture
-def called(tmp_path, monkeypatch, capfd):
-    """`isas` in an empty folder: arguments → (status, stdout, stderr)."""
-    monkeypatch.chdir(tmp_path)
+def called(isas, monkeypatch):
     monkeypatch.setenv("COLUMNS", "160")
-
-    def call(*arguments: str):
-        status = main(list(arguments))
-        captured = capfd.readouterr()
-        return status, captured.out, captured.err
-
-    return call
+    return isas
 
 
 def ball(folder, at=(0.0, 0.0, 0.0), radius=0.4) -> str:

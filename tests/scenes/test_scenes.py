@@ -18,9 +18,10 @@ from isas_cli.scenes.subdivide import subdivide
 
 from isas_cli.config import schema
 from isas_cli.config.compose import compose
-from isas_cli.runtime import backend
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene import built
+
+pytestmark = pytest.mark.usefixtures("two_threads")
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [
@@ -38,13 +39,6 @@ NAMES = [
 ]
 # Textures of globes are half as high as wide.
 GLOBES = {"earth.bsdf", "mars.bsdf", "globe.bsdf"}
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _two_threads():
-    """Mitsuba reads EXR files here, for which a worker's one thread is not enough."""
-    with backend.loading():
-        yield
 
 
 def config(name: str) -> dict:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import references
 from poses_for_tests import AT, SIGMA
 from scipy import stats
 
@@ -34,7 +35,14 @@ def weights_at(shift: float) -> np.ndarray:
 def references_of(p) -> dict[str, np.ndarray]:
     """Gradients of both smoothed objectives, (sets, 2), by quadrature over the parameters; each set
     from two independent renderings of all nodes. By the place: central differences of the smoothed
-    objective's values; by the colour: the slope of the quadratic through its nodes."""
+    objective's values; by the colour: the slope of the quadratic through its nodes. Kept where they
+    are known (``references``)."""
+    of = [p.targets, AT, SIGMA, STEPS, NODES, STEP, SETS, PATHS]
+    found = references.known("blurred", of, lambda: np.array(list(_by_quadrature(p).values())))
+    return dict(zip(("image", "loss"), found))
+
+
+def _by_quadrature(p) -> dict[str, np.ndarray]:
     renderer = Renderer(p)
     keys = p.unknowns.keys
     weight = weights_at(0)

@@ -298,7 +298,7 @@ CASES = [
     Case(
         *("one pixel", "a view of 1 × 1", GREY_FROM, 0.02),
         side=1,
-        settings=("evaluation.spp=1024", "target.spp=4096"),
+        settings=("evaluation.spp=64", "target.spp=4096"),
     ),
     Case(
         *("solved", "residuals that are noise alone, to a sampler that looks at them"),
@@ -400,7 +400,7 @@ CASES = [
         *(GREY_FROM, 0.05),
         shapes=BALL.replace('"0.8"', '"0.06"'),
         warns="the sampling density is not to be trusted",
-        settings=("sampler=ours", "estimator.batch=4096", "evaluation.spp=1024"),
+        settings=("sampler=ours", "estimator.batch=4096"),
     ),
     Case(
         *("steep bumps", "a normal map whose normals lean by 80°, the other way at each texel"),

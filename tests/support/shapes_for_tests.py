@@ -7,6 +7,7 @@ import math
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import references
 from isas_cli.scenes import kirby, meshes
 from isas_cli.scenes.icosphere import icosphere
 from scenes_for_tests import render_targets, without_targets
@@ -131,8 +132,21 @@ def differences(
     step: float = STEP,
 ) -> dict[str, np.ndarray]:
     """The same by central differences of the images, at the mean image's ∂ℒ/∂I: four estimates.
-    ``names``: of ``ways``, or of the usual ones, those that count; None for all."""
-    x, renderer = egg(p) if at is None else at, Renderer(p)
+    ``names``: of ``ways``, or of the usual ones, those that count; None for all. Kept where they
+    are known (``references``)."""
+    x = egg(p) if at is None else at
+    ways = ways or directions(x)
+    names = list(names or ways)
+    mask = [] if p.mask is None else p.mask
+    of = [p.targets, mask, x, spp, step, *(ways[name] for name in names)]
+    rows = references.known(
+        "differences", of, lambda: np.array(_differenced(p, x, [ways[n] for n in names], spp, step))
+    )
+    return dict(zip(names, rows))
+
+
+def _differenced(p: Problem, x: np.ndarray, ways: list, spp: int, step: float) -> list:
+    renderer = Renderer(p)
 
     def image(at: np.ndarray, first: int) -> np.ndarray:
         p.unknowns.write(p.unknowns.values_of({KEY: at.astype(np.float32)}))
@@ -143,14 +157,11 @@ def differences(
     adjoint = 2 * (image(x, 5) - target) * float(p.share[0])
     if p.mask is not None:
         adjoint *= np.array(p.mask)[:, None]
-    found, ways = {}, ways or directions(x)
-    for name in names or ways:
-        way = ways[name] * step
-        found[name] = np.zeros(4)
-        for i in range(4):
-            first = 10**6 * (i + 1)
-            change = image(x + way, first) - image(x - way, first)
-            found[name][i] = np.sum(adjoint * change) / (2 * step)
+    found = []
+    for way in ways:
+        firsts = (10**6 * (i + 1) for i in range(4))
+        changes = (image(x + way * step, f) - image(x - way * step, f) for f in firsts)
+        found.append([np.sum(adjoint * change) / (2 * step) for change in changes])
     return found
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas
 from rich.markup import escape
 from rich.table import Table
 
@@ -140,17 +139,7 @@ def _with_bounds(name: str, estimate: Estimate) -> dict[str, float]:
 
 def write(table: list[dict], folder: Path) -> None:
     """variance.csv; a blank is what is not known. Raises IsasError when the disk refuses."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows([_cell(row[name]) for name in COLUMNS] for row in table)
-    write_text(folder / FILE, text.getvalue())
-
-
-def _cell(value) -> str:
-    if isinstance(value, (str, int)):
-        return str(value)
-    return "" if math.isnan(value) else repr(float(value))
+    write_text(folder / FILE, pandas.DataFrame(table, columns=COLUMNS).to_csv(index=False))
 
 
 def shown(table: list[dict], title: str) -> Table:

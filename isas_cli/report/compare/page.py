@@ -17,7 +17,7 @@ import plotly.offline
 import yaml
 from markupsafe import Markup
 
-from ...records import Run, write_atomically
+from ...records import Run, write_text
 from .. import interactive
 from ..chart import Chart
 from ..figures import Picture
@@ -109,11 +109,7 @@ def write(comparison: Comparison, output: Path) -> Path:
         licences={name: _vendored(name, "LICENSE") for name in (_SLIDER, _SORTER)},
     )
     path = output / "report.html"
-
-    def save(temporary: Path) -> None:
-        temporary.write_text(text, encoding="utf-8")
-
-    write_atomically(path, save)
+    write_text(path, text)
     return path
 
 
