@@ -66,7 +66,9 @@ def judged(
         return name, contestants[name] | {"optimizer.factor": factor}
 
     def least(runs: pandas.DataFrame) -> pandas.DataFrame:
-        of = runs.assign(logarithm=np.log(runs[measure])).groupby(["method", "factor"], sort=False)
+        # An error of 0 is one that its evaluation could not tell from less than the others.
+        told = runs[measure].clip(lower=runs[measure][runs[measure] > 0].min())
+        of = runs.assign(logarithm=np.log(told)).groupby(["method", "factor"], sort=False)
         means = of["logarithm"].mean().reset_index()
         return means.loc[means.groupby("method", sort=False)["logarithm"].idxmin()]
 

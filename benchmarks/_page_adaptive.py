@@ -84,7 +84,7 @@ def multires(rows: pandas.DataFrame) -> dict:
         "share": list(rows["share_of_start"]),
         "iterations": list(rows["iterations"]),
         "ahead": list(error.index[:2]),
-        "by": [error.iloc[i] / error.iloc[0] - 1 for i in range(2, len(error))],
+        "by": [error.iloc[i] / error.iloc[1] - 1 for i in range(2, len(error))],
     }
 
 

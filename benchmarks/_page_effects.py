@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas
+from scipy import stats
 
 # What steps_or_paths.py sets, and what it is where nothing is said: pixels a step, factor on the
 # rates, how these fall, to which share and by which steps, and how slowly Adam's second moments
@@ -19,21 +20,15 @@ def facts(results: Path) -> dict:
     scenes = _scenes(results / "effects.csv")
     ladder = [scene for scene in scenes if "staged" in scene["verdict"]]
     times = pandas.Series([scene["auto"]["time_to_full"] for scene in scenes])
-    across = pandas.read_csv(results / "effects_across.csv")
     spent = pandas.read_csv(results / "steps_or_paths.csv")
-    (auto,) = (
-        row
-        for row in across.to_dict("records")
-        if row["measure"] == "parameter_rmse" and "auto" in row["method"]
-    )
     return {
         "spending": _spending(spent),
         "usual": dict(zip(SET, DEFAULT)),
-        "across": auto,
         "scenes": scenes,
         "ladder": ladder,
         "seeds": int(scenes[0]["auto"]["seeds"]),
         "median": float(times.median()),
+        "p": float(stats.wilcoxon(np.log([scene["auto"]["share"] for scene in scenes])).pvalue),
         "medians": [float(times.drop(index).median()) for index in times.index],
         "verdicts": {"auto": _verdicts(scenes, "auto"), "staged": _verdicts(ladder, "staged")},
         "never": [s["name"] for s in scenes if not math.isfinite(s["auto"]["time_to_full"])],

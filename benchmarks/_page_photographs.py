@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas
 
 MEASURES = ("degrees", "size", "shift", "chamfer")
-HELD = ("held_psnr", "held_ssim", "held_flip")
+HELD = ("held_psnr", "held_ssim")
 RELIT = ("factor", *HELD, "psnr_h", "psnr_l", "ssim", "roughness")
 OF_VIEWS = ("psnr", "focal", "centre", "radial", "exposure")
 

@@ -7,9 +7,8 @@ until the last third of the budget (`staged`) and everything with paths cut to e
 where the best was the last or the first, by the final parameter error, then with three others,
 which alone are reported. Settings are those of `reproduce.py`, but for the estimator, which is the
 one that runs have by default. Writes
-results/effects.csv (a row per scene and plan), effects_rates.csv, effects_<scene>.png (error
-against billed time) and, over all scenes whose runs are in one `--folder`, effects_across.csv and
-effects_arrivals.png, unless these have more.
+results/effects.csv (a row per scene and plan), effects_rates.csv and effects_<scene>.png (error
+against billed time).
 
     .venv/bin/python benchmarks/effects.py pottery bowl
 """
@@ -18,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -38,7 +36,6 @@ SECONDS = 10.0  # billed: what pays for a probe
 FACTORS = (0.5, 1.0, 2.0)  # of the scene's rates
 FULL, AUTO, STAGED = "full", "auto", "staged"
 LADDER = (2, 3, 4, 6, 8)
-JUDGED = "judged.txt"  # folders of runs, a line each
 
 
 def plans(scene: str) -> dict[str, dict]:
@@ -107,21 +104,6 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     return pandas.DataFrame(rows)
 
 
-def together(root: Path) -> None:
-    """Runs of `full` and `auto` on all scenes: effects_across.csv and effects_arrivals.png."""
-    listed, known = sorted(root.glob(f"*/{JUDGED}")), RESULTS / "effects_across.csv"
-    before = pandas.read_csv(known)["scenes"].max() if known.exists() else 2
-    if len(listed) < before:
-        return
-    folders = [line for each in listed for line in each.read_text(encoding="utf-8").splitlines()]
-    output = root / "together"
-    command = [sys.executable, "-m", "isas_cli", "compare", *folders]
-    command += ["--baseline", "progress effects=full", "--output", str(output)]
-    subprocess.run(command, check=True)
-    shutil.copy(output / "across.csv", known)
-    shutil.copy(output / "plots" / "all_arrivals.png", RESULTS / "effects_arrivals.png")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}")
@@ -141,8 +123,6 @@ def main() -> None:
             True,
             choosing=chosen.choosing,
         )
-        judged = found[found["method"].isin((FULL, AUTO))]["folder"]
-        (root / scene / JUDGED).write_text("\n".join(map(str, judged)), encoding="utf-8")
         made = table(found, SECONDS)
         print(made.to_string(index=False), flush=True)
         # After each scene: what is measured survives what follows.
@@ -151,7 +131,6 @@ def main() -> None:
         others = tuple(each for each in named if each not in (FULL, AUTO))
         plot = RESULTS / f"effects_{scene}.png"
         _contest.draw(found, plot, MEASURE, "parameter error", dotted=others)
-        together(root)
         pages.write()
 
 

@@ -11,7 +11,7 @@ left out throughout.
 Measures: RE, its Eq. (7), 3 x the squared image error; MPEA, Eq. (8), the mean over the unknown
 materials of their squared error (of lights not); CS, iterations after which RE stays within a tenth
 of where it ends; GN, Eq. (9), the mean over the run, in the gradients' own unit. And what the
-result is good for: PSNR, SSIM and FLIP of views between those given, and of these under another
+result is good for: PSNR and SSIM of views between those given, and of these under another
 light, which the run has not seen.
 
 Writes results/pbdr.csv (a row per scene and method), pbdr_rates.csv, pbdr_<scene>.png (image error

@@ -168,11 +168,12 @@ class Stepper:
         return [key for key, visits in self.visits.items() if not dr.any(visits > 0)]
 
     def rate(self, spent: float) -> float:
-        """The learning rate of unknowns without one of their own, at this share of the budget,
-        falling as the first of them says, or the first of all."""
+        """The learning rate of unknowns without one of their own, or of the first where all have
+        one, at this share of the budget, falling as the first of them says."""
         unrated = [u.key for u in self.unknowns if u.lr is None]
         first = (unrated or self.unknowns.keys)[0]
-        return self.settings.lr * self.settings.factor * self._fallen(first, spent)
+        usual = self.unknowns[first].lr or self.settings.lr
+        return usual * self.settings.factor * self._fallen(first, spent)
 
     def _rate(self, unknown: Unknown, spent: float) -> float:
         """0 while it rests."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
-from ..config.schema import Config
+from ..config.schema import Config, OptimizerConfig
 from ..records import KEY_PREFIX, VALUE_PREFIX, RunWriter, manifest, safe_name, trackers
 from ..rendering.renderer import Renderer
 from ..runtime.errors import InputError
@@ -47,6 +47,7 @@ class Recorder:
         self.folder, self._renderer = Path(folder), renderer
         self._first: dict = {}
         self._resumed: list[dict] = []
+        self._begun: dict = {}  # the manifest of a run that goes on
         self._saved = 0.0
         self._pause = _CHECKPOINT_SECONDS
         self._snapshots = 0
@@ -100,6 +101,7 @@ class Recorder:
                 machine, state["iteration"], loop.clock.seconds, earlier.earlier_budget
             )
             self._resumed = [*earlier.manifest.get("resumed", []), entry]
+            self._begun = earlier.manifest
             self.writer.manifest({**earlier.manifest, "resumed": self._resumed})
             self.pictures.targets()  # a kill may have come before they were whole
         self._snapshots = self._snapshots_due(loop.position.evaluations)
@@ -263,10 +265,23 @@ class Recorder:
                     doubt += f"; {kept} is as of iteration {self._good[key][0]['iteration']}"
                 warnings.append(doubt)
             warnings += ends.astray(*self.ends)
+        chosen = self.typed.optimizer.lr
+        if chosen != OptimizerConfig().lr and all(u.lr for u in self.loop.problem.unknowns):
+            warnings.append(
+                f"optimizer.lr={chosen:g} has no effect: every unknown has a rate of its own; "
+                "optimizer.factor=… scales them"
+            )
         if not self.loop.evaluator.loss.linear:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
         blurs = " and the blurs' widths" if self.loop.estimator.blurs else ""
+        before = self._begun.get("machine", {}).get("device"), self._begun.get("threads")
         for entry in self._resumed:
+            if (now := (entry["device"], entry["threads"])) != before:
+                warnings.append(
+                    f"from iteration {entry['iteration']} on it ran on {now[0]} with {now[1]} "
+                    f"threads, before on {before[0]} with {before[1]}: billed seconds add up both"
+                )
+            before = now
             if entry.get("earlier_budget") and self.loop.stepper.paced:
                 warnings.append(
                     f"the budget was {entry['earlier_budget']} up to iteration "

@@ -40,6 +40,8 @@ _MADE_FILES = (
     "plots/*.png",
     "checkpoint/state.npz",
     "tensorboard/events.*",
+    "relit/scores.json",
+    "result/scene.*",
 )
 # Of a killed run.
 _LEFT_OVER = (

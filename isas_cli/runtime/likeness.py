@@ -52,5 +52,5 @@ def _flip(a: np.ndarray, b: np.ndarray, chosen: np.ndarray) -> float | None:
         import flip_evaluator
     except ImportError:
         return None
-    found, _, _ = flip_evaluator.evaluate(b, a, "LDR", inputsRGB=False, applyMagma=False)
+    found, _, _ = flip_evaluator.evaluate(b, a, "LDR", inputsRGB=True, applyMagma=False)
     return float(np.asarray(found).reshape(chosen.shape)[chosen].mean())

@@ -222,6 +222,19 @@ def test_different_machines_are_warned_of(tmp_path):
     assert "different machines" in line and "64 threads" in line
 
 
+def test_a_run_that_went_on_elsewhere_is_warned_of(tmp_path):
+    run(tmp_path / "1", seed=1)
+    run(tmp_path / "2", seed=2, manifest={"resumed": [{"device": "two", "threads": 2}]})
+    (line,) = warnings(tmp_path)
+    assert "different machines" in line and "one, 2 threads then two, 2 threads" in line
+
+
+def test_unlike_evaluations_are_warned_of(tmp_path):
+    for seed, spp in enumerate((4, 64), 1):
+        run(tmp_path / str(seed), seed=seed, settings={"evaluation.spp": spp})
+    assert any("evaluated otherwise (evaluation.…)" in line for line in warnings(tmp_path))
+
+
 def test_a_folder_named_twice_counts_once(tmp_path):
     run(tmp_path / "a" / "1")
     folders = (tmp_path, tmp_path / "a", tmp_path / "a" / "1")

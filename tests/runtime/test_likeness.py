@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from isas_cli.runtime import images, likeness
 
@@ -58,3 +59,15 @@ def test_flip_grows_with_the_difference():
         for s in (0.01, 0.05, 0.2)
     ]
     assert 0 < errors[0] < errors[1] < errors[2] < 1
+
+
+def test_flip_is_that_of_the_files(tmp_path):
+    flip = pytest.importorskip("flip_evaluator")
+    rng = np.random.default_rng(2)
+    shown = [rng.integers(0, 256, (8, 8, 3)).repeat(6, 0).repeat(6, 1) for _ in range(2)]
+    for name, picture in zip("ab", shown):
+        Image.fromarray(picture.astype(np.uint8)).save(tmp_path / f"{name}.png")
+    _, wanted, _ = flip.evaluate(str(tmp_path / "b.png"), str(tmp_path / "a.png"), "LDR")
+    pictures = (images.srgb_decode(np.float32(each) / 255) for each in shown)
+    found = likeness.metrics(*pictures, np.ones((48, 48)))["flip"]
+    assert found == pytest.approx(wanted, rel=1e-3)

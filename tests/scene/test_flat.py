@@ -69,3 +69,13 @@ def test_an_unknown_of_one_colour_keeps_its_texels(unknown):
     shape = mi.traverse(loaded)[unknown].shape
     assert unknown not in flat.reduce(mi.traverse(loaded), {unknown})
     assert mi.traverse(loaded)[unknown].shape == shape
+
+
+def test_a_projector_keeps_the_sides_of_its_picture():
+    white = mi.TensorXf(np.ones((16, 64, 3), np.float32))
+    described = {
+        "type": "scene",
+        "lamp": {"type": "projector", "irradiance": {"type": "bitmap", "data": white, "raw": True}},
+    }
+    loaded = mi.load_dict(described, optimize=False)
+    assert flat.reduce(mi.traverse(loaded), set()) == []

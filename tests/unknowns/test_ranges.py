@@ -3,10 +3,11 @@
 import mitsuba as mi
 import numpy as np
 import pytest
+from PIL import Image
 
 from isas_cli.config.schema import UnknownConfig
 from isas_cli.runtime.errors import InputError
-from isas_cli.unknowns import ranges, registry
+from isas_cli.unknowns import ranges, registry, routes
 from isas_cli.unknowns.kind import Loaded
 from isas_cli.unknowns.specs import parse
 
@@ -155,3 +156,71 @@ def test_a_range_that_is_given_may_be_wider_than_the_usual_one():
         bare = found.kind.bare
         wanted = (0.2, 0.7) if given == [0.2, 0.7] else (bare[0], 1 - bare[1])
         assert (found.low, found.high) == pytest.approx(wanted)
+
+
+def grid(value: float, channels: int = 1) -> dict:
+    texels = mi.TensorXf(np.full((2, 2, 2, channels), value, np.float32))
+    return {"type": "gridvolume", "data": texels, "raw": True}
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_grid_is_what_takes_it_wherever_it_stands(shared):
+    """Also one that stands for itself and is referred to."""
+    described = {"type": "scene"}
+    fog = {"type": "heterogeneous", "sigma_t": grid(2.0), "albedo": grid(0.5, 3)}
+    if shared:
+        described |= {"thick": fog["sigma_t"], "bright": fog["albedo"]}
+        fog |= {"sigma_t": {"type": "ref", "id": "thick"}}
+        fog |= {"albedo": {"type": "ref", "id": "bright"}}
+    described["box"] = {"type": "cube", "interior": fog}
+    params = mi.traverse(mi.load_dict(described, optimize=False))
+    density, albedo = (
+        ("thick.data", "bright.data")
+        if shared
+        else (f"box.interior_medium.{word}.data" for word in ("sigma_t", "albedo"))
+    )
+    made = parse(params, {key: UnknownConfig(start=0.5) for key in (density, albedo)}, False)
+    assert [(u.low, u.high) for u in made] == [(1e-3, 1e4), (0.01, 0.99)]
+    assert made[0].kind.words == {"sigma_t"} and made[1].kind.words == {"albedo"}
+
+
+def test_a_grid_of_no_medium_stays_a_hair_from_its_ends():
+    volume = {"type": "volume", "volume": grid(0.5)}
+    params = ball(type="diffuse", reflectance=volume)
+    (key,) = (key for key in params.keys() if key.endswith(".data"))
+    (made,) = parse(params, {key: UnknownConfig(start=0.3)}, False)
+    assert 0 < made.low < 1e-3 and made.high == pytest.approx(1)
+
+
+@pytest.mark.parametrize("under, refused", [("conductor", True), ("roughconductor", False)])
+def test_a_shared_map_of_normals_around_a_mirror_is_refused(under, refused):
+    bsdf = {"type": "normalmap", "normalmap": {"type": "ref", "id": "bumps"}}
+    bsdf["nested"] = {"type": under}
+    described = {"type": "scene", "bumps": bitmap(3), "ball": {"type": "sphere", "bsdf": bsdf}}
+    params = mi.traverse(mi.load_dict(described, optimize=False))
+    told = "it turns what mirrors and clear glass show"
+    assert (told in routes.refusal(params, "bumps.data")) == refused
+
+
+@pytest.mark.parametrize("word, channels", [("normalmap", 3), ("roughness", 1)])
+def test_a_start_picture_of_what_is_no_colour_is_taken_as_stored(tmp_path, word, channels):
+    flat = np.full((2, 2, 3), 128, np.uint8)
+    if word == "normalmap":
+        flat[..., 2] = 255
+        params = ball(type="normalmap", normalmap=bitmap(3), a=DIFFUSE)
+    else:
+        params = ball(type="principled", roughness=bitmap(1))
+    Image.fromarray(flat).save(tmp_path / "start.png")
+    key = f"ball.bsdf.{word}.data"
+    (made,) = parse(params, {key: UnknownConfig(start=str(tmp_path / "start.png"))}, False)
+    assert made.start.shape == (2, 2, channels)
+    np.testing.assert_allclose(made.start[0, 0], flat[0, 0, :channels] / 255, atol=1 / 255)
+
+
+def test_one_colour_is_that_of_every_vertex():
+    mesh = mi.Mesh("triangle", 3, 1)
+    mesh.add_attribute("vertex_color", 3, [0.5] * 9)
+    mesh.set_id("mesh")
+    params = mi.traverse(mi.load_dict({"type": "scene", "mesh": mesh}, optimize=False))
+    (made,) = parse(params, {"mesh.vertex_color": UnknownConfig(start=[0.2, 0.3, 0.4])}, False)
+    np.testing.assert_allclose(made.start.reshape(3, 3), [[0.2, 0.3, 0.4]] * 3)

@@ -9,6 +9,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+import trimesh
 from isas_cli.scenes import kirby, meshes
 from scenes_for_tests import without_targets
 from shapes_for_tests import KEY, ball, problem, shaped
@@ -221,3 +222,19 @@ def test_the_result_keeps_texture_coordinates(tmp_path):
     found = np.array(mi.traverse(again)["vertex_texcoords"]).reshape(-1, 2)
     np.testing.assert_allclose(found, coordinates.reshape(-1, 2), atol=1e-5)
     np.testing.assert_allclose(read.visual.uv, upwards(found), atol=1e-5)
+
+
+def test_hard_edges_and_normals_turned_inside_out_are_told():
+    assert not any("normals of its file" in line for line in of(*ball(2)).warnings())
+    cube = trimesh.creation.box()
+    apart = meshes.from_corners(
+        cube.vertices[cube.faces],
+        np.zeros((0, 2)),
+        np.repeat(cube.face_normals[:, None], 3, axis=1),
+    )
+    scene = kirby.build(1, 8, 1) | {"figure": meshes.shape("figure", apart, {"type": "diffuse"})}
+    kind = without_targets(scene, {KEY: UnknownConfig(start="smooth")}).unknowns[KEY].kind
+    (line,) = (line for line in kind.warnings() if "normals of its file" in line)
+    assert "lie more than 20° beside those of the surface" in line and "look round" in line
+    kind._given = -kind._given
+    assert any("the other way than its triangles turn" in line for line in kind.warnings())

@@ -234,6 +234,12 @@ def _methods(scene: str, runs: list[Run], warnings: list[str]) -> list[Method]:
             f"{scene}: made on different machines ({'; '.join(machines)}): compare paths rather "
             "than seconds"
         )
+    evaluated = {repr(sorted((run.config.get("evaluation") or {}).items())) for run in runs}
+    if len(evaluated) > 1:
+        warnings.append(
+            f"{scene}: evaluated otherwise (evaluation.…) in some runs: compare neither errors "
+            "that are nearly 0 nor times to levels"
+        )
     headlines = sorted({run.parameter_rmse_is for run in runs})
     if len(headlines) > 1:
         warnings.append(
@@ -248,9 +254,13 @@ def _methods(scene: str, runs: list[Run], warnings: list[str]) -> list[Method]:
 
 def _machine(run: Run) -> str:
     manifest = run.manifest
-    device = (manifest.get("machine") or {}).get("device", "unknown device")
-    threads, variant = manifest.get("threads", "?"), manifest.get("variant", "unknown variant")
-    return f"{device}, {threads} threads, {variant}"
+    begun = {**(manifest.get("machine") or {}), "threads": manifest.get("threads", "?")}
+    each = (
+        f"{part.get('device', 'unknown device')}, {part.get('threads', '?')} threads"
+        for part in (begun, *manifest.get("resumed", []))
+    )
+    variant = manifest.get("variant", "unknown variant")
+    return f"{' then '.join(dict.fromkeys(each))}, {variant}"
 
 
 def _by_seed(scene: str, label: str, runs: list[Run], warnings: list[str]) -> list[Run]:

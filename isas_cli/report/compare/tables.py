@@ -74,7 +74,7 @@ def worded(frame: pandas.DataFrame) -> pandas.DataFrame:
             continue
         stem = name.removesuffix("_low").removesuffix("_high")
         column = shown[name].astype(object)
-        if stem == "ratio":
+        if stem in ("ratio", "speed_up"):
             column[frame[stem].isna()] = NEITHER
         else:
             column[np.isinf(frame[name])] = NOT_CONVERGED if name == "CS" else NOT_REACHED

@@ -23,7 +23,7 @@ _HEADS = {
         for share in SHARES
     },
     "speed_up": ("speed-up", "geometric mean over scenes and levels, and its 95 % interval"),
-    "p": ("p", "rank-sum test of final errors against the baseline, by Holm for all pairs"),
+    "p": ("p", "signed-rank test over scenes of final errors against the baseline, by Holm"),
 }
 
 
@@ -57,7 +57,7 @@ def _cell(row: dict, name: str, baseline: str) -> Cell:
     if name == "reached":
         return Cell(str(value), f"{value:.0%}")
     if name == "speed_up":
-        words = f"at most {times(value)}" if row["at_most"] else times(value)
+        words = f"{row['bound']} {times(value)}".strip()
         low, high = row["speed_up_low"], row["speed_up_high"]
         known = not math.isnan(low) and row["method"] != baseline
         return Cell(str(value), words, (f"[{number(low)}, {number(high)}]",) if known else ())
