@@ -28,8 +28,22 @@ def pytest_configure(config: pytest.Config) -> None:
     if worker and hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[int(worker[2:]) % len(cores)]})
-    threads = 1 if worker else 0
-    config.stash[_STARTED] = backend.start(threads=threads)
+    config.stash[_STARTED] = backend.start(threads=1 if worker else 0)
+    if worker:
+        _load_by_two()
+
+
+def _load_by_two() -> None:
+    """Mitsuba reads EXR files by its threads, of which one alone would wait for itself."""
+    import mitsuba as mi
+
+    for name in ("load_file", "load_dict", "load_string"):
+
+        def loaded(*arguments, _load=getattr(mi, name), **settings):
+            with backend.loading():
+                return _load(*arguments, **settings)
+
+        setattr(mi, name, loaded)
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
@@ -96,7 +110,8 @@ def rng(seed: int) -> np.random.Generator:
 @pytest.fixture(scope="module")
 def two_threads():
     """Mitsuba reads EXR files here, for which a worker's one thread is not enough."""
-    with backend.loading():
+    with pytest.MonkeyPatch.context() as patch, backend.loading():
+        patch.setattr(backend, "_every_thread", lambda: 2)  # also of runs, and after these
         yield
 
 

@@ -198,8 +198,9 @@ def test_a_shared_map_of_normals_around_a_mirror_is_refused(under, refused):
     bsdf["nested"] = {"type": under}
     described = {"type": "scene", "bumps": bitmap(3), "ball": {"type": "sphere", "bsdf": bsdf}}
     params = mi.traverse(mi.load_dict(described, optimize=False))
+    (key,) = (key for key in params.keys() if key.endswith(".data"))
     told = "it turns what mirrors and clear glass show"
-    assert (told in routes.refusal(params, "bumps.data")) == refused
+    assert (told in routes.refusal(params, key)) == refused
 
 
 @pytest.mark.parametrize("word, channels", [("normalmap", 3), ("roughness", 1)])
