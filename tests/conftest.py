@@ -38,12 +38,7 @@ def _load_by_two() -> None:
     import mitsuba as mi
 
     for name in ("load_file", "load_dict", "load_string"):
-
-        def loaded(*arguments, _load=getattr(mi, name), **settings):
-            with backend.loading():
-                return _load(*arguments, **settings)
-
-        setattr(mi, name, loaded)
+        setattr(mi, name, backend.loading()(getattr(mi, name)))
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -271,6 +272,14 @@ class Recorder:
                 f"optimizer.lr={chosen:g} has no effect: every unknown has a rate of its own; "
                 "optimizer.factor=… scales them"
             )
+        plan, last = self.loop.plan, self.loop.last or {}
+        if self.left_out and plan and not plan.finish:
+            if self.left_out > last.get("image_rmse", math.inf):
+                warnings.append(
+                    f"paths as they are simulated leave {self.left_out:.2g} out of the images, "
+                    f"more than these are off by ({last['image_rmse']:.2g}): results make up for "
+                    "it; take effects=full, or effects.finish=0.3"
+                )
         if not self.loop.evaluator.loss.linear:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
         blurs = " and the blurs' widths" if self.loop.estimator.blurs else ""

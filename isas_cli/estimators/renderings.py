@@ -114,6 +114,7 @@ class Renderings:
     def _kept(self, found: tuple[mi.Float, mi.UInt32]) -> mi.Float:
         terms, lost = found
         self._lost += lost
+        dr.schedule(self._lost)
         return terms
 
     def _drawn(self, distribution: PixelDistribution, seed: int) -> tuple:

@@ -98,8 +98,8 @@ class PictureEdges(Border):
                 slope = mi.Vector2f(apart(0.5, 0) - apart(-0.5, 0), apart(0, 0.5) - apart(0, -0.5))
                 # Drawn by length: each point stands for as much.
                 far, share = reach
-                share *= dr.gather(mi.Float, factors, drawn.eye)
-                weight = dr.select(valid & (d < far), 2 * d * share / samples, 0)
+                counted = share * dr.gather(mi.Float, factors, drawn.eye)
+                weight = dr.select(valid & (d < far), 2 * d * counted / samples, 0)
                 dr.eval(weight, slope)
                 pull(positions, cameras, drawn, slope, weight)
 

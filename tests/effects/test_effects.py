@@ -42,6 +42,14 @@ def test_lights_and_glass_are_those_of_the_scene():
     assert found["light"] == "1 × PointLight"
 
 
+def test_glass_of_a_group_is_met_where_an_instance_shows_it():
+    glass = {"type": "sphere", "id": "bell", "bsdf": {"type": "dielectric"}}
+    group = {"type": "shapegroup", "one": glass}
+    found = plan(group=group, shown={"type": "instance", "of": {"type": "ref", "id": "group"}})
+    assert found["refraction"] == "simulated: light passes through bell"
+    assert "not met" not in found["caustics"]
+
+
 def test_media_are_not_passed_off_as_simulated():
     medium = {"type": "homogeneous", "albedo": 0.5, "sigma_t": 1.0}
     fog = {"type": "cube", "bsdf": {"type": "null"}, "interior": medium}

@@ -16,6 +16,7 @@ from isas_cli.effects import plan as planning
 from isas_cli.effects import probe, rules
 from isas_cli.effects.probe import Cut, Lights, Probe, Share, gradient_share, noise_ratio
 from isas_cli.effects.settings import Effects
+from isas_cli.engine.evaluate import Evaluator
 from isas_cli.estimators.staged import Staged
 from isas_cli.losses import L2
 from isas_cli.rendering import coverage
@@ -448,6 +449,17 @@ def test_a_run_says_what_it_left_out(tmp_path, capsys):
     assert run.manifest["plan"]["max_depth"] == 2 and "50%" in run.manifest["effects"]["finish"]
     assert main(["run", f"resume={tmp_path / 'r'}", "budget.iterations=10"]) == 0
     assert records.load(tmp_path / "r").summary["iterations"] == 10
+
+
+@pytest.mark.parametrize("finish", [0.0, 0.5])
+def test_what_is_left_out_is_doubted_where_it_is_more_than_the_error(finish, tmp_path, monkeypatch):
+    honest = Evaluator.__call__
+    near = lambda self, values: honest(self, values) | {"image_rmse": 1e-6}
+    monkeypatch.setattr(Evaluator, "__call__", near)
+    settings = ["effects.max_depth=2", f"effects.finish={finish}", "budget.iterations=2"]
+    assert main(["run", *TINY, *settings, f"hydra.run.dir={tmp_path / 'r'}"]) == 0
+    told = records.load(tmp_path / "r").summary["warnings"]
+    assert any("results make up for it" in line for line in told) == (finish == 0)
 
 
 def test_what_is_left_out_is_no_noise_of_light_samples(tmp_path):

@@ -246,6 +246,16 @@ def z_of_exposures(made, estimator) -> np.ndarray:
     return (mean - wanted) / error
 
 
+def test_exposures_count_by_the_weights_of_their_views(photographed):
+    """Where all views count alike, however much each shows of the object."""
+    shares = {}
+    for weights in ("null", "equal"):
+        made = problem(*photographed, "photos.exposure=scale", f"scene.weights={weights}")
+        shares[weights] = np.array(made.unknowns["exposure"].kind._share)
+    np.testing.assert_allclose(shares["equal"], 1, rtol=1e-5)
+    assert np.ptp(shares["null"]) > 0.01
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("crossed", [True, False])
 def test_the_gradient_by_exposures_is_unbiased(photographed, monkeypatch, crossed):

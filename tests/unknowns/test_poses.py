@@ -257,3 +257,16 @@ def test_an_angle_is_compared_the_shorter_way_round():
         values = p.unknowns.values_of({"all.turn": np.array([value], np.float32)})
         found = evaluator.parameter_errors(values)["parameter_rmse"]
         assert found == pytest.approx(error, abs=1e-3)
+
+
+@pytest.mark.parametrize("lies_on_a_grid", [True, False])
+def test_a_grid_that_stays_behind_is_told(lies_on_a_grid):
+    fog = {"type": "homogeneous", "sigma_t": 0.5}
+    if lies_on_a_grid:
+        texels = mi.TensorXf(np.full((2, 2, 2, 1), 0.5, np.float32))
+        fog = {"type": "heterogeneous", "sigma_t": {"type": "gridvolume", "data": texels}}
+    described = {"type": "scene", "box": {"type": "cube", "interior": fog}}
+    params = mi.traverse(mi.load_dict(described, optimize=False))
+    spec = PoseConfig(objects=["box"], kind="translation", directions=[[1.0, 0.0, 0.0]])
+    told = Pose("place", Loaded(params, {"place": spec})).warnings()
+    assert any("moves 'box', and the grid" in line for line in told) == lies_on_a_grid
