@@ -37,8 +37,15 @@ def _load_by_two() -> None:
     """Mitsuba reads EXR files by its threads, of which one alone would wait for itself."""
     import mitsuba as mi
 
-    for name in ("load_file", "load_dict", "load_string"):
-        setattr(mi, name, backend.loading()(getattr(mi, name)))
+    by_two, load_dict = backend.loading()(mi.load_dict), mi.load_dict
+
+    def loaded(described, *arguments, **settings):
+        # Others hold no pictures, and are made while kernels are traced.
+        pictured = isinstance(described, dict) and described.get("type") in ("scene", "envmap")
+        return (by_two if pictured else load_dict)(described, *arguments, **settings)
+
+    mi.load_dict, mi.load_file = loaded, backend.loading()(mi.load_file)
+    mi.load_string = backend.loading()(mi.load_string)
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

@@ -441,6 +441,8 @@ def typed(cfg: DictConfig) -> Config:
     errors for what is missing."""
     for group in ("poses", "unknowns"):
         for key, entry in cfg.scene[group].items():
+            if not OmegaConf.is_config(entry):
+                raise InputError(f"scene.{group}['{key}']={entry}: no mapping of settings")
             for name in OmegaConf.missing_keys(entry):
                 last = name.rpartition(".")[2]
                 raise InputError(f"scene.{group}['{key}'].{last} is missing")

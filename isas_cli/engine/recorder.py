@@ -266,12 +266,6 @@ class Recorder:
                     doubt += f"; {kept} is as of iteration {self._good[key][0]['iteration']}"
                 warnings.append(doubt)
             warnings += ends.astray(*self.ends)
-        chosen = self.typed.optimizer.lr
-        if chosen != OptimizerConfig().lr and all(u.lr for u in self.loop.problem.unknowns):
-            warnings.append(
-                f"optimizer.lr={chosen:g} has no effect: every unknown has a rate of its own; "
-                "optimizer.factor=… scales them"
-            )
         plan, last = self.loop.plan, self.loop.last or {}
         if self.left_out and plan and not plan.finish:
             if self.left_out > last.get("image_rmse", math.inf):
@@ -302,6 +296,12 @@ class Recorder:
     def notes(self) -> list[str]:
         """What a reader may want to know, and need not worry about."""
         notes = ends.reached(self.loop.problem.unknowns, self.loop.stepper.values)
+        chosen = self.typed.optimizer.lr
+        if chosen != OptimizerConfig().lr and all(u.lr for u in self.loop.problem.unknowns):
+            notes.append(
+                f"optimizer.lr={chosen:g} has no effect: every unknown has a rate of its own; "
+                "optimizer.factor=… scales them"
+            )
         if self.loop.converged:
             notes.append(
                 "what is left is the targets' noise: a fit to them ends at an image_rmse of "

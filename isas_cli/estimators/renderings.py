@@ -59,12 +59,12 @@ class Renderings:
         self._images = wrap(_image_kernel(batch))
         self._losses = wrap(_loss_kernel(loss, batch))
         self._locality = Locality(problem, blur, batch, freeze)
-        self._lost = dr.opaque(mi.UInt32, 0)
+        self._lost = [dr.opaque(mi.UInt32, 0)]
 
     @property
     def nonfinite(self) -> int:
         """Pixels so far, of all differences, that were left out as theirs was not finite. Waits."""
-        return int(self._lost[0])
+        return int(self._lost[0][0])
 
     def of_images(
         self,
@@ -92,7 +92,7 @@ class Renderings:
         for pair, own in zip(pairs, np.reshape(seeds[3:], (-1, 2))):
             offsets = (pair.plus, pair.minus)
             images = [self._traced(θ + o, drawn, s, 1, self.spp)[0] for o, s in zip(offsets, own)]
-            terms = self._kept(self._images(adjoint, p.mask, drawn[3:], images, p.share))
+            terms = self._images(adjoint, p.mask, drawn[3:], images, p.share, self._lost)
             found.append(self._locality.differences(θ, pair, drawn[:3], terms))
         return found
 
@@ -108,14 +108,8 @@ class Renderings:
         drawn = self._drawn(distribution, seeds[0])
         offsets = (pair.plus, pair.minus)
         sides = [self._traced(θ + o, drawn, s, 2, self.spp) for o, s in zip(offsets, seeds[1:])]
-        terms = self._kept(self._losses(p.targets, p.mask, drawn[3:], sides, p.share))
+        terms = self._losses(p.targets, p.mask, drawn[3:], sides, p.share, self._lost)
         return self._locality.differences(θ, pair, drawn[:3], terms)
-
-    def _kept(self, found: tuple[mi.Float, mi.UInt32]) -> mi.Float:
-        terms, lost = found
-        self._lost += lost
-        dr.schedule(self._lost)
-        return terms
 
     def _drawn(self, distribution: PixelDistribution, seed: int) -> tuple:
         return self._draw(self.problem.views, distribution, dr.opaque(mi.UInt32, int(seed)))
@@ -202,35 +196,35 @@ def _adjoint_kernel(loss):
 
 
 def _image_kernel(batch: int):
-    def kernel(adjoint, mask, drawn, images, share):
+    def kernel(adjoint, mask, drawn, images, share, lost):
         pixel, probability = drawn
         plus, minus = images
-        return _terms(adjoint * (plus - minus), pixel, probability, mask, share, batch)
+        return _terms(adjoint * (plus - minus), pixel, probability, mask, share, batch, lost)
 
     return kernel
 
 
 def _loss_kernel(loss, batch: int):
-    def kernel(targets, mask, drawn, sides, share):
+    def kernel(targets, mask, drawn, sides, share, lost):
         pixel, probability = drawn
         target = dr.gather(mi.Color3f, targets, pixel)
         plus, minus = (loss.measured(a, b, target) for a, b in sides)
-        return _terms(plus - minus, pixel, probability, mask, share, batch)
+        return _terms(plus - minus, pixel, probability, mask, share, batch, lost)
 
     return kernel
 
 
 def _terms(
-    values: mi.Color3f, pixel, probability, mask, share, batch: int
-) -> tuple[mi.Float, mi.UInt32]:
+    values: mi.Color3f, pixel, probability, mask, share, batch: int, lost: list[mi.UInt32]
+) -> mi.Float:
     """Of every drawn pixel: their sum estimates Σ_j w_j ``values``_j / (3 Σ w), without those that
-    are not finite, one of which would spoil a whole step; and how many those are. Evaluates."""
+    are not finite, one of which would spoil a whole step; they are counted in ``lost``. Evaluates.
+    """
     if mask is not None:
         values *= dr.gather(mi.Float, mask, pixel)
     terms = dr.sum(values) * share / (probability * batch)
     whole = dr.isfinite(terms)
-    terms, lost = dr.select(whole, terms, 0), dr.select(whole, mi.UInt32(0), 1)
-    dr.eval(terms, lost)
-    lost = dr.sum(lost)
-    dr.eval(lost)
-    return terms, lost
+    terms, bad = dr.select(whole, terms, 0), ~whole
+    dr.eval(terms, bad)
+    lost[0] += dr.count(bad)
+    return terms

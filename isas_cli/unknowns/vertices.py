@@ -236,10 +236,15 @@ class Vertices(Kind):
         return found
 
     def _turned(self) -> list[str]:
-        """That it is shaded otherwise than its file says: by the normals of its faces."""
-        _, own = self._at(len(self.present)).arrays(self.value(self.present))
-        own = np.array(own, np.float64).reshape(-1, 3)
-        cosine = np.einsum("vk,vk->v", own, self._given)
+        """That it is shaded otherwise than its file says: by the normals of its faces, weighed by
+        their areas, not by their angles, as Mitsuba does where a file has none."""
+        cosine = np.max(
+            [
+                np.einsum("vk,vk->v", own[self.topology.place], self._given)
+                for own in _normals(self.present.astype(np.float64), self.topology.faces)
+            ],
+            axis=0,
+        )
         off = np.count_nonzero(cosine < _ALIKE)
         if off <= _FEW_TURNED * len(cosine):
             return []
@@ -347,3 +352,19 @@ def _meshes(params: mi.SceneParameters) -> list[str]:
     words = [key.rpartition(".") for key in params.keys()]
     ids = [id for id, _, word in words if word == _POSITIONS]
     return [id for id in ids if f"{id}.faces" in params]
+
+
+def _normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normals of welded vertices: of the faces by their areas, and by their angles."""
+    corners = [vertices[faces[:, k]] for k in range(3)]
+    across = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    unit = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
+    sums = np.zeros((2, *vertices.shape))
+    for k in range(3):
+        a, b = (corners[(k + n) % 3] - corners[k] for n in (1, 2))
+        lengths = np.maximum(np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1), 1e-30)
+        angle = np.arccos(np.clip(np.einsum("fk,fk->f", a, b) / lengths, -1, 1))
+        np.add.at(sums[0], faces[:, k], across)
+        np.add.at(sums[1], faces[:, k], angle[:, None] * unit)
+    first, second = sums / np.maximum(np.linalg.norm(sums, axis=2, keepdims=True), 1e-30)
+    return first, second

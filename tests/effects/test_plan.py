@@ -215,14 +215,6 @@ def test_a_timed_run_is_probed_once(monkeypatch, tmp_path):
         p, Effects(), configured("estimator", "two_path"), L2(), 60.0, first.record()
     )
     assert again.paths == first.paths and again.seconds == first.seconds
-    earlier = first.record()
-    del earlier["derivative_depth"], earlier["caustics"], earlier["directions"]
-    for samples, directions in ([1, 1], 1), ([4, 4], 4):
-        earlier["light_samples"] = samples
-        again = effects.decide(
-            p, Effects(), configured("estimator", "two_path"), L2(), 60.0, earlier
-        )
-        assert again.paths == Paths(2, 2, tuple(samples), directions=directions)
 
 
 def test_a_probe_leaves_out_what_would_take_longer_than_its_share(monkeypatch, tmp_path):

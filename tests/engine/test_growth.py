@@ -64,6 +64,7 @@ def variables() -> int:
 
 def recordings() -> int:
     """Recordings of all frozen functions that there are."""
+    gc.unfreeze()  # those of modules are asked for, too
     found = [o for o in gc.get_objects() if isinstance(o, dr.detail.FrozenFunction)]
     return sum(function.n_recordings for function in found)
 

@@ -106,7 +106,7 @@ def test_what_can_be_told_by_no_one_is_refused():
 def test_a_density_alike_everywhere_is_warned_of():
     @dataclasses.dataclass
     class Grid:
-        hides = True
+        hides, words = True, frozenset(("sigma_t",))
 
     class One:
         key, kind = "smoke.interior_medium.sigma_t.data", Grid()
