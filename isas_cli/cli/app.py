@@ -125,7 +125,7 @@ a contact sheet with the object's outline over each, how far known points lie of
 Nothing is rendered.
 
   isas photos my_photos photos.mesh=mug.obj             transforms.json, COLMAP, cameras.json …
-  isas photos chessboard                                a set that comes with isas
+  isas photos head                                      a set that comes with isas
   isas run scene=photos photos.path=my_photos photos.mesh=mug.obj      the run that follows
 
 On the sheet the outline is green, known points are red crosses, those found in the picture blue

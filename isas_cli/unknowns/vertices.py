@@ -30,7 +30,7 @@ _NEARLY = 1e-5
 _STRETCHED = 10.0
 _POSITIONS = "vertex_positions"
 # The cosine of 20°, and a share of a mesh's vertices: a few may be where a surface has no normal.
-_ALIKE, _FEW_TURNED = 0.94, 0.01
+_ALIKE, _FEW_TURNED = 0.94, 0.05
 # Of a mesh's own: (vertex|face)_<name>, but for what is positions, normals or texture coordinates.
 _ATTRIBUTE = re.compile(r"\.(vertex_(?!positions|normals|texcoords)|face_).*")
 

@@ -207,7 +207,9 @@ def test_an_unknown_model_of_colmap(tmp_path):
 def test_no_cameras(tmp_path):
     with pytest.raises(InputError, match="looked for cameras.json, transforms.json"):
         reading.read(str(tmp_path))
-    with pytest.raises(InputError, match="no such folder; sets that come with isas: chessboard"):
+    with pytest.raises(
+        InputError, match="no such folder; sets that come with isas: chessboard, head"
+    ):
         reading.read(str(tmp_path / "nowhere"))
     (tmp_path / "transforms.json").write_text("{")
     with pytest.raises(InputError, match="transforms.json: cannot be read as JSON"):

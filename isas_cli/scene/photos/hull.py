@@ -15,7 +15,7 @@ from . import coherence, outlines
 from .importing import Photograph
 
 # Raised when what is kept means something else.
-_FORMAT = 7
+_FORMAT = 9
 # Voxels around the hull that are outside, and how far from the surface distances matter, in voxels.
 _MARGIN, _BAND = 2, 3.0
 # Of the largest piece's volume: smaller ones are specks of masks.

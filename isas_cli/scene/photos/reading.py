@@ -14,7 +14,7 @@ from .base import Asked, Capture
 from .camera import Camera
 
 # Sets that come with isas, by name.
-OWN = ("chessboard",)
+OWN = ("chessboard", "head")
 # In place of names, the views that the files hold out.
 GIVEN = "given"
 # In the order in which a folder is asked: what people write themselves first.
@@ -34,7 +34,9 @@ def folder_of(path: str) -> Path:
             f"photos.path={path}: is a file: give the folder that it lies in, and "
             f"photos.cameras={folder.name}"
         )
-    raise InputError(f"photos.path={path}: no such folder; sets that come with isas: {OWN[0]}")
+    raise InputError(
+        f"photos.path={path}: no such folder; sets that come with isas: {', '.join(OWN)}"
+    )
 
 
 def read(path: str, test=None, cameras: str | None = None, world: str = "mesh") -> Capture:
