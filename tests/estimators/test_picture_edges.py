@@ -124,3 +124,19 @@ def test_against_differences_of_what_it_measures(drawn):
         error = found.std(ddof=1) / np.sqrt(len(found))
         print(f"{found.mean() / exact:.3f} ± {error / abs(exact):.3f} of the differences")
         assert abs(found.mean() - exact) < 4 * error + 0.05 * abs(exact)
+
+
+def test_views_count_by_their_weights(drawn, monkeypatch):
+    """The derivative is the sum of the views', each times its factor, in every step alike."""
+    truth = np.asarray(drawn.unknowns[KEY].truth)
+    way = np.broadcast_to([1.0, 0, 0], truth.shape)
+
+    def found(weights) -> np.ndarray:
+        monkeypatch.setattr(drawn, "weights", weights)
+        return derivative(drawn, truth + 0.08 * way, way, 4)
+
+    plain = found(None)
+    np.testing.assert_allclose(found(np.ones(4)), plain, rtol=1e-5)
+    alone = [found(4.0 * (np.arange(4) == view)) for view in range(4)]
+    np.testing.assert_allclose(sum(alone), 4 * plain, rtol=1e-3)
+    assert np.ptp([each.mean() for each in alone]) > 0.2 * abs(plain.mean())
