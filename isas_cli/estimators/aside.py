@@ -58,13 +58,18 @@ class Aside:
             return radiance, residual
 
         self._shown = recorded(shown, problem, freeze)
-        self.nonfinite = 0  # products so far that were left out as they were not finite
+        self._lost = dr.opaque(mi.UInt32, 0)
 
     @property
     def paths_per_step(self) -> int:
         """Light paths of one estimate."""
         entries = sum(unknown.start.size for unknown in self.unknowns)
         return self.batch * (1 + 2 * entries if entries else 0)
+
+    @property
+    def nonfinite(self) -> int:
+        """Products so far that were left out as they were not finite. Waits."""
+        return int(self._lost[0])
 
     def sides(self, values: dict, distribution: PixelDistribution, seed: int, iteration: int):
         """By key, for each entry, the difference of both sides' images over 2h. Leaves the scene at
@@ -88,8 +93,10 @@ class Aside:
         return self.problem.unknowns.values_of(found)
 
     def _sum(self, terms: mi.Float) -> float:
+        dr.eval(terms)
         whole = dr.isfinite(terms)
-        self.nonfinite += int(dr.count(~whole)[0])
+        self._lost += dr.count(~whole)
+        dr.eval(self._lost)
         return float(dr.sum(dr.select(whole, terms, 0))[0])
 
     def _slopes(self, unknown: Unknown, values: dict, *drawn) -> list[mi.Color3f]:

@@ -23,9 +23,7 @@ BATCH, BAD = 2048, 7
 
 
 class Spoiled:
-    """An integrator whose path ``BAD`` brings what is no number, unless it has been mended."""
-
-    spoils = True
+    """An integrator whose path ``BAD`` brings what is no number."""
 
     def __init__(self, whole):
         self._whole = whole
@@ -36,8 +34,7 @@ class Spoiled:
     def primal(self, scene, sampler, ray):
         radiance, *rest = self._whole.primal(scene, sampler, ray)
         lane = dr.arange(mi.UInt32, dr.width(radiance))
-        bad = (lane == BAD) & mi.Bool(self.spoils)
-        return dr.select(bad, mi.Spectrum(dr.nan), radiance), *rest
+        return dr.select(lane == BAD, mi.Spectrum(dr.nan), radiance), *rest
 
 
 def of(p, make) -> tuple[dict, int]:
