@@ -15,6 +15,7 @@ from __future__ import annotations
 import statistics
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 from isas_cli.runtime import backend
@@ -30,6 +31,54 @@ def problem_of(overrides: list[str]):
 
     cfg = OmegaConf.to_object(compose(overrides))
     return assemble.problem(cfg.scene, cfg.target, lambda done, total: None), cfg
+
+
+def timed(work: Callable[[], None]) -> float:
+    """Seconds of ``work``, with all that it waits for."""
+    backend.sync()
+    start = time.perf_counter()
+    work()
+    backend.sync()
+    return time.perf_counter() - start
+
+
+class Side:
+    """Looks and steps of one sampler, on a problem that sides may share; each returns its
+    seconds."""
+
+    def __init__(self, problem, rates, batch: int, name: str, overrides: list[str]):
+        from isas_cli import losses
+        from isas_cli.config.compose import compose, instantiate
+        from isas_cli.engine.optimiser import Stepper
+        from isas_cli.estimators.two_path import TwoPath
+
+        self.problem, self.name, loss = problem, name, losses.L2()
+        node = compose([*overrides, f"sampler={name}"]).sampler
+        self.sampler = instantiate(node, "sampler").on(problem, loss, batch)
+        self.stepper = Stepper(problem.unknowns, rates)
+        self.estimator = TwoPath(problem, loss, batch)
+
+    def look(self, seed: int, iteration: int) -> float:
+        return timed(lambda: self._look(seed, iteration))
+
+    def _look(self, seed: int, iteration: int) -> None:
+        import drjit as dr
+
+        moments = None
+        if "moments" in self.sampler.settings.needs and iteration and self.stepper.taken:
+            moments = self.stepper.moments(0.1)
+        weights = self.sampler.look(self.stepper.values, seed, iteration, moments)
+        self.distribution = self.sampler.distribution(weights)
+        dr.eval(self.distribution.cdf)
+
+    def step(self, iteration: int) -> float:
+        return timed(lambda: self._step(iteration))
+
+    def _step(self, iteration: int) -> None:
+        unknowns = self.problem.unknowns
+        unknowns.attach(self.stepper.values)
+        self.estimator.accumulate(self.distribution, 1, iteration)
+        self.stepper.step(unknowns.gradients(), 0.0)
 
 
 def stock(batch: int, overrides: list[str]):
@@ -68,32 +117,20 @@ SAMPLERS = {
 def isas(side: str, batch: int, overrides: list[str]):
     from isas_cli import effects, losses
     from isas_cli.config.compose import compose, instantiate
-    from isas_cli.engine.optimiser import Stepper
-    from isas_cli.estimators.two_path import TwoPath
 
     problem, cfg = problem_of(overrides)
-    chosen = compose([*overrides, f"sampler={SAMPLERS[side]}"])
-    sampler = instantiate(chosen.sampler, "sampler")
-    loss = losses.L2()
     if side in ("isas-auto", "isas-single"):
+        chosen = compose([*overrides, f"sampler={SAMPLERS[side]}"])
         settings = instantiate(chosen.effects, "effects")
         if side == "isas-single":
             settings = replace(settings, light_samples=[1, 1], directions=4)
-        made = instantiate(chosen.estimator, "estimator")
-        plan = effects.decide(problem, settings, made, loss, 60.0)
+        estimator = instantiate(chosen.estimator, "estimator")
+        plan = effects.decide(problem, settings, estimator, losses.L2(), 60.0)
         print(plan.paths)
         problem = plan.on(problem)
-    sampler = sampler.on(problem, loss, batch)
-    stepper = Stepper(problem.unknowns, cfg.optimizer)
-    estimator = TwoPath(problem, loss, batch)
-    distribution = sampler.distribution(sampler.look(stepper.values, 1, 0))
-
-    def step(i: int) -> None:
-        problem.unknowns.attach(stepper.values)
-        estimator.accumulate(distribution, 1, i)
-        stepper.step(problem.unknowns.gradients(), 0.0)
-
-    return step
+    made = Side(problem, cfg.optimizer, batch, SAMPLERS[side], overrides)
+    made.look(1, 0)
+    return made.step
 
 
 def main(side: str, batch: int, steps: int, overrides: list[str]) -> None:
@@ -104,14 +141,7 @@ def main(side: str, batch: int, steps: int, overrides: list[str]) -> None:
         step = isas(side, batch, overrides)
     for i in range(_WARM_UP):
         step(i)
-    seconds = []
-    for i in range(_WARM_UP, _WARM_UP + steps):
-        backend.sync()
-        start = time.perf_counter()
-        step(i)
-        backend.sync()
-        seconds.append(time.perf_counter() - start)
-    print(statistics.median(seconds))
+    print(statistics.median(timed(lambda: step(_WARM_UP + i)) for i in range(steps)))
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import _ranges
 import pandas
 
 _NEAR_START = 0.9  # share of the start's error above which a run has hardly left it
@@ -48,9 +49,8 @@ def _range(row: pandas.Series, measure: str = "parameter_rmse") -> str:
 
 def _verdict(ours: pandas.Series, rival: pandas.Series, measure: str = "parameter_rmse") -> str:
     """yes, no or level: whether the seeds' ranges lie apart."""
-    if ours[f"{measure}_high"] < rival[f"{measure}_low"]:
-        return "yes"
-    return "no" if ours[f"{measure}_low"] > rival[f"{measure}_high"] else "level (ranges overlap)"
+    words = {_ranges.BELOW: "yes", _ranges.ABOVE: "no", _ranges.LEVEL: "level (ranges overlap)"}
+    return words[_ranges.apart(ours, rival, measure)]
 
 
 def _better(scene: str, *rivals: str) -> Callable[[Path], tuple[str, str]]:
@@ -112,6 +112,8 @@ def _small_budget(results: Path) -> tuple[str, str]:
         f"`ours` {ours['share_of_start']:.3f}"
     )
     stuck, there = uniform["share_of_start"] > _NEAR_START, ours["share_of_start"] < _CONVERGED
+    if not there and _ranges.apart(ours, uniform, "parameter_rmse") == _ranges.LEVEL:
+        return words, "cannot be told: where either ends is chance, their ranges overlap"
     if stuck and there:
         return words, "yes"
     parts = ["`ours` converges" if there else "`ours` does not converge"]

@@ -16,6 +16,9 @@ import yaml
 
 from isas_cli import records
 
+# No pictures, no report.
+QUIET = ["frames.views=0", "frames.snapshots=0", "report=false"]
+
 
 def race(
     scene: str,
@@ -23,14 +26,16 @@ def race(
     settings: list[str],
     contestants: list[tuple[str, dict]],
     seeds: list[int],
-    seconds: float,
+    seconds: float | None,
     row: Callable[[records.Run], dict],
 ) -> pandas.DataFrame:
-    """`isas race` of ``contestants``, names with settings, ``seconds`` billed a run. A row a run,
-    in their order: what it was, its folder, its history, and what ``row`` tells of it."""
+    """`isas race` of ``contestants``, names with settings, ``seconds`` billed a run (None: the
+    ``settings`` say when a run ends). A row a run, in their order: what it was, its folder, its
+    history, and what ``row`` tells of it."""
     listed = [",".join(f"{k}:{v}" for k, v in own.items()) for _, own in contestants]
     command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *settings]
-    command += [f"budget.seconds={seconds}", f"seed=[{','.join(map(str, seeds))}]"]
+    command += [f"budget.seconds={seconds}"] if seconds else []
+    command += [f"seed=[{','.join(map(str, seeds))}]"]
     command += ["contestants=[" + ",".join(f"{{{each}}}" for each in listed) + "]"]
     subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
     planned = yaml.safe_load((folder / "race.yaml").read_text(encoding="utf-8"))["entries"]
@@ -38,8 +43,8 @@ def race(
     entries = itertools.product(contestants, seeds)
     for ((name, own), seed), entry in zip(entries, planned, strict=True):
         run = records.load(folder / entry["folder"])
-        told = {"scene": scene, "method": name, "factor": own["optimizer.factor"], "seed": seed}
-        rows.append(told | {"folder": run.folder, "history": run.history} | row(run))
+        what = {"scene": scene, "method": name, "factor": own.get("optimizer.factor"), "seed": seed}
+        rows.append(what | {"folder": run.folder, "history": run.history} | row(run))
     return pandas.DataFrame(rows)
 
 
@@ -50,16 +55,16 @@ def judged(
     contestants: dict,
     factors: Iterable[float],
     seeds: list[int],
-    seconds: float,
+    seconds: float | None,
     row: Callable[[records.Run], dict],
     measure: str,
-    beyond: bool = False,
+    beyond: int = 0,
     choosing: int = 1,
 ) -> tuple[pandas.DataFrame, pandas.DataFrame]:
     """The runs of ``contestants``, settings by name: with the first seeds, ``choosing`` of them, at
-    each of the ``factors`` on their rates (``beyond``: and at one more for those that did best with
-    the largest or the least); with the others, each at that with the least geometric mean of
-    ``measure``. See ``race``."""
+    each of the ``factors`` on their rates (and, ``beyond`` so many times at most, at one more for
+    those that did best with the largest or the least); with the others, each at that with the least
+    geometric mean of ``measure``. See ``race``."""
     judges, others = seeds[:choosing], seeds[choosing:]
 
     def at(name: str, factor: float) -> tuple[str, dict]:
@@ -75,14 +80,68 @@ def judged(
     rising = sorted(factors)
     every = [at(name, factor) for name in contestants for factor in rising]
     first = race(scene, root / "rates", settings, every, judges, seconds, row)
-    ends = {a: a * a / b for a, b in (rising[:2], rising[:-3:-1])} if beyond else {}
-    best = zip(*(least(first)[column] for column in ("method", "factor")))
-    if further := [at(name, ends[factor]) for name, factor in best if factor in ends]:
-        more = race(scene, root / "beyond", settings, further, judges, seconds, row)
+    for number in range(beyond):
+        further = []
+        for name, factor in zip(*(least(first)[column] for column in ("method", "factor"))):
+            tried = sorted(set(first.loc[first["method"] == name, "factor"]))
+            ends = {a: a * a / b for a, b in (tried[:2], tried[:-3:-1])}
+            further += [at(name, ends[factor])] if factor in ends else []
+        if not further:
+            break
+        folder = root / f"beyond-{number}"
+        more = race(scene, folder, settings, further, judges, seconds, row)
         first = pandas.concat([first, more], ignore_index=True)
     best = least(first)
     chosen = [at(*pair) for pair in zip(best["method"], best["factor"])]
     return first, race(scene, root / "seeds", settings, chosen, others, seconds, row)
+
+
+def reached(history: pandas.DataFrame, goal: float, measure: str = "parameter_rmse") -> float:
+    """Billed seconds from which on the error stays at or below ``goal``, linear between
+    evaluations; infinite if it is not."""
+    seconds, error = history["seconds"].to_numpy(), history[measure].to_numpy()
+    above = np.flatnonzero(error > goal)
+    if above.size == 0:
+        return float(seconds[0])
+    last = above[-1]
+    if last + 1 == error.size:
+        return float("inf")
+    share = (error[last] - goal) / (error[last] - error[last + 1])
+    return float(seconds[last] + share * (seconds[last + 1] - seconds[last]))
+
+
+def ranged(*names: str) -> list[str]:
+    """Of each the column of its median and those of its range."""
+    return [name + end for name in names for end in ("", "_low", "_high")]
+
+
+def told(
+    found: pandas.DataFrame,
+    seconds: float,
+    columns: Iterable[str],
+    measure: str = "parameter_rmse",
+    rivals: dict[str, str] | None = None,
+    same: Sequence[str] = ("scene", "method", "factor"),
+    by: str = "method",
+) -> pandas.DataFrame:
+    """A row for each method of a race: what its first run has of the ``same``, and the median over
+    its runs of each of the ``columns``, least or most where a name ends so (``ranged``: of three
+    seeds, the range holds the median in 75 % of cases). ``rivals``: methods by the column that says
+    after which share of the budget their median final ``measure`` is reached."""
+    for column, rival in (rivals or {}).items():
+        finals = found["history"].map(lambda history: history[measure].iloc[-1])
+        goal = finals.groupby(found[by]).median()[rival]
+        times = [reached(history, goal, measure) / seconds for history in found["history"]]
+        found = found.assign(**{column: times})
+    ends, rows = {"low": "min", "high": "max"}, []
+    for _, own in found.groupby(by, sort=False):
+        row = {name: own[name].iloc[0] for name in same}
+        row |= {"seeds": len(own), "seconds": seconds}
+        for column in columns:
+            name, _, end = column.rpartition("_")
+            row[column] = own[name].agg(ends[end]) if end in ends else own[column].dropna().median()
+        rows.append(row)
+    return pandas.DataFrame(rows)
 
 
 def write(

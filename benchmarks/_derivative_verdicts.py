@@ -19,7 +19,7 @@ _ORDER = ("never", "wrong", "fails", "refused", "right", "unsure", "-", "")
 
 
 def read(path) -> pandas.DataFrame:
-    """A table of the census. A scene is called ``null``, which pandas takes for none."""
+    """A table of a census. A scene is called ``null``, which pandas takes for none."""
     return pandas.read_csv(path, keep_default_na=False, na_values=[""])
 
 

@@ -12,10 +12,9 @@ import itertools
 import math
 import statistics
 import sys
-import time
 
 import _rows
-from _child import problem_of
+from _child import Side, problem_of, timed
 
 from isas_cli.runtime import backend
 
@@ -23,7 +22,7 @@ _WARM_UP = 5
 SIDES = ("step", "passes", "prb")
 
 
-class Sides:
+class Sides(Side):
     """``step``: a gradient step, from its values to new ones. ``passes`` and ``prb``: two ways to
     trace the rays of its two paths, drawn and spawned beforehand, with a fixed adjoint. Media that
     only emit and absorb have no counterpart of Mitsuba's: there is no ``prb``."""
@@ -32,17 +31,8 @@ class Sides:
         import drjit as dr
         from mitsuba.python.ad.integrators.common import RBIntegrator
 
-        from isas_cli import losses
-        from isas_cli.config.compose import compose, instantiate
-        from isas_cli.engine.optimiser import Stepper
-        from isas_cli.estimators.two_path import TwoPath
-
-        self.problem, self.batch, loss = problem, batch, losses.L2()
-        sampler = instantiate(compose([*overrides, f"sampler={name}"]).sampler, "sampler")
-        sampler = sampler.on(problem, loss, batch)
-        self.stepper = Stepper(problem.unknowns, cfg.optimizer)
-        self.estimator = TwoPath(problem, loss, batch)
-        self.distribution = sampler.distribution(sampler.look(self.stepper.values, 1, 0))
+        super().__init__(problem, cfg.optimizer, batch, name, overrides)
+        self.look(1, 0)
         self._spawn = dr.freeze(self._spawned(batch))
         self._passes = {"passes": dr.freeze(own_passes(problem.integrator))}
         if type(problem.integrator.mitsuba).sample is not RBIntegrator.sample:
@@ -78,22 +68,12 @@ class Sides:
 
     def measure(self, side: str, i: int) -> float:
         """Seconds of step ``i``, or of its passes."""
-        p, values = self.problem, self.stepper.values
         if side == "step":
-            backend.sync()
-            start = time.perf_counter()
-            p.unknowns.attach(values)
-            self.estimator.accumulate(self.distribution, 1, i)
-            self.stepper.step(p.unknowns.gradients(), 0.0)
-        else:
-            seeds = self._seeds(i)
-            both = self._spawn(p.sensors, p.views, self.distribution, seeds)
-            p.unknowns.attach(values)
-            backend.sync()
-            start = time.perf_counter()
-            self._passes[side](p.scene, p.unknowns.leaves, both, seeds)
-        backend.sync()
-        return time.perf_counter() - start
+            return self.step(i)
+        p, seeds = self.problem, self._seeds(i)
+        both = self._spawn(p.sensors, p.views, self.distribution, seeds)
+        p.unknowns.attach(self.stepper.values)
+        return timed(lambda: self._passes[side](p.scene, p.unknowns.leaves, both, seeds))
 
 
 def _stream(seed, ray):

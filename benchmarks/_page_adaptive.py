@@ -6,6 +6,7 @@ from pathlib import Path
 
 import _claims
 import _overview
+import _ranges
 import numpy as np
 import pandas
 
@@ -16,33 +17,35 @@ _ONE_NUMBER = ("dodoco", "trashcan")  # scenes whose unknown is one
 
 def facts(results: Path) -> dict:
     table = pandas.read_csv(results / "reproduce.csv")
-    if "target_noise" not in table:
-        table["target_noise"] = np.nan
     scenes = [rows for _, rows in table.groupby("scene", sort=False)]
     by = {rows["scene"].iloc[0]: rows.set_index("sampler") for rows in scenes}
     textures = [name for name in by if name not in _ONE_NUMBER]
     # Where `uniform` has its final error long before the end, a time to it says nothing.
-    before = earlier(by)
     turned = [s for s in by if by[s].loc["uniform", "time_to_uniform"] < _TURNED]
     times = {s: by[s].loc["progress", "time_to_uniform"] for s in by if s not in turned}
     variance = pandas.read_csv(results / "variance_dodoco.csv").set_index("sampler")
     looks = pandas.read_csv(results / "caustic.csv").set_index(["scene", "looks"])["distance"]
     return {
         "table": _overview.lines(scenes),
-        "short": short(by, turned, before),
-        "earlier": before,
+        "short": short(by, turned),
         "claims": _claims.lines(results),
         "ours_parameters": sides(by, "ours", "uniform", "parameter_rmse"),
         "ours_image": sides(by, "ours", "uniform", "image_rmse"),
         "ours_gradient": sides(by, "ours", "gradient", "parameter_rmse"),
-        "ours_least_image": [s for s in by if by[s]["image_rmse"].idxmin() == "ours"],
-        "ours_worst": [s for s in by if by[s]["parameter_rmse"].idxmax() == "ours"],
+        "ours_least_image": [s for s in by if foremost(by[s], "image_rmse", _ranges.BELOW)],
+        "ours_worst": [s for s in by if foremost(by[s], "parameter_rmse", _ranges.ABOVE)],
         "progress_best": [s for s in textures if leads(by[s], "progress")],
         "progress_behind": [s for s in textures if not leads(by[s], "progress")],
         "progress_worse": sides(by, "progress", "uniform", "parameter_rmse")["above"],
         "times": [time for time in times.values() if np.isfinite(time)],
         "not_reached": [s for s, time in times.items() if not np.isfinite(time)],
-        "in_goal": [s for s, time in times.items() if time <= GOAL],
+        # Where it ends level with `uniform`, it got there by chance.
+        "in_goal": [
+            s
+            for s, time in times.items()
+            if time <= GOAL
+            and s in sides(by, "progress", "uniform", "parameter_rmse")[_ranges.BELOW]
+        ],
         "turned": turned,
         "steps_of_uniform": [
             by[s].loc["uniform", "iterations"] / by[s].loc["relevant", "iterations"] for s in by
@@ -52,7 +55,6 @@ def facts(results: Path) -> dict:
         "dodoco_high": by["dodoco"]["parameter_rmse_high"].max(),
         "multires": multires(by["multires"]),
         "unseen": unseen(results / "unseen.csv"),
-        "at_ends": at_ends(results, list(by)),
         "variance": variance.to_dict("index"),
         "looks": {scene: dict(looks[scene]) for scene in ("caustic_failure", "dodoco")},
         "derivative": pandas.read_csv(results / "derivative_sampling.csv").to_dict("records"),
@@ -67,14 +69,14 @@ def leads(rows: pandas.DataFrame, sampler: str, measure: str = "parameter_rmse")
 
 def sides(by: dict, sampler: str, rival: str, measure: str) -> dict[str, list[str]]:
     """Scenes on which the ranges lie apart: ``sampler``'s ``below`` or ``above`` the rival's."""
-    own, other = (
-        {s: rows.loc[name, [f"{measure}_low", f"{measure}_high"]] for s, rows in by.items()}
-        for name in (sampler, rival)
-    )
-    return {
-        "below": [s for s in by if own[s].iloc[1] < other[s].iloc[0]],
-        "above": [s for s in by if own[s].iloc[0] > other[s].iloc[1]],
-    }
+    where = {s: _ranges.apart(r.loc[sampler], r.loc[rival], measure) for s, r in by.items()}
+    return {side: [s for s in by if where[s] == side] for side in (_ranges.BELOW, _ranges.ABOVE)}
+
+
+def foremost(rows: pandas.DataFrame, measure: str, side: str) -> bool:
+    """Whether the range of `ours` lies on one ``side`` of those of all others."""
+    others = (row for name, row in rows.iterrows() if name != "ours")
+    return all(_ranges.apart(rows.loc["ours"], row, measure) == side for row in others)
 
 
 def multires(rows: pandas.DataFrame) -> dict:
@@ -90,8 +92,6 @@ def multires(rows: pandas.DataFrame) -> dict:
 
 def unseen(path: Path) -> list[dict]:
     """By scene, what `unseen.py` has of texels that camera rays meet, ``met``, and of others."""
-    if not path.exists():
-        return []
     found = []
     for scene, rows in pandas.read_csv(path).groupby("scene", sort=False):
         of = {bool(row["met"]): row for row in rows.to_dict("records")}
@@ -99,33 +99,15 @@ def unseen(path: Path) -> list[dict]:
     return found
 
 
-def at_ends(results: Path, scenes: list[str]) -> dict[str, list[str]]:
-    """Scenes of which every sampler's best rate was the ``largest`` or ``smallest`` tried."""
-    found = {"largest": [], "smallest": []}
-    for scene in scenes:
-        rates = pandas.read_csv(results / f"{scene}_rates.csv")
-        best = rates.loc[rates.groupby("sampler")["final"].idxmin(), "rate"]
-        for name, end in (("largest", rates["rate"].max()), ("smallest", rates["rate"].min())):
-            if (best == end).all():
-                found[name].append(scene)
-    return found
-
-
-def earlier(by: dict[str, pandas.DataFrame]) -> list[str]:
-    """Scenes that were raced with targets of 64 paths a pixel, and the settings of that time."""
-    return [s for s, rows in by.items() if not rows["target_noise"].notna().all()]
-
-
-def short(by: dict[str, pandas.DataFrame], turned: list[str], before: list[str] = ()) -> list[str]:
+def short(by: dict[str, pandas.DataFrame], turned: list[str]) -> list[str]:
     """The README's table: what is left of the start's error, and the time that it took."""
     shown = ("uniform", "ours", "progress")
     head = ["scene", *(f"`{s}`" for s in shown), "time of `progress` to `uniform`'s error"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for scene, rows in by.items():
         least = min(rows.loc[s, "share_of_start"] for s in shown)
-        mark = r"\*" if scene in before else ""
         name = scene.replace("_relative", ", relative L2")
-        cells = [f"{name}, {rows['seconds'].iloc[0]:g} s{mark}"]
+        cells = [f"{name}, {rows['seconds'].iloc[0]:g} s"]
         for sampler in shown:
             share = rows.loc[sampler, "share_of_start"]
             text = f"{100 * share:.1f} %"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
+import _ranges
 import cost_against_size
 import numpy as np
 import pandas
@@ -31,6 +33,9 @@ def facts(results: Path) -> dict:
         },
         "sizes": sizes(read("cost_against_size")),
         "memory": read("memory").to_dict("records"),
+        "targets": read("targets").to_dict("records"),
+        "doubled": read("doubled").to_dict("records"),
+        "beside": itertools.zip_longest,
         "writing": recording["writing_share_of_wall"].max().to_dict(),
         "race": read("race").groupby("contestant")["race_over_alone"].median().to_dict(),
         "race_spread": list(read("race")["race_over_alone"]),
@@ -51,18 +56,10 @@ def step_time(table: pandas.DataFrame) -> list[dict]:
 
 
 def gpu(steps: pandas.DataFrame, race: pandas.DataFrame, rates: pandas.DataFrame) -> dict:
-    """Whose card, when; ratios of steps; of each race a row per method, and whose best rate was the
-    largest."""
-    races = []
-    for (scene, size), own in race.groupby(["scene", "size"], sort=False):
-        tried = rates[(rates["scene"] == scene) & (rates["size"] == size)]
-        most = own["method"].map(tried.groupby("method")["factor"].max())
-        ends = list(own["method"][own["factor"] >= most])
-        named = {name: own[name].iloc[0] for name in ("seconds", "seeds", "card", "day")}
-        rows = {"ends": ends, "rows": own.to_dict("records")}
-        races.append({"scene": scene, "size": size} | named | rows)
+    """Whose card, when; ratios of steps; of each race a row per method."""
+    rows = _ranges.marked(race, rates, ("scene", "size", "method")).to_dict("records")
     named = {name: steps[name].iloc[0] for name in ("card", "day")}
-    return named | {"steps": step_time(steps), "races": races}
+    return named | {"steps": step_time(steps), "rows": rows}
 
 
 def begun(table: pandas.DataFrame) -> dict:

@@ -28,12 +28,8 @@ NAMES = {
 }
 
 
-def facts(results: Path) -> dict | None:
-    """None before there was a census."""
-    path = results / "derivatives.csv"
-    if not path.exists():
-        return None
-    table = read(path)
+def facts(results: Path) -> dict:
+    table = read(results / "derivatives.csv")
     measured = table.dropna(subset=["reference"])
     told = judged(measured)
     keys = of_keys(table[table["key"].notna()])
@@ -45,7 +41,6 @@ def facts(results: Path) -> dict | None:
         "last": table["date"].dropna().max(),
         "scenes": table["scene"].nunique(),
         "keys": len(keys),
-        "comparisons": len(measured),
         "sections": {
             name: rows
             for name, scenes in SECTIONS.items()

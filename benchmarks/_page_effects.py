@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import _ranges
 import numpy as np
 import pandas
 from scipy import stats
@@ -46,7 +47,8 @@ def facts(results: Path) -> dict:
 
 def _scenes(path: Path) -> list[dict]:
     scenes = []
-    for scene, rows in pandas.read_csv(path).groupby("scene", sort=False):
+    table = _ranges.marked(pandas.read_csv(path), pandas.read_csv(path.with_stem("effects_rates")))
+    for scene, rows in table.groupby("scene", sort=False):
         of = {row["method"]: row for row in rows.to_dict("records")}
         full = of["full"]
         scenes.append(
@@ -213,6 +215,5 @@ def _time(share: float) -> str:
 
 def _verdict(row: dict, full: dict) -> str:
     """By the ranges of the seeds."""
-    if row["parameter_rmse_high"] < full["parameter_rmse_low"]:
-        return "better"
-    return "worse" if row["parameter_rmse_low"] > full["parameter_rmse_high"] else "alike"
+    words = {_ranges.BELOW: "better", _ranges.ABOVE: "worse", _ranges.LEVEL: "alike"}
+    return words[_ranges.apart(row, full, "parameter_rmse")]

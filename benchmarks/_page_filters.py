@@ -11,16 +11,16 @@ BASE = "none"
 RATIOS = ["parameter_rmse_ratio", "image_rmse_ratio"]
 
 
-def facts(results: Path) -> dict | None:
-    """None before there was a run."""
-    path = results / "filters.csv"
-    if not path.exists():
-        return None
-    table = pandas.read_csv(path)
+def facts(results: Path) -> dict:
+    table = pandas.read_csv(results / "filters.csv")
     judged, choosing = (table[table["judged"] == number] for number in (1, 0))
     means = judged.groupby(["scene", "filter"]).mean().reset_index()
     means["steps"] = means["iterations"].astype(int)
-    over = means[means["filter"] != BASE].groupby("filter")[RATIOS]
+    # On the scenes that all have.
+    each = means[means["filter"] != BASE].groupby("scene")["filter"].nunique()
+    shared = each.index[each == each.max()]
+    alike = means["scene"].isin(shared) & (means["filter"] != BASE)
+    over = means[alike].groupby("filter")[RATIOS]
     return {
         "sooner": sooner(results / "sooner.csv"),
         "ways": ways(results / "choosing.csv"),
@@ -29,15 +29,14 @@ def facts(results: Path) -> dict | None:
         "batch": int(judged["batch"].iloc[0]),
         "iterations": sorted(set(means["steps"])),
         "across": over.agg(lambda each: np.exp(np.log(each).mean())).to_dict("index"),
+        "shared": list(shared),
         "worst": over.max().to_dict("index"),
         "tried": choosing.groupby("filter")["factor"].agg(["min", "max"]).to_dict("index"),
     }
 
 
-def sooner(path: Path) -> dict | None:
-    """Today's default beside an earlier commit's, medians over a scene's seeds; None before."""
-    if not path.exists():
-        return None
+def sooner(path: Path) -> dict:
+    """Today's default beside an earlier commit's, medians over a scene's seeds."""
     table = pandas.read_csv(path)
     rows = table.groupby("scene", sort=False)
     medians = rows.median(numeric_only=True).reset_index()
@@ -58,9 +57,7 @@ def sooner(path: Path) -> dict | None:
 
 def ways(path: Path) -> list[dict]:
     """A row for each way to take steps, errors over those of ``BASE`` by scene, with as many
-    seconds; empty before."""
-    if not path.exists():
-        return []
+    seconds."""
     table = pandas.read_csv(path)
     errors = [name.removesuffix("_ratio") for name in RATIOS]
     means = table.groupby(["filter", "rate", "half", "scene"], dropna=False)[errors].mean()

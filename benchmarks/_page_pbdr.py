@@ -4,26 +4,30 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import _ranges
 import pandas
 
 FULL, PLAIN, STOCK = "full", "ours", "Mitsuba's loop"
 
 
-def facts(results: Path) -> dict | None:
-    """None before there was a race."""
-    path = results / "pbdr.csv"
-    if not path.exists():
-        return None
-    table = pandas.read_csv(path)
+def facts(results: Path) -> dict:
+    def read(name: str) -> pandas.DataFrame:
+        return pandas.read_csv(results / f"{name}.csv")
+
+    table = _ranges.marked(read("pbdr"), read("pbdr_rates"))
     by = {scene: rows.set_index("method") for scene, rows in table.groupby("scene", sort=False)}
-    more, shape = results / "pbdr_more.csv", results / "pbdr_shape.csv"
     return {
         "scenes": {scene: rows.reset_index().to_dict("records") for scene, rows in by.items()},
         "seconds": dict(table.groupby("scene", sort=False)["seconds"].max()),
         "seeds": table["seeds"].min(),
-        "ends": _ends(table, pandas.read_csv(results / "pbdr_rates.csv")),
-        **(_more(pandas.read_csv(more)) if more.exists() else {"more": []}),
-        "shape": pandas.read_csv(shape).to_dict("records") if shape.exists() else [],
+        **_more(_ranges.marked(read("pbdr_more"), read("pbdr_more_rates"))),
+        "more_otherwise": _otherwise(read("pbdr_more_rates")),
+        "more_steps": [
+            row["iterations"] / by[row["scene"]].loc[PLAIN, "iterations"]
+            for row in read("pbdr_more").to_dict("records")
+            if row["method"] == PLAIN
+        ],
+        "shape": read("pbdr_shape").to_dict("records"),
         "claims": _claims(by),
         "prior": {scene: _ratio(rows, "mpea", "without the prior") for scene, rows in by.items()},
         "smoothing": {
@@ -36,28 +40,32 @@ def facts(results: Path) -> dict | None:
     }
 
 
-def _ends(table: pandas.DataFrame, rates: pandas.DataFrame) -> dict[str, list[str]]:
-    """By scene, the methods whose best factor is the largest that was tried."""
-    most = rates.groupby(["scene", "method"])["factor"].max()
-    found: dict[str, list[str]] = {}
-    for row in table.to_dict("records"):
-        if row["factor"] >= most[row["scene"], row["method"]]:
-            found.setdefault(row["scene"], []).append(row["method"])
-    return found
-
-
 def _more(table: pandas.DataFrame) -> dict:
-    """The rows; by scene, the method of least RE, and which end worse or better than `ours` by all
-    seeds."""
+    """The rows; by scene, the method of least RE, and by each measure which end worse or better
+    than `ours` by all seeds."""
     best, apart = {}, {}
     for scene, rows in table.groupby("scene", sort=False):
         rows = rows.set_index("method")
         best[scene], ours = rows["re"].idxmin(), rows.loc[PLAIN]
         apart[scene] = {
-            "better": list(rows.index[rows["re_high"] < ours["re_low"]]),
-            "worse": list(rows.index[rows["re_low"] > ours["re_high"]]),
+            measure.upper(): {
+                word: [n for n, row in rows.iterrows() if _ranges.apart(row, ours, measure) == side]
+                for word, side in (("better", _ranges.BELOW), ("worse", _ranges.ABOVE))
+            }
+            for measure in ("re", "mpea")
         }
     return {"more": table.to_dict("records"), "more_best": best, "more_apart": apart}
+
+
+def _otherwise(rates: pandas.DataFrame) -> list[dict]:
+    """Where another factor than the best by the image error had `ours` at less MPEA."""
+    found = []
+    for scene, own in rates[rates["method"] == PLAIN].groupby("scene", sort=False):
+        chosen, other = (own.loc[own[name].idxmin()] for name in ("image_rmse", "mpea"))
+        if other["factor"] != chosen["factor"]:
+            share = other["mpea"] / chosen["mpea"]
+            found.append({"scene": scene, "factor": other["factor"], "share": share})
+    return found
 
 
 def _ratio(rows: pandas.DataFrame, measure: str, rival: str) -> float:
@@ -72,13 +80,14 @@ def _claims(by: dict[str, pandas.DataFrame]) -> list[dict]:
     rivals = [
         ("RE is lower than Mitsuba's", "re", FULL, STOCK),
         ("MPEA is lower than Mitsuba's", "mpea", FULL, STOCK),
-        ("converges in fewer iterations than Mitsuba", "cs", FULL, STOCK),
-        ("smoothing lowers the gradients' noise", "gn", FULL, "without smoothing"),
         ("without smoothing RE rises", "re", FULL, "without smoothing"),
-        ("without smoothing convergence takes longer", "cs", FULL, "without smoothing"),
         ("without the prior RE rises", "re", FULL, "without the prior"),
-        ("without the prior convergence takes longer", "cs", FULL, "without the prior"),
     ]
+    words = {
+        _ranges.BELOW: "yes",
+        _ranges.ABOVE: "no, the other way round",
+        _ranges.LEVEL: "the ranges overlap",
+    }
     found = []
     for claim, measure, method, rival in rivals:
         for scene, rows in by.items():
@@ -87,11 +96,7 @@ def _claims(by: dict[str, pandas.DataFrame]) -> list[dict]:
             if other is None:
                 continue
             ours, theirs = rows.loc[method], rows.loc[other]
-            holds = "the ranges overlap"
-            if ours[f"{measure}_high"] < theirs[f"{measure}_low"]:
-                holds = "yes"
-            elif theirs[f"{measure}_high"] < ours[f"{measure}_low"]:
-                holds = "no, the other way round"
+            holds = words[_ranges.apart(ours, theirs, measure)]
             values = {"ours": ours[measure], "theirs": theirs[measure]}
             found.append({"claim": claim, "scene": scene, "holds": holds, **values})
     return found

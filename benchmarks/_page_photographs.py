@@ -13,26 +13,18 @@ RELIT = ("factor", *HELD, "psnr_h", "psnr_l", "ssim", "roughness")
 OF_VIEWS = ("psnr", "focal", "centre", "radial", "exposure")
 
 
-def facts(results: Path) -> dict | None:
-    """None before there was a run."""
-    path = results / "photographs.csv"
-    if not path.exists():
-        return None
-    table = pandas.read_csv(path)
+def facts(results: Path) -> dict:
+    table = pandas.read_csv(results / "photographs.csv")
     table["size"] = 100 * table["size"].abs()
     rows = _rows(table, MEASURES)
     for row in rows:
         if "degrees" in row:
             own = table[(table["case"] == row["case"]) & (table["by"] == row["by"])]
             row["landed"] = int(((own["degrees"] < 0.5) & (own["size"] < 1)).sum())
-    path, found = results / "photographs_views.csv", {"rows": rows, "views": [], "relit": []}
-    if path.exists():
-        found["views"] = _rows(pandas.read_csv(path), OF_VIEWS)
-    path = results / "relighting.csv"
-    if path.exists():
-        relit = pandas.read_csv(path).rename(columns={"way": "by"}).assign(case="jar")
-        found["relit"] = _rows(relit, RELIT)
-    return found
+    views = pandas.read_csv(results / "photographs_views.csv")
+    relit = pandas.read_csv(results / "relighting.csv").rename(columns={"way": "by"})
+    relit = _rows(relit.assign(case="jar"), RELIT)
+    return {"rows": rows, "views": _rows(views, OF_VIEWS), "relit": relit}
 
 
 def _rows(table: pandas.DataFrame, measures: tuple[str, ...]) -> list[dict]:

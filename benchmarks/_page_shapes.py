@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import _ranges
 import pandas
 
 STOCK = "Mitsuba's loop"
@@ -11,13 +12,15 @@ GOALS = ("dodoco_b", "kirby")  # the paper's
 
 
 def facts(results: Path) -> dict:
-    table = pandas.read_csv(results / "shapes.csv")
+    def read(name: str) -> pandas.DataFrame:
+        return pandas.read_csv(results / f"{name}.csv")
+
+    table = _ranges.marked(read("shapes"), read("shapes_rates"))
     for name in ("chamfer", "chamfer_low", "chamfer_high"):
         table[f"{name}_share"] = table[name] / table["start"]
-    step = pandas.read_csv(results / "shapes_step.csv").groupby("side")["seconds"].median()
+    step = read("shapes_step").groupby("side")["seconds"].median()
     ours = table[table["method"] != STOCK]
     best = ours.loc[ours.groupby("scene", sort=False)["chamfer"].idxmin()]
-    rebuilds, levels = (results / f"shapes_{name}.csv" for name in ("rebuilds", "levels"))
     return {
         "scenes": {
             scene: rows.to_dict("records") for scene, rows in table.groupby("scene", sort=False)
@@ -29,8 +32,8 @@ def facts(results: Path) -> dict:
         "sooner": list(ours["time_to_stock"]),
         "shadows": dict(table[table["scene"] == "shadowplay"][["method", "chamfer_share"]].values),
         "step": step["silhouettes"] / step[STOCK],
-        "levels": _levels(pandas.read_csv(levels)) if levels.exists() else [],
-        "rebuilds": pandas.read_csv(rebuilds).to_dict("records") if rebuilds.exists() else [],
+        "levels": _levels(read("shapes_levels")),
+        "rebuilds": read("shapes_rebuilds").to_dict("records"),
     }
 
 

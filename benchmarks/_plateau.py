@@ -279,18 +279,13 @@ def compared(task: str, root: Path, chosen: argparse.Namespace) -> pandas.DataFr
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}")
     parser.add_argument("--starts", type=int, default=20)
     parser.add_argument("--seconds", type=float, help="budget of each run, instead of the task's")
     parser.add_argument("--again", action="store_true", help="at the rates of the table, no search")
     parser.add_argument("--folder", type=Path, help="where the runs go (default: a new folder)")
-    chosen = parser.parse_args()
-    strange = [task for task in chosen.tasks if task not in TASKS]
-    if strange:
-        parser.error(f"{strange[0]}: no such task; valid: {', '.join(TASKS)}")
+    chosen = _plateau_table.asked(parser, TASKS)
     root = chosen.folder or Path(tempfile.mkdtemp(prefix="isas-plateau-"))
-    RESULTS.mkdir(exist_ok=True)
-    for task in chosen.tasks or TASKS:
+    for task in chosen.tasks:
         print(compared(task, root, chosen).to_string(index=False), flush=True)
         pages.write()
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import statistics
 import sys
-import time
 
 import _rows
+from _child import timed
 
 from isas_cli.runtime import backend
 
@@ -48,44 +48,26 @@ def loops(overrides: dict[str, list[str]]) -> dict:
 
 def step(loop, number: int) -> float:
     """Seconds of one gradient at the start's values; all waits are in it."""
-    import drjit as dr
-
     values = loop.problem.unknowns.starts()
-    dr.sync_thread()
-    begun = time.perf_counter()
     # A run's widths half way.
-    loop.estimator.estimate(values, loop._distribution, 0, number, 0.5)
-    dr.sync_thread()
-    return time.perf_counter() - begun
+    drawn = loop._distribution, 0, number, 0.5
+    return timed(lambda: loop.estimator.estimate(values, *drawn))
 
 
 def updates(loop) -> float:
     """Seconds of putting the states of one joint pair and of its residual into the scene, nothing
     traced: where geometry moves, most of it is Mitsuba building its BVH anew."""
-    import drjit as dr
-
     blur = loop.estimator.blur
     θ = blur.vector(loop.problem.unknowns.starts())
     σ = blur.widths(θ, 0.5)
-    dr.sync_thread()
-    begun = time.perf_counter()
-    for offset in (σ / 2, -σ / 2, σ, -σ):
-        blur.write(θ + offset)
-        dr.sync_thread()
-    return time.perf_counter() - begun
+    offsets = σ / 2, -σ / 2, σ, -σ
+    return sum(timed(lambda: blur.write(θ + offset)) for offset in offsets)
 
 
 def look(loop) -> float:
     """Seconds of one look at the images, for each step until the next."""
-    import drjit as dr
-
-    if not loop.sampler.settings.refresh:
-        return 0.0
-    dr.sync_thread()
-    begun = time.perf_counter()
-    loop._look(0)
-    dr.sync_thread()
-    return (time.perf_counter() - begun) / loop.sampler.settings.refresh
+    refresh = loop.sampler.settings.refresh
+    return timed(lambda: loop._look(0)) / refresh if refresh else 0.0
 
 
 def main() -> None:

@@ -10,6 +10,7 @@ of all tasks measured so far plateau_errors.png. The page of these is `_page_pla
 from __future__ import annotations
 
 import argparse
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -222,6 +223,16 @@ def draw(tasks: list[str]) -> None:
         for axes in panels[len(tasks) :]:
             axes.set_axis_off()
         save(canvas, RESULTS / "plateau_errors.png")
+
+
+def asked(parser: argparse.ArgumentParser, tasks: Collection[str] = TASKS) -> argparse.Namespace:
+    """What was typed, with the ``tasks`` that it names, or all."""
+    parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(tasks)}")
+    chosen = parser.parse_args()
+    if strange := [task for task in chosen.tasks if task not in tasks]:
+        parser.error(f"{strange[0]}: no such task; valid: {', '.join(tasks)}")
+    chosen.tasks = chosen.tasks or list(tasks)
+    return chosen
 
 
 def main() -> None:

@@ -10,13 +10,15 @@ and not on what comes into view.
 
 from __future__ import annotations
 
+import itertools
 import json
 import statistics
 import sys
-import time
 
 import psutil
+from _child import Side
 
+from isas_cli.config.schema import OptimizerConfig, UnknownConfig
 from isas_cli.runtime import backend
 
 _WARM_UP = 5
@@ -31,7 +33,6 @@ def problem_of(views: int, resolution: int, texture: int, depth: int):
     import numpy as np
     from isas_cli.scenes import pottery
 
-    from isas_cli.config.schema import UnknownConfig
     from isas_cli.rendering import integrators
     from isas_cli.scene.problem import Problem
     from isas_cli.scene.views import Views
@@ -62,63 +63,23 @@ def problem_of(views: int, resolution: int, texture: int, depth: int):
     return made
 
 
-class Point:
-    """Steps and looks of one sampler."""
+class Point(Side):
+    """Looks and steps, numbered one after the other."""
 
     def __init__(self, problem, batch: int, name: str):
-        from isas_cli import losses
-        from isas_cli.config.compose import compose, instantiate
-        from isas_cli.config.schema import OptimizerConfig
-        from isas_cli.engine.optimiser import Stepper
-        from isas_cli.estimators.two_path import TwoPath
-
-        self.problem, self.name, self.number = problem, name, 0
-        node = compose(["scene=pottery", f"sampler={name}"]).sampler
-        loss = losses.L2()
-        self.sampler = instantiate(node, "sampler").on(problem, loss, batch)
-        self.stepper = Stepper(problem.unknowns, OptimizerConfig())
-        self.estimator = TwoPath(problem, loss, batch)
+        super().__init__(problem, OptimizerConfig(), batch, name, ["scene=pottery"])
+        self.numbers = itertools.count(1)
         for _ in range(_WARM_UP):
-            self.look()
-            self.step()
-
-    def look(self) -> float:
-        moments = None
-        if "moments" in self.sampler.settings.needs and self.stepper.taken:
-            moments = self.stepper.moments(0.0)
-        return self._timed(lambda: self._look(moments))
-
-    def _look(self, moments) -> None:
-        import drjit as dr
-
-        weights = self.sampler.look(self.stepper.values, 1, self.number, moments)
-        self.distribution = self.sampler.distribution(weights)
-        dr.eval(self.distribution.cdf)
-
-    def step(self) -> float:
-        return self._timed(self._step)
-
-    def _step(self) -> None:
-        unknowns = self.problem.unknowns
-        unknowns.attach(self.stepper.values)
-        self.estimator.accumulate(self.distribution, 1, self.number)
-        self.stepper.step(unknowns.gradients(), 0.0)
-
-    def _timed(self, work) -> float:
-        self.number += 1
-        backend.sync()
-        start = time.perf_counter()
-        work()
-        backend.sync()
-        return time.perf_counter() - start
+            self.look(1, next(self.numbers))
+            self.step(next(self.numbers))
 
     def measure(self, seconds: float) -> dict:
         """Medians over as many steps as fit; one look for every four of them."""
         steps, looks = [], []
         while len(steps) < _LEAST or (len(steps) < _MOST and sum(steps) + sum(looks) < seconds):
             if len(steps) % 4 == 0:
-                looks.append(self.look())
-            steps.append(self.step())
+                looks.append(self.look(1, next(self.numbers)))
+            steps.append(self.step(next(self.numbers)))
         return {
             "sampler": self.name,
             "step": statistics.median(steps),

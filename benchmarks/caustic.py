@@ -36,7 +36,6 @@ def main() -> None:
     for scene in SCENES:
         found, maps[scene] = measured(scene, chosen)
         rows += found
-    RESULTS.mkdir(exist_ok=True)
     table = pandas.DataFrame(rows)
     table.to_csv(RESULTS / "caustic.csv", index=False, float_format="%.4g")
     pages.write()

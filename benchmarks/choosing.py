@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
@@ -28,33 +26,25 @@ KEYS = ["filter", "rate", "half"]
 # Filter, the share of the rate that each of its resolutions takes, steps to half of the rates.
 WAYS = [("none", None, 40), ("gaussian", None, 40), ("laplacian", 0.25, 40)]
 WAYS += [("laplacian", 0.5, half) for half in (20, 40, 80)]
-SETTINGS = ["evaluation.count=10", "frames.views=0", "frames.snapshots=0", "report=false"]
+SETTINGS = ["evaluation.count=10", *_contest.QUIET]
 
 
-def raced(scene: str, seconds: float, seeds: list[int], folder: Path) -> None:
-    """The runs, in ``folder``."""
+def measured(run: records.Run) -> dict:
+    optimizer, last = run.config["optimizer"], run.history.iloc[-1]
+    own = optimizer["filter"]["name"], optimizer["filter"].get("rate"), optimizer["half"]
+    row = {"scene": run.config["scene"]["name"], **dict(zip(KEYS, own))}
+    row |= {"seconds": run.config["budget"]["seconds"], "iterations": int(last["iteration"])}
+    return row | {name: last[name] for name in MEASURES}
+
+
+def raced(scene: str, seconds: float, seeds: list[int], folder: Path) -> pandas.DataFrame:
     ways = []
     for name, rate, half in WAYS:
-        own = f"optimizer.filter.rate:{rate}," if rate else ""
-        ways.append(f"{{optimizer.filter:{name},{own}optimizer.half:{half}}}")
-    command = [sys.executable, "-m", "isas_cli", "race", "scene=jumpydumpy", *SETTINGS]
-    command += [f"scene.builder=_choosing.{scene}", f"scene.name={scene}"]
-    command += [f"contestants=[{','.join(ways)}]", f"seed=[{','.join(map(str, seeds))}]"]
-    command += [f"budget.seconds={seconds}", f"hydra.run.dir={folder}"]
-    named = {**os.environ, "ISAS_ALLOW": "_choosing", "PYTHONPATH": str(HERE)}
-    subprocess.run(command, check=True, env=named)
-
-
-def rows(scene: str, folder: Path) -> pandas.DataFrame:
-    found = []
-    for path in sorted(folder.rglob("summary.json")):
-        run = records.load(path.parent)
-        optimizer, last = run.config["optimizer"], run.history.iloc[-1]
-        own = optimizer["filter"]["name"], optimizer["filter"].get("rate"), optimizer["half"]
-        row = {"scene": scene, **dict(zip(KEYS, own)), "seed": run.config["seed"]}
-        row |= {"seconds": run.config["budget"]["seconds"], "iterations": int(last["iteration"])}
-        found.append(row | {name: last[name] for name in MEASURES})
-    return pandas.DataFrame(found)
+        own = {"optimizer.filter": name} | ({"optimizer.filter.rate": rate} if rate else {})
+        ways.append((name, own | {"optimizer.half": half}))
+    settings = [*SETTINGS, f"scene.builder=_choosing.{scene}", f"scene.name={scene}"]
+    found = _contest.race("jumpydumpy", folder, settings, ways, seeds, seconds, measured)
+    return found[["scene", *KEYS, "seed", "seconds", "iterations", *MEASURES]]
 
 
 def main() -> None:
@@ -64,10 +54,10 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[1])
     chosen = parser.parse_args()
     path = RESULTS / "choosing.csv"
+    os.environ |= {"ISAS_ALLOW": "_choosing", "PYTHONPATH": str(HERE)}
     for scene in chosen.scenes or SCENES:
         with tempfile.TemporaryDirectory(prefix="isas-choosing-") as folder:
-            raced(scene, chosen.seconds, chosen.seeds, Path(folder) / "race")
-            made = rows(scene, Path(folder))
+            made = raced(scene, chosen.seconds, chosen.seeds, Path(folder))
         _contest.write(path, made)
         pages.write()
         print(made.to_string(index=False), flush=True)

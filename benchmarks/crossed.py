@@ -26,7 +26,6 @@ import _rows
 import numpy as np
 import pages
 import pandas
-from reproduce import reached
 
 from isas_cli import records
 
@@ -49,8 +48,7 @@ BLENDS = (0.0, 0.6, 0.95)  # of start and truth
 SAMPLERS = ("uniform", "ours")
 FACTORS = (1.0, 2.0)
 SETTINGS = ["estimator.batch=16384", "target.spp=64", "evaluation.count=24", "effects=full"]
-SETTINGS += ["optimizer.schedule=exponential"]
-SETTINGS += ["evaluation.pixels=32768", "frames.views=0", "frames.snapshots=0", "report=false"]
+SETTINGS += ["optimizer.schedule=exponential", "evaluation.pixels=32768", *_contest.QUIET]
 
 
 def settings_of(scene: str) -> list[str]:
@@ -148,9 +146,10 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
             if not own[name].all():  # below the evaluation's noise
                 continue
             ratios = both[name].to_numpy()[:, None] / once[name].to_numpy()
-            row[name] = both[name].median() / once[name].median()
+            goal = once[name].median()
+            row[name] = both[name].median() / goal
             row |= {f"{name}_low": ratios.min(), f"{name}_high": ratios.max()}
-            times = [reached(h, once[name].median(), name) / seconds for h in both["history"]]
+            times = [_contest.reached(h, goal, name) / seconds for h in both["history"]]
             row[f"{name}_time"] = np.median(times)
         row["steps"] = both["iteration"].median() / once["iteration"].median()
         rows.append(row)

@@ -36,7 +36,6 @@ def main() -> None:
     for roughness in ROUGHNESSES:
         rows.append({"roughness": roughness, **measured(problem, roughness, chosen)})
         print(rows[-1], flush=True)
-        RESULTS.mkdir(exist_ok=True)
         table = pandas.DataFrame(rows)
         table.to_csv(RESULTS / "derivative_sampling.csv", index=False, float_format="%.4g")
         pages.write()

@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
@@ -24,25 +22,21 @@ import pandas
 from reproduce import RESULTS
 from steps_or_paths import TEXTURES
 
-from isas_cli import records
 from isas_cli.config.schema import TargetConfig
 
-SETTINGS = ["evaluation.count=1", "frames.views=0", "frames.snapshots=0", "report=false"]
+SETTINGS = ["evaluation.count=1", *_contest.QUIET]
 NOISES = TargetConfig().wanted, round(TargetConfig().wanted / math.sqrt(2), 5)
 
 
 def measured(scene: str, folder: Path, iterations: int, seeds: int) -> dict:
-    listed = ",".join(f"{{sampler:progress,target.noise:{noise}}}" for noise in NOISES)
-    command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *SETTINGS]
-    command += [f"seed=[{','.join(map(str, range(1, seeds + 1)))}]", f"hydra.run.dir={folder}"]
-    command += [f"budget.iterations={iterations}", f"contestants=[{listed}]"]
-    subprocess.run(command, check=True)
-    errors = {noise: [] for noise in NOISES}
-    for path in sorted(folder.rglob("summary.json")):
-        run = records.load(path.parent)
-        last = float(run.history["parameter_rmse"].iloc[-1])
-        errors[float(run.config["target"]["noise"])].append(last)
-    plain, clean = (float(np.exp(np.mean(np.log(errors[noise])))) for noise in NOISES)
+    contestants = [(noise, {"sampler": "progress", "target.noise": noise}) for noise in NOISES]
+    settings = [*SETTINGS, f"budget.iterations={iterations}"]
+    found = _contest.race(
+        *(scene, folder, settings, contestants, list(range(1, seeds + 1)), None),
+        lambda run: {"logarithm": np.log(run.history["parameter_rmse"].iloc[-1])},
+    )
+    means = found.groupby("method")["logarithm"].mean()
+    plain, clean = (float(np.exp(means[noise])) for noise in NOISES)
     row = {"scene": scene, "iterations": iterations, "seeds": seeds, "noise": NOISES[0]}
     return row | {"parameter_rmse": plain, "cleaner": clean, "quotient": clean / plain}
 

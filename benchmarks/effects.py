@@ -86,22 +86,11 @@ def measured(run: records.Run) -> dict:
 def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     """Medians and ranges; ``time_to_full``: share of the budget to the median final parameter error
     of `full`."""
-    rows = []
-    goal = found[found["method"] == FULL][MEASURE].median()
-    for _, own in found.groupby("method", sort=False):
-        same = ["scene", "method", "factor", "depth", "derivative", "light_samples", "directions"]
-        row = {
-            key: own[key].iloc[0]
-            for key in [*same, "caustics", "probe", "noise", "threads", "passes"]
-        }
-        row |= {"seeds": len(own), "seconds": seconds}
-        for measure in (MEASURE, "image_rmse"):
-            row |= reproduce._spread(measure, own[measure].tolist())
-        row["left_out"] = own["left_out"].median() if own["left_out"].notna().any() else None
-        row["iterations"] = own["iterations"].median()
-        times = [reproduce.reached(h, goal) / seconds for h in own["history"]]
-        rows.append(row | reproduce._spread("time_to_full", times))
-    return pandas.DataFrame(rows)
+    same = ["scene", "method", "factor", "depth", "derivative", "light_samples", "directions"]
+    same += ["caustics", "probe", "noise", "threads", "passes"]
+    columns = [*_contest.ranged(MEASURE, "image_rmse"), "left_out", "iterations"]
+    columns += _contest.ranged("time_to_full")
+    return _contest.told(found, seconds, columns, MEASURE, {"time_to_full": FULL}, same)
 
 
 def main() -> None:
@@ -119,9 +108,7 @@ def main() -> None:
         settings = [*SETTINGS, *reproduce.SCENES[scene].settings]
         first, found = _contest.judged(
             *(scene, root / scene, settings, named, FACTORS, chosen.seeds, SECONDS),
-            *(measured, MEASURE),
-            True,
-            choosing=chosen.choosing,
+            *(measured, MEASURE, 1, chosen.choosing),
         )
         made = table(found, SECONDS)
         print(made.to_string(index=False), flush=True)

@@ -14,8 +14,6 @@ those that chose the factor (`judged` 0) and those that are judged, with the err
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
@@ -31,59 +29,32 @@ BASE = "none"
 FILTERS = (BASE, "gaussian", "james_stein", "bilateral", "laplacian")
 FACTORS = (0.5, 1.0, 2.0)
 CHOOSING = 1  # the seed that chooses
-SETTINGS = ["evaluation.count=1", "frames.views=0", "frames.snapshots=0", "report=false"]
-SETTINGS += ["target.spp=1024", "evaluation.spp=16"]
+_FURTHER = 9  # factors at most beyond these
+SETTINGS = [*_contest.QUIET, "evaluation.count=1", "evaluation.spp=16", "target.spp=1024"]
+SETTINGS += [f"scene.arguments.{name}" for name in ("views=8", "resolution=128", "texture=128")]
 MEASURES = ["parameter_rmse", "image_rmse"]
 RUN = ["scene", "iterations", "batch", "filter", "factor", "seed"]
 
 
-def raced(
-    scene: str, ways: list[tuple[str, float]], seeds: list[int], chosen: argparse.Namespace
-) -> pandas.DataFrame:
-    """A row for each of ``ways`` (filter, factor) and seeds."""
-    contestants = ",".join(
-        f"{{sampler:progress,optimizer.filter:{name},optimizer.factor:{factor}}}"
-        for name, factor in ways
-    )
-    rows = []
-    with tempfile.TemporaryDirectory(prefix="isas-filters-") as folder:
-        command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *SETTINGS]
-        sizes = {"views": 8, "resolution": 128, "texture": 128}
-        command += [f"scene.arguments.{name}={size}" for name, size in sizes.items()]
-        command += [f"contestants=[{contestants}]", f"seed=[{','.join(map(str, seeds))}]"]
-        command += [f"estimator.batch={chosen.batch}", f"budget.iterations={chosen.iterations}"]
-        command += [f"threads={chosen.threads}", f"hydra.run.dir={folder}/race"]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        for path in sorted(Path(folder).rglob("summary.json")):
-            run = records.load(path.parent)
-            last, optimizer = run.history.iloc[-1], run.config["optimizer"]
-            own = scene, int(last["iteration"]), run.config["estimator"]["batch"]
-            own += optimizer["filter"]["name"], optimizer["factor"], run.config["seed"]
-            rows.append({**dict(zip(RUN, own)), **{name: last[name] for name in MEASURES}})
-    return pandas.DataFrame(rows)
+def measured(run: records.Run) -> dict:
+    last, batch = run.history.iloc[-1], run.config["estimator"]["batch"]
+    found = {"iterations": int(last["iteration"]), "batch": batch}
+    return found | {name: last[name] for name in MEASURES}
 
 
-def best(rows: pandas.DataFrame) -> dict[str, float]:
-    """The factor of least parameter error, by filter."""
-    least = rows.loc[rows.groupby("filter")["parameter_rmse"].idxmin()]
-    return dict(zip(least["filter"], least["factor"]))
-
-
-def chose(scene: str, chosen: argparse.Namespace) -> pandas.DataFrame:
-    """Runs of the choosing seed, with no filter best at an end of its factors."""
-    names = list(dict.fromkeys([BASE, *chosen.filters]))
-    rows = raced(scene, [(n, f) for n in names for f in FACTORS], [CHOOSING], chosen)
-    while True:
-        more = []
-        for name, factor in best(rows).items():
-            tried = rows.loc[rows["filter"] == name, "factor"]
-            if factor == tried.max():
-                more.append((name, 2 * factor))
-            elif factor == tried.min():
-                more.append((name, factor / 2))
-        if not more:
-            return rows
-        rows = pandas.concat([rows, raced(scene, more, [CHOOSING], chosen)], ignore_index=True)
+def raced(scene: str, chosen: argparse.Namespace) -> pandas.DataFrame:
+    """A row a run, with no filter best at an end of its factors."""
+    settings = [*SETTINGS, f"estimator.batch={chosen.batch}", f"threads={chosen.threads}"]
+    settings.append(f"budget.iterations={chosen.iterations}")
+    names = dict.fromkeys([BASE, *chosen.filters])
+    contestants = {name: {"sampler": "progress", "optimizer.filter": name} for name in names}
+    with tempfile.TemporaryDirectory(prefix="isas-filters-") as root:
+        both = _contest.judged(
+            *(scene, Path(root), settings, contestants, FACTORS, [CHOOSING, *chosen.seeds], None),
+            *(measured, MEASURES[0], _FURTHER),
+        )
+    found = pandas.concat([each.assign(judged=number) for number, each in enumerate(both)])
+    return found.rename(columns={"method": "filter"})[[*RUN, *MEASURES, "judged"]]
 
 
 def against_none(rows: pandas.DataFrame) -> pandas.DataFrame:
@@ -108,11 +79,7 @@ def main() -> None:
     chosen = parser.parse_args()
     path = RESULTS / "filters.csv"
     for scene in chosen.scenes or SCENES:
-        choosing = chose(scene, chosen)
-        ways = list(best(choosing).items())
-        judged = raced(scene, ways, chosen.seeds, chosen)
-        rows = pandas.concat([choosing.assign(judged=0), judged.assign(judged=1)])
-        found = against_none(rows)
+        found = against_none(raced(scene, chosen))
         found = found.sort_values([*RUN[:4], "judged", "factor", "seed"], kind="stable")
         # After each scene: what is measured survives what follows.
         _contest.write(path, found, RUN[:4])

@@ -19,10 +19,8 @@ import tempfile
 from pathlib import Path
 
 import _contest
-import numpy as np
 import pages
 import pandas
-from reproduce import reached
 from step_time import SIDES, measure
 
 from isas_cli import records
@@ -33,7 +31,7 @@ BATCHES = (65536, 1 << 20)
 ERROR, STOCK = "parameter_rmse", "Mitsuba's loop"
 MEASURES = (ERROR, "image_rmse", "iteration", "paths")
 METHODS = {name: {"sampler": name} for name in ("uniform", "ours", "progress")}
-PLAIN = ["evaluation.count=24", "frames.views=0", "frames.snapshots=0", "report=false"]
+PLAIN = ["evaluation.count=24", *_contest.QUIET]
 # Films of 8 to 67 million pixels: at the default noise their targets would take minutes.
 PAPER = ["size=paper", "estimator.batch=1048576", "target.noise=0.06"]
 PAPERS = ("bowl", "earth", "pottery")
@@ -51,8 +49,9 @@ def steps(rounds: int) -> pandas.DataFrame:
 
 
 def measured(run: records.Run) -> dict:
-    noise = run.config["target"].get("noise")
-    return dict(run.history.iloc[-1][[*MEASURES]]) | {"target_noise": noise}
+    first, last = run.history.iloc[0], run.history.iloc[-1]
+    found = dict(last[[*MEASURES]]) | {"target_noise": run.config["target"].get("noise")}
+    return found | {"share_of_start": last[ERROR] / first[ERROR]}
 
 
 def race(scene: str, size: str, seconds: float) -> tuple[pandas.DataFrame, pandas.DataFrame]:
@@ -64,19 +63,13 @@ def race(scene: str, size: str, seconds: float) -> tuple[pandas.DataFrame, panda
     with tempfile.TemporaryDirectory(prefix="isas-gpu-") as root:
         first, found = _contest.judged(
             *(scene, Path(root), settings, methods, (0.3, 1.0, 3.0), [1, 2, 3]),
-            *(seconds, measured, ERROR, True),
+            *(seconds, measured, ERROR, 1),
         )
-    goal = found[found["method"] == "uniform"][ERROR].median()
-    rows = []
-    for name, own in found.groupby("method", sort=False):
-        row = {"scene": scene, "size": size, "method": name, "factor": own["factor"].iloc[0]}
-        row |= {"seeds": len(own), "seconds": seconds, **own[[*MEASURES]].median()}
-        row |= {f"{ERROR}_low": own[ERROR].min(), f"{ERROR}_high": own[ERROR].max()}
-        row |= {"target_noise": own["target_noise"].iloc[0]}
-        row |= {"share_of_start": row[ERROR] / own["history"].iloc[0][ERROR].iloc[0]}
-        times = [reached(h, goal, ERROR) / seconds for h in own["history"]]
-        rows.append(row | {"time_to_uniform": np.median(times)})
-    return first.assign(size=size), pandas.DataFrame(rows)
+    rivals = {"time_to_uniform": "uniform"}
+    columns = [*MEASURES, f"{ERROR}_low", f"{ERROR}_high", "target_noise", "share_of_start"]
+    same = ("scene", "size", "method", "factor")
+    first, found = (each.assign(size=size) for each in (first, found))
+    return first, _contest.told(found, seconds, [*columns, *rivals], ERROR, rivals, same)
 
 
 def write(name: str, rows: pandas.DataFrame, keys: list[str]) -> None:

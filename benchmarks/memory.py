@@ -28,7 +28,7 @@ import pandas
 
 RESULTS = Path(__file__).parent / "results" / "memory.csv"
 SETTINGS = ["scene=earth", "budget.iterations=20", "target.spp=4", "estimator.batch=65536"]
-SETTINGS += ["evaluation.count=2", "frames.views=0", "frames.snapshots=0", "report=false"]
+SETTINGS += ["evaluation.count=2", *_contest.QUIET]
 
 
 def child(arguments: list[str]) -> None:

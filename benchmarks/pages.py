@@ -3,7 +3,7 @@
 adaptive_sampling.md and plateau.md, a page a paper, cost.md, what steps and records cost,
 effects.md, what leaving out light transport saves, derivatives.md, which derivatives can be
 trusted, exports.md, which results can be written, shapes.md, volumes.md, pbdr.md and filters.md,
-once there was a race on them, and the table in the README. What measures calls this at its end; all
+what races on them say, and the table in the README. What measures calls this at its end; all
 numbers in the text are filled in from the tables, by the templates in templates/.
 
     python benchmarks/pages.py
@@ -12,6 +12,7 @@ numbers in the text are filled in from the tables, by the templates in templates
 from __future__ import annotations
 
 import operator
+import statistics
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -74,6 +75,7 @@ def _environment() -> jinja2.Environment:
         "span": span,
         "as": format,
         "multiply": operator.mul,
+        "median": statistics.median,
     }
     return made
 
@@ -85,7 +87,6 @@ def rendered(results: Path = RESULTS) -> dict[Path, str]:
     texts = {
         HERE / f"{name}.md": environment.get_template(f"{name}.md.j2").render(own)
         for name, own in found.items()
-        if own is not None
     }
     before, rest = README.read_text(encoding="utf-8").split(BEGIN)
     after = rest.split(END)[1]

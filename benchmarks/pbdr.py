@@ -45,7 +45,6 @@ import numpy as np
 import pages
 import pandas
 from omegaconf import OmegaConf
-from reproduce import reached
 
 from isas_cli import records
 
@@ -57,11 +56,10 @@ SMOOTHING, WEIGHT = 0.02, 0.001
 BLUR = {"start": 0.05, "end": 0.005}
 FACTORS = (0.3, 1.0, 3.0, 10.0)  # of the scene's rates
 SETTINGS = ["estimator.batch=16384", "target.spp=256", "evaluation.count=24", "effects=full"]
-SETTINGS += ["optimizer.schedule=exponential"]
-SETTINGS += ["evaluation.pixels=32768", "frames.views=0", "frames.snapshots=0", "report=false"]
+SETTINGS += ["optimizer.schedule=exponential", "evaluation.pixels=32768", *_contest.QUIET]
 # Where an image's noise is larger than what runs leave of its error.
-QUIET = ["evaluation.spp=16", "evaluation.count=12"]
-MORE = {"materials_joint": QUIET, "room_joint": QUIET}
+NOISY = ["evaluation.spp=16", "evaluation.count=12"]
+MORE = {"materials_joint": NOISY, "room_joint": NOISY}
 SPP = 32  # of the pictures from elsewhere; result and truth with the same random numbers
 
 
@@ -120,7 +118,7 @@ def measured(run: records.Run) -> dict:
         ERROR: last[ERROR],
         "re": 3 * last[ERROR] ** 2,
         "mpea": np.mean(np.square(list(materials.values()))),
-        "cs": reached(counted, np.sqrt(1.1) * last[ERROR], ERROR),
+        "cs": _contest.reached(counted, np.sqrt(1.1) * last[ERROR], ERROR),
         "gn": history["gradient_noise"].mean(),
         "colour": np.mean([last.get(f"value/{k}/scaled", errors[k]) for k in colours]),
         "roughness": np.mean([errors[k] for k in rough]),
@@ -158,32 +156,18 @@ def shape_measured(run: records.Run) -> dict:
 
 def shapes(seeds: list[int], seconds: float) -> pandas.DataFrame:
     """A row for each method on SHAPE: medians and ranges."""
-    settings = ["evaluation.count=8", "frames.views=0", "frames.snapshots=0", "report=false"]
-    settings += ["~scene.method"]
+    settings = ["evaluation.count=8", *_contest.QUIET, "~scene.method"]
     at_once = json.dumps(specs(SHAPE, during=None))
     found = []
-    sides = (
-        (shape_methods(), settings),
-        (
-            {"ours, all at once": shape_methods()[PLAIN]},
-            [*settings, f"scene.unknowns={at_once}"],
-        ),
-    )
+    own = {"ours, all at once": shape_methods()[PLAIN]}
+    sides = ((shape_methods(), settings), (own, [*settings, f"scene.unknowns={at_once}"]))
     for contestants, chosen in sides:
         with tempfile.TemporaryDirectory(prefix="isas-pbdr-") as root:
             where = SHAPE, Path(root), chosen, contestants, FACTORS[:3]
-            found.append(_contest.judged(*where, seeds, seconds, shape_measured, ERROR, True)[1])
-    rows = []
-    for name, own in pandas.concat(found).groupby("method", sort=False):
-        row = {"scene": SHAPE, "method": name, "factor": own["factor"].iloc[0]}
-        row |= {"seeds": len(own), "seconds": seconds, "start": own["start"].median()}
-        for measure in ("chamfer", ERROR):
-            row |= {f"{measure}_low": own[measure].min(), f"{measure}_high": own[measure].max()}
-        others = ("re", "mpea", "cs", "gn", "normals", "specular", "roughness", "sky", "iterations")
-        for measure in ("chamfer", ERROR, *others):
-            row[measure] = own[measure].median()
-        rows.append(row)
-    return pandas.DataFrame(rows)
+            found.append(_contest.judged(*where, seeds, seconds, shape_measured, ERROR, 1)[1])
+    columns = ["start", "chamfer_low", "chamfer_high", f"{ERROR}_low", f"{ERROR}_high", "chamfer"]
+    columns += [ERROR, "re", "mpea", "cs", "gn", "normals", "specular", "roughness", "sky"]
+    return _contest.told(pandas.concat(found), seconds, [*columns, "iterations"])
 
 
 MEASURES = ("re", "mpea", "cs", "gn", "colour", "roughness")
@@ -192,25 +176,12 @@ MEASURES = ("re", "mpea", "cs", "gn", "colour", "roughness")
 def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     """Medians; ``time_to_stock`` and ``time_to_plain``: shares of the budget to the median final
     image error of Mitsuba's loop and of `ours` without the paper's parts."""
-    finals = found.groupby("method")[ERROR].median()
-    rivals = [("time_to_stock", STOCK), ("time_to_plain", PLAIN)]
-    rows = []
-    for name, own in found.groupby("method", sort=False):
-        row = {"scene": own["scene"].iloc[0], "method": name, "factor": own["factor"].iloc[0]}
-        row |= {"seeds": len(own), "seconds": seconds, "start": own["start"].median()}
-        row |= {ERROR: own[ERROR].median(), "iterations": own["iterations"].median()}
-        for measure in MEASURES:
-            row[measure] = own[measure].median()
-            row |= {f"{measure}_low": own[measure].min(), f"{measure}_high": own[measure].max()}
-        for column, rival in [pair for pair in rivals if pair[1] in finals]:
-            times = [reached(h, finals[rival], ERROR) / seconds for h in own["history"]]
-            row[column] = np.median(times)
-        seen = pandas.DataFrame([elsewhere(each) for _, each in own.iterrows()])
-        row |= dict(seen.median())
-        for measure in ("novel_psnr", "relit_psnr"):
-            row |= {f"{measure}_low": seen[measure].min(), f"{measure}_high": seen[measure].max()}
-        rows.append(row)
-    return pandas.DataFrame(rows)
+    rivals = {"time_to_stock": STOCK, "time_to_plain": PLAIN}
+    rivals = {column: name for column, name in rivals.items() if name in set(found["method"])}
+    seen = pandas.DataFrame([elsewhere(each) for _, each in found.iterrows()])
+    columns = ["start", ERROR, "iterations", *_contest.ranged(*MEASURES), *rivals, *seen]
+    columns += [f"{name}_psnr_{end}" for name in ("novel", "relit") for end in ("low", "high")]
+    return _contest.told(found.join(seen), seconds, columns, ERROR, rivals)
 
 
 def elsewhere(row: pandas.Series) -> dict[str, float]:
@@ -312,7 +283,7 @@ def main() -> None:
             settings = SETTINGS + MORE.get(scene, []) + own
             first, found = _contest.judged(
                 *(scene, Path(root), settings, contestants, FACTORS),
-                *(chosen.seeds, seconds, measured, ERROR, True),
+                *(chosen.seeds, seconds, measured, ERROR, 1),
             )
             if not chosen.more:
                 _contest.draw(found, RESULTS / f"pbdr_{scene}.png", ERROR, "image error")

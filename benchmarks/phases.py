@@ -33,9 +33,8 @@ def main() -> None:
             subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
             tables.append(pandas.read_csv(folder / "profile.csv"))
             tables[-1].insert(0, "scene", scene)
-    results = HERE / "results"
-    results.mkdir(exist_ok=True)
-    pandas.concat(tables).to_csv(results / "phases.csv", index=False, float_format="%.4g")
+    table = pandas.concat(tables)
+    table.to_csv(HERE / "results" / "phases.csv", index=False, float_format="%.4g")
     pages.write()
 
 

@@ -30,7 +30,6 @@ STRIPS = {
 
 
 def main() -> None:
-    RESULTS.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="isas-pictures-") as root:
         for name, (settings, columns, side) in STRIPS.items():
             folder = Path(root) / name

@@ -28,7 +28,7 @@ import _rows
 import pages
 import pandas
 from _plateau_cost import GUIDED, SIDES
-from _plateau_table import TASKS
+from _plateau_table import asked
 
 HERE = Path(__file__).parent
 
@@ -42,7 +42,6 @@ def measure(task: str, rounds: int, steps: int, sides: list[str], more: list[str
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--steps", type=int, default=3, help="steps per side and round")
     parser.add_argument("--batch", type=int, default=16384)
@@ -51,15 +50,12 @@ def main() -> None:
     parser.add_argument("--against", nargs="+", default=usual, choices=others, metavar="SIDE")
     parser.add_argument("--quick", action="store_true", help="tiny scenes, one round of one step")
     parser.add_argument("--output", type=Path, help="default: results/plateau_cost.csv")
-    chosen = parser.parse_args()
-    strange = [task for task in chosen.tasks if task not in TASKS]
-    if strange:
-        parser.error(f"{strange[0]}: no such task; valid: {', '.join(TASKS)}")
+    chosen = asked(parser)
     rounds, steps, more = chosen.rounds, chosen.steps, [f"estimator.batch={chosen.batch}"]
     output = chosen.output or HERE / "results" / "plateau_cost.csv"
     if chosen.quick:
         rounds, steps, more = 1, 1, ["estimator.batch=1024", "size=tiny"]
-    for task in chosen.tasks or TASKS:
+    for task in chosen.tasks:
         found = pandas.DataFrame(measure(task, rounds, steps, ["plateau", *chosen.against], more))
         wide = found.pivot(index="round", columns="side", values="seconds")
         for side in chosen.against:

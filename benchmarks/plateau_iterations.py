@@ -67,14 +67,10 @@ def measure(task: str, trials: range, factors: list[float], iterations: int) -> 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}")
     parser.add_argument("--starts", type=int, default=2)
     parser.add_argument("--factors", type=float, nargs="+", default=FACTORS)
-    chosen = parser.parse_args()
-    strange = [task for task in chosen.tasks if task not in TASKS]
-    if strange:
-        parser.error(f"{strange[0]}: no such task; valid: {', '.join(TASKS)}")
-    for task in chosen.tasks or TASKS:
+    chosen = _plateau_table.asked(parser, TASKS)
+    for task in chosen.tasks:
         raced = pandas.read_csv(_plateau.RESULTS / f"plateau_{task}.csv").set_index("method")
         iterations = int(raced.loc["plateau", "iterations"])
         first = _plateau.TASKS[task].first

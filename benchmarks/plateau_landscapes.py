@@ -12,6 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from _plateau_table import asked
 from PIL import Image
 
 RESULTS = Path(__file__).parent / "results"
@@ -41,13 +42,8 @@ def draw(task: str, folder: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}")
-    chosen = parser.parse_args()
-    strange = [task for task in chosen.tasks if task not in TASKS]
-    if strange:
-        parser.error(f"{strange[0]}: no such task; valid: {', '.join(TASKS)}")
-    RESULTS.mkdir(exist_ok=True)
-    for task in chosen.tasks or TASKS:
+    chosen = asked(parser, TASKS)
+    for task in chosen.tasks:
         with tempfile.TemporaryDirectory(prefix="isas-landscape-") as root:
             draw(task, Path(root) / task)
 

@@ -29,7 +29,7 @@ import _rows
 import numpy as np
 import pages
 import pandas
-from _plateau_table import TASKS
+from _plateau_table import TASKS, asked
 
 RESULTS = Path(__file__).parent / "results"
 OUTPUTS = {
@@ -146,20 +146,16 @@ def child(task: str, chosen: argparse.Namespace) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}")
     parser.add_argument("--of", choices=SIDES, default="pixels", help="default: pixels")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--steps", type=int, default=150, help="estimates per side and round")
     parser.add_argument("--quick", action="store_true", help="tiny scenes, one short round")
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
-    chosen = parser.parse_args()
-    strange = [task for task in chosen.tasks if task not in TASKS]
-    if strange:
-        parser.error(f"{strange[0]}: no such task; valid: {', '.join(TASKS)}")
+    chosen = asked(parser)
     if chosen.child:
         return child(chosen.tasks[0], chosen)
     output = OUTPUTS[chosen.of]
-    for task in chosen.tasks or TASKS:
+    for task in chosen.tasks:
         # A process each: several scenes in one slow each other.
         command = [sys.executable, __file__, *sys.argv[1:], "--child"]
         command = [word for word in command if word not in TASKS] + [task]

@@ -20,15 +20,15 @@ from pathlib import Path
 import numpy as np
 import pages
 import pandas
-from reproduce import reached
+from _contest import QUIET, reached
 
 import isas_cli
 
 RESULTS = Path(__file__).parent / "results"
 SCENE, SEEDS, SECONDS, THIRD = "shadows_prdpt", [1, 2, 3], 60, 46
 GOALS = (1e-3, 1e-5)
-SETTINGS = ["evaluation.count=60", "frames.views=0", "frames.snapshots=0", "report=false"]
-SETTINGS += ["evaluation.pixels=4096", "evaluation.spp=16", "target.spp=4096"]
+SETTINGS = ["evaluation.count=60", "evaluation.pixels=4096", "evaluation.spp=16", *QUIET]
+SETTINGS += ["target.spp=4096"]
 THEIRS = "scene.unknowns={ball.place: {start: [-0.5, 2.5], lr: 0.02, "
 THEIRS += "blur: {start: 0.5, end: 0.01, hold: 0.5, until: 1.0}}}"
 WAYS = {

@@ -62,7 +62,6 @@ def main() -> None:
                 rows[-1]["race_over_alone"] = both[0] / both[1]
                 print(pandas.DataFrame(rows[-1:]).to_string(index=False, header=len(rows) == 1))
     table = pandas.DataFrame(rows)
-    (HERE / "results").mkdir(exist_ok=True)
     table.to_csv(HERE / "results" / "race.csv", index=False, float_format="%.4g")
     pages.write()
     ratio = table.groupby("contestant")["race_over_alone"].agg(["median", "min", "max"])

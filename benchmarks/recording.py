@@ -54,7 +54,6 @@ def main() -> None:
             rows.append(run(work / f"{tracker}-{number}", tracker, chosen.seconds))
             print(pandas.DataFrame(rows[-1:]).to_string(index=False, header=len(rows) == 1))
     table = pandas.DataFrame(rows)
-    (HERE / "results").mkdir(exist_ok=True)
     table.to_csv(HERE / "results" / "recording.csv", index=False, float_format="%.4g")
     pages.write()
     speed = table.groupby("tracker")["iterations_per_billed_second"].median()

@@ -30,6 +30,7 @@ import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import _contest
 import _gallery
 import _plateau
 import numpy as np
@@ -141,51 +142,27 @@ def worst_twentieth(folder: Path) -> float:
     return float(np.mean(shares)) if shares else float("nan")
 
 
-def reached(history: pandas.DataFrame, goal: float, measure: str = MEASURE) -> float:
-    """Billed seconds from which on the error stays at or below ``goal``, linear between
-    evaluations; infinite if it is not."""
-    seconds, error = history["seconds"].to_numpy(), history[measure].to_numpy()
-    above = np.flatnonzero(error > goal)
-    if above.size == 0:
-        return float(seconds[0])
-    last = above[-1]
-    if last + 1 == error.size:
-        return float("inf")
-    share = (error[last] - goal) / (error[last] - error[last + 1])
-    return float(seconds[last] + share * (seconds[last + 1] - seconds[last]))
-
-
-def _spread(name: str, values: list[float]) -> dict[str, float]:
-    """Median and range over the seeds: of three, the range holds the median in 75 % of cases."""
-    return {name: np.median(values), f"{name}_low": min(values), f"{name}_high": max(values)}
-
-
 def table(scene: str, found: pandas.DataFrame, budget: float) -> pandas.DataFrame:
     """One row per sampler: medians over seeds, and the seeds' range as low and high."""
-    rows = []
-    finals = found.groupby("sampler")["final"].median()
-    for sampler in SCENES[scene].samplers:
-        own = found[found["sampler"] == sampler]
-        if own.empty:
-            continue
-        row = {"scene": scene, "sampler": sampler, "rate": own["rate"].iloc[0], "seeds": len(own)}
-        row |= {"seconds": budget, "target_noise": own["target_noise"].iloc[0]}
-        row |= _spread("parameter_rmse", own["final"].tolist())
-        start = np.median([h[MEASURE].iloc[0] for h in own["history"]])
-        row["share_of_start"] = row["parameter_rmse"] / start
-        row |= _spread("image_rmse", own["image"].tolist())
-        row["iterations"] = np.median([h["iteration"].iloc[-1] for h in own["history"]])
-        stage1 = np.median([h["stage1_seconds"].iloc[-1] for h in own["history"]])
-        row["stage1_share"] = stage1 / budget
-        row["worst_twentieth"] = np.median([worst_twentieth(path) for path in own["folder"]])
-        keys = [key for key in own.columns if key.startswith(f"{MEASURE}/")]
-        for key in keys if len(keys) > 1 else ():
-            row |= _spread(key, own[key].tolist())
-        for rival in ("uniform", "relevant"):
-            times = [reached(h, finals[rival]) / budget for h in own["history"]]
-            row |= _spread(f"time_to_{rival}", times)
-        rows.append(row)
-    return pandas.DataFrame(rows)
+    first, last = (
+        pandas.DataFrame([history.iloc[end] for history in found["history"]], index=found.index)
+        for end in (0, -1)
+    )
+    found = found.join(last[[MEASURE, "image_rmse"]]).assign(
+        scene=scene,
+        share_of_start=last[MEASURE] / first[MEASURE],
+        iterations=last["iteration"],
+        stage1_share=last["stage1_seconds"] / budget,
+        worst_twentieth=found["folder"].map(worst_twentieth),
+    )
+    found = found.sort_values("sampler", key=lambda each: each.map(SCENES[scene].samplers.index))
+    keys = [name for name in found if name.startswith(f"{MEASURE}/")]
+    rivals = {f"time_to_{name}": name for name in ("uniform", "relevant")}
+    columns = ["target_noise", *_contest.ranged(MEASURE), "share_of_start"]
+    columns += [*_contest.ranged("image_rmse"), "iterations", "stage1_share", "worst_twentieth"]
+    columns += _contest.ranged(*(keys if len(keys) > 1 else ()), *rivals)
+    same = ("scene", "sampler", "rate")
+    return _contest.told(found, budget, columns, MEASURE, rivals, same, by="sampler")
 
 
 def _every(scene: str) -> list:

@@ -28,10 +28,8 @@ import tempfile
 from pathlib import Path
 
 import _contest
-import numpy as np
 import pages
 import pandas
-from reproduce import reached
 
 from isas_cli import records
 
@@ -58,7 +56,7 @@ def methods(scene: str) -> dict[str, dict]:
 
 
 FACTORS = (0.3, 1.0, 3.0)  # of the scene's rate, 0.03
-SETTINGS = ["evaluation.count=6", "frames.views=0", "frames.snapshots=0", "report=false"]
+SETTINGS = ["evaluation.count=6", *_contest.QUIET]
 SETTINGS += ["optimizer.schedule=cosine", "optimizer.final=0.1", "~scene.method"]
 
 
@@ -74,22 +72,9 @@ def table(
     found: pandas.DataFrame, seconds: float, rival: str = STOCK, column: str = "time_to_stock"
 ) -> pandas.DataFrame:
     """Medians; ``column``: share of the budget to the median final error of the ``rival``."""
-    goal = found[found["method"] == rival]["chamfer"].median()
-    rows = []
-    for name, own in found.groupby("method", sort=False):
-        row = {
-            "scene": own["scene"].iloc[0],
-            "method": name,
-            "factor": own["factor"].iloc[0],
-            "seeds": len(own),
-        }
-        row |= {"seconds": seconds, "start": own["start"].median()}
-        row |= {"chamfer_low": own["chamfer"].min(), "chamfer_high": own["chamfer"].max()}
-        for measure in ("chamfer", "outlines", *MEASURES, "image_rmse", "iterations"):
-            row[measure] = own[measure].median()
-        row[column] = np.median([reached(h, goal) / seconds for h in own["history"]])
-        rows.append(row)
-    return pandas.DataFrame(rows)
+    columns = ["start", "chamfer_low", "chamfer_high", "chamfer", "outlines", *MEASURES]
+    columns += ["image_rmse", "iterations", column]
+    return _contest.told(found, seconds, columns, ERROR, {column: rival})
 
 
 def steps(rounds: int = 5) -> pandas.DataFrame:
@@ -136,7 +121,7 @@ def steps(rounds: int = 5) -> pandas.DataFrame:
 
 def rebuilds(seeds: list[int], seconds: float) -> pandas.DataFrame:
     """A row for each number of samples a step, over the usual one: medians."""
-    usual, rows = 16384, []
+    usual = 16384
     contestants = {
         int(usual * times): methods("kirby")[f"{OURS}, uniform"]
         | {"estimator.batch": int(usual * times), "estimator.edges": int(usual * times / 4)}
@@ -145,15 +130,11 @@ def rebuilds(seeds: list[int], seconds: float) -> pandas.DataFrame:
     with tempfile.TemporaryDirectory(prefix="isas-shapes-") as root:
         _, found = _contest.judged(
             *("kirby", Path(root), SETTINGS, contestants, FACTORS, seeds, seconds),
-            *(measured, "chamfer"),
+            *(measured, "chamfer", 1),
         )
-        for batch, own in found.groupby("method"):
-            row = {"samples": batch / usual, "factor": own["factor"].iloc[0], "seeds": len(own)}
-            row |= {"seconds": seconds, "iterations": own["iterations"].median()}
-            row |= {"chamfer": own["chamfer"].median()}
-            row |= {"chamfer_low": own["chamfer"].min(), "chamfer_high": own["chamfer"].max()}
-            rows.append(row)
-    table = pandas.DataFrame(rows)
+    columns = ["iterations", *_contest.ranged("chamfer")]
+    table = _contest.told(found, seconds, columns, same=("method", "factor"))
+    table = table.assign(method=table["method"] / usual).rename(columns={"method": "samples"})
     (steps,) = table.loc[table["samples"] == 1, "iterations"]
     return table.assign(step=steps / table["iterations"])
 
@@ -174,7 +155,7 @@ def levels(seeds: list[int]) -> pandas.DataFrame:
             own = [*SETTINGS, f"size={size}", "evaluation.count=12"]
             _, found = _contest.judged(
                 *("kirby", Path(root), own, contestants, FACTORS, seeds, seconds),
-                *(measured, "chamfer", True),
+                *(measured, "chamfer", 1),
             )
         rows.append(table(found, seconds, "1 levels", "time_to_one").assign(size=size))
     return pandas.concat(rows)
@@ -213,7 +194,7 @@ def main() -> None:
             contestants = methods(scene)
             first, found = _contest.judged(
                 *(scene, Path(root), SETTINGS, contestants, FACTORS, chosen.seeds, chosen.seconds),
-                *(measured, "chamfer"),
+                *(measured, "chamfer", 1),
             )
             _contest.draw(found, RESULTS / f"shapes_{scene}.png", ERROR, "chamfer distance")
             # After each scene: what is measured survives what follows.

@@ -24,11 +24,11 @@ import matplotlib.pyplot as plt
 import pages
 import pandas
 from matplotlib.ticker import NullFormatter
-from reproduce import RESULTS, reached
+from reproduce import RESULTS
 from steps_or_paths import TEXTURES
 
 HERE, ROOT = Path(__file__).parent, Path("runs/sooner")
-SETTINGS = ["evaluation.count=12", "frames.views=0", "frames.snapshots=0", "report=false"]
+SETTINGS = ["evaluation.count=12", *_contest.QUIET]
 MEASURES = ("parameter_rmse", "image_rmse")
 
 
@@ -64,7 +64,7 @@ def measured(scene: str, seed: int, old: Path, chosen: argparse.Namespace) -> di
     for measure in MEASURES:
         goal = found["then"][measure].iloc[-1]
         row |= {f"{measure}_then": goal, measure: found["now"][measure].iloc[-1]}
-        row[f"{measure}_share"] = reached(found["now"], goal, measure) / chosen.seconds
+        row[f"{measure}_share"] = _contest.reached(found["now"], goal, measure) / chosen.seconds
     return row | {f"iterations_{s}": int(h["iteration"].iloc[-1]) for s, h in found.items()}
 
 

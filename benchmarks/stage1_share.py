@@ -13,12 +13,12 @@ from __future__ import annotations
 import argparse
 import statistics
 import sys
-import time
 from pathlib import Path
 
 import _rows
 import pages
 import pandas
+from _child import Side, problem_of
 
 HERE = Path(__file__).parent
 SCENES = ("pottery", "jumpydumpy", "dodoco")
@@ -26,55 +26,18 @@ SECONDS = 60.0
 TARGET = 0.08
 
 
-class Side:
-    """One sampler's looks and steps, on a problem that all share."""
+class Times(Side):
+    """Of one sampler's looks and steps, on a problem that all share."""
 
     def __init__(self, problem, cfg, name: str, overrides: list[str]):
-        from isas_cli import losses
-        from isas_cli.config.compose import compose, instantiate
-        from isas_cli.engine.optimiser import Stepper
-        from isas_cli.estimators.two_path import TwoPath
-
-        self.problem, self.name, batch = problem, name, cfg.estimator.batch
-        node, loss = compose([*overrides, f"sampler={name}"]).sampler, losses.L2()
-        self.sampler = instantiate(node, "sampler").on(problem, loss, batch)
-        self.stepper = Stepper(problem.unknowns, cfg.optimizer)
-        self.estimator = TwoPath(problem, loss, batch)
-        self.firsts, self.looks, self.steps = [], [], []
-
-    def _timed(self, into: list, work) -> None:
-        from isas_cli.runtime import backend
-
-        backend.sync()
-        start = time.perf_counter()
-        work()
-        backend.sync()
-        into.append(time.perf_counter() - start)
-
-    def _look(self, base: int, iteration: int) -> None:
-        import drjit as dr
-
-        moments = None
-        if "moments" in self.sampler.settings.needs and iteration and self.stepper.taken:
-            moments = self.stepper.moments(0.1)
-        weights = self.sampler.look(self.stepper.values, base, iteration, moments)
-        self.distribution = self.sampler.distribution(weights)
-        dr.eval(self.distribution.cdf)
-
-    def _step(self, iteration: int) -> None:
-        unknowns = self.problem.unknowns
-        unknowns.attach(self.stepper.values)
-        self.estimator.accumulate(self.distribution, 1, iteration)
-        self.stepper.step(unknowns.gradients(), 0.0)
+        super().__init__(problem, cfg.optimizer, cfg.estimator["batch"], name, overrides)
+        self.forget()
 
     def round(self, number: int, steps: int) -> None:
         """A first look, some steps, a later look, some steps."""
-        self._timed(self.firsts, lambda: self._look(number + 1, 0))
-        for i in range(steps):
-            self._timed(self.steps, lambda: self._step(2 * number * steps + i))
-        self._timed(self.looks, lambda: self._look(number + 1, 64))
-        for i in range(steps):
-            self._timed(self.steps, lambda: self._step((2 * number + 1) * steps + i))
+        for half, (iteration, looks) in enumerate(((0, self.firsts), (64, self.looks))):
+            looks.append(self.look(number + 1, iteration))
+            self.steps += [self.step((2 * number + half) * steps + i) for i in range(steps)]
 
     def forget(self) -> None:
         self.firsts, self.looks, self.steps = [], [], []
@@ -100,8 +63,6 @@ class Side:
 
 def one(scene: str, rounds: int, steps: int, more: list[str]) -> None:
     """Prints a row per sampler."""
-    from _child import problem_of
-
     from isas_cli.config.compose import options
     from isas_cli.config.presets import PRESETS
     from isas_cli.runtime import backend
@@ -112,7 +73,7 @@ def one(scene: str, rounds: int, steps: int, more: list[str]) -> None:
     problem, cfg = problem_of(overrides)
     # All that draw pixels for path replay.
     drawing = [name for name in options("sampler") if name not in (*PRESETS, "differences")]
-    sides = [Side(problem, cfg, name, overrides) for name in drawing]
+    sides = [Times(problem, cfg, name, overrides) for name in drawing]
     for number in range(-1, rounds):
         for side in sides:
             side.round(number + 1, steps)

@@ -41,7 +41,6 @@ def main() -> None:
                 seconds = measure(side, batch, chosen.steps)
                 rows.append({"batch": batch, "round": round_, "side": side, "seconds": seconds})
     table = pandas.DataFrame(rows)
-    (HERE / "results").mkdir(exist_ok=True)
     table.to_csv(HERE / "results" / "step_time.csv", index=False, float_format="%.5f")
     pages.write()
     wide = table.pivot(index=["batch", "round"], columns="side", values="seconds")

@@ -13,11 +13,10 @@ scene). What is not raced again keeps its rows.
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
+import _contest
 import matplotlib.pyplot as plt
 import pages
 import pandas
@@ -48,41 +47,17 @@ WAYS += [
     )
 ]
 WAYS += [(*DEFAULT[:4], 20.0, DEFAULT[5])]
-SETTINGS = ["evaluation.count=1", "frames.views=0", "frames.snapshots=0", "report=false"]
-SETTINGS += ["target.spp=64"]
+SETTINGS = ["evaluation.count=1", *_contest.QUIET, "target.spp=64"]
+MEASURES = ["parameter_rmse", "image_rmse"]
 
 
-def measured(
-    scene: str, folder: Path, seconds: float, seeds: list[int], ways: list[int]
-) -> pandas.DataFrame:
-    """``ways``: numbers of ``WAYS``."""
-    keys = "estimator.batch", *(f"optimizer.{name}" for name in SET[1:])
-    listed = ",".join(
-        f"{{sampler:progress,{','.join(f'{key}:{value}' for key, value in zip(keys, way))}}}"
-        for way in (WAYS[number] for number in ways)
-    )
-    command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *SETTINGS]
-    command += [f"seed=[{','.join(map(str, seeds))}]", f"budget.seconds={seconds}"]
-    command += [f"contestants=[{listed}]", f"hydra.run.dir={folder}"]
-    subprocess.run(command, check=True)
-    rows = []
-    for path in sorted(folder.rglob("summary.json")):
-        run = records.load(path.parent)
-        last = run.history.iloc[-1]
-        rows.append(
-            {
-                "scene": scene,
-                "seconds": seconds,
-                "batch": run.config["estimator"]["batch"],
-                **{key: run.config["optimizer"][key] for key in SET[1:]},
-                "seed": run.config["seed"],
-                "directions": run.manifest["plan"]["directions"],
-                "iterations": int(last["iteration"]),
-                "parameter_rmse": last["parameter_rmse"],
-                "image_rmse": last["image_rmse"],
-            }
-        )
-    return pandas.DataFrame(rows)
+def measured(run: records.Run) -> dict:
+    last = run.history.iloc[-1]
+    found = {"seconds": run.config["budget"]["seconds"], "iterations": int(last["iteration"])}
+    found |= {key: run.config["optimizer"][key] for key in SET[1:]}
+    found["batch"] = run.config["estimator"]["batch"]
+    found["directions"] = run.manifest["plan"]["directions"]
+    return found | {name: last[name] for name in MEASURES}
 
 
 def draw(table: pandas.DataFrame) -> None:
@@ -122,14 +97,17 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3])
     parser.add_argument("--ways", nargs="+", type=int, default=range(len(WAYS)), metavar="N")
     chosen = parser.parse_args()
-    path = RESULTS / "steps_or_paths.csv"
+    path, keys = RESULTS / "steps_or_paths.csv", [f"optimizer.{name}" for name in SET[1:]]
+    ways = [dict(zip(["estimator.batch", *keys], WAYS[number])) for number in chosen.ways]
+    contestants = [("progress", {"sampler": "progress"} | way) for way in ways]
+    run = ["scene", "seconds", *SET, "seed"]
     with tempfile.TemporaryDirectory(prefix="isas-steps-") as root:
         for scene in chosen.scenes or TEXTURES:
-            where = scene, Path(root) / scene, chosen.seconds
-            found = measured(*where, chosen.seeds, list(chosen.ways))
+            where = scene, Path(root) / scene, SETTINGS, contestants
+            found = _contest.race(*where, chosen.seeds, chosen.seconds, measured)
+            found = found[[*run, "directions", "iterations", *MEASURES]]
             if path.exists():
                 found = pandas.concat([pandas.read_csv(path), found])
-                run = ["scene", "seconds", *SET, "seed"]
                 found = found.drop_duplicates(run, keep="last").sort_values(run, kind="stable")
             # After each scene: what is measured survives what follows.
             found.to_csv(path, index=False, float_format="%.4g")

@@ -22,7 +22,7 @@ from reproduce import RESULTS
 import isas_cli
 
 SCENES = ("multires", "pottery")
-SETTINGS = ["evaluation.count=1", "frames.views=0", "frames.snapshots=0", "report=false"]
+SETTINGS = ["evaluation.count=1", *_contest.QUIET]
 RAYS = 16  # through each pixel
 
 

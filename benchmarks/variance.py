@@ -30,7 +30,6 @@ def main() -> None:
     command = [sys.executable, "-m", "isas_cli", "variance", "scene=dodoco"]
     command += [f"contestants={CONTESTANTS}", f"repeats={chosen.repeats}", f"best={chosen.best}"]
     subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
-    (HERE / "results").mkdir(exist_ok=True)
     for name, ending in MADE.items():
         shutil.copy(folder / name, HERE / "results" / f"variance_dodoco{ending}")
     pages.write()

@@ -17,10 +17,8 @@ import tempfile
 from pathlib import Path
 
 import _contest
-import numpy as np
 import pages
 import pandas
-from reproduce import reached
 
 from isas_cli import records
 
@@ -69,21 +67,9 @@ def measured(run: records.Run) -> dict:
 def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     """Medians; ``time_to_uniform``: share of the budget to the median final image error of
     `uniform`; ``time_to_fine``: to that of `uniform` on the fine grid alone."""
-    finals = found.groupby("method")[ERROR].median()
-    rows = []
-    for name, own in found.groupby("method", sort=False):
-        row = {"scene": own["scene"].iloc[0], "method": name, "factor": own["factor"].iloc[0]}
-        row |= {"seeds": len(own), "seconds": seconds, "start": own["start"].median()}
-        for measure in (ERROR, "parameter_rmse"):
-            row[measure] = own[measure].median()
-            row |= {f"{measure}_low": own[measure].min(), f"{measure}_high": own[measure].max()}
-        for measure in ("iterations", "stage1_share"):
-            row[measure] = own[measure].median()
-        for column, rival in (("time_to_uniform", BASE), ("time_to_fine", BASE + FINE)):
-            times = [reached(h, finals[rival], ERROR) / seconds for h in own["history"]]
-            row[column] = np.median(times)
-        rows.append(row)
-    return pandas.DataFrame(rows)
+    columns = ["start", *_contest.ranged(ERROR, "parameter_rmse"), "iterations", "stage1_share"]
+    rivals = {"time_to_uniform": BASE, "time_to_fine": BASE + FINE}
+    return _contest.told(found, seconds, [*columns, *rivals], ERROR, rivals)
 
 
 def main() -> None:
