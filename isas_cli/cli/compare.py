@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -17,13 +18,19 @@ from ..report import compare
 from ..report.compare.tables import NOT_REACHED
 
 
-def main(folders: list[Path], output: Path | None = None, baseline: str | None = None) -> int:
+def main(
+    folders: list[Path],
+    output: Path | None = None,
+    baseline: str | None = None,
+    warnings: Sequence[str] = (),
+) -> int:
     """Compare, print a short table for each scene and, as the last line, where the page is.
 
-    Warnings go to standard error. Returns 0; raises InputError like `compare.compare`.
+    Warnings, and those of whoever calls, go to standard error and into the page. Returns 0; raises
+    InputError like `compare.compare`.
     """
     target = compare.output_of(folders, output)
-    comparison = compare.build(folders, baseline)
+    comparison = compare.build(folders, baseline, warnings)
     for warning in comparison.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     page = compare.write(comparison, target)

@@ -119,8 +119,8 @@ def _views_sheet(views: Frames, path: Path) -> Picture:
     save(canvas, path)
     return Picture(
         path,
-        f"Target, start, result, absolute error and sampling density. {words}. "
-        "Non-finite pixels are magenta.",
+        "Target, start, result, absolute error (of pixels that count) and sampling density. "
+        f"{words}. Non-finite pixels are magenta.",
     )
 
 

@@ -144,6 +144,7 @@ def phases(runs: dict[str, list[Run]], key: str) -> pandas.DataFrame:
         name: pandas.DataFrame([one for run in own if (one := (run.summary or {}).get(key))])
         for name, own in runs.items()
     }
-    table = pandas.DataFrame({name: each.fillna(0.0).median() for name, each in found.items()}).T
+    told = {name: each.fillna(0.0).median() for name, each in found.items() if len(each)}
+    table = pandas.DataFrame(told).T
     table = table.astype(float).fillna(0.0)
     return table.loc[:, (table > 0).any()]

@@ -46,6 +46,17 @@ def table(folder) -> pandas.DataFrame:
     return made[made["measure"] == "parameter_rmse"].set_index("method")
 
 
+def test_a_baseline_s_run_that_ended_early_is_not_its_budget(tmp_path):
+    speeds = {"uniform": [4.0] * 3, "ours": [8.0] * 3}
+    recorded(tmp_path, {"bowl": speeds, "pottery": speeds})
+    short = {"sampler": "uniform", "seed": 3, "settings": {"scene.name": "bowl"}}
+    synthetic.write(tmp_path / "bowl/uniform/killed", [0, 1], [1, 0.5], [1, 0.5], **short)
+    (tmp_path / "bowl/uniform/3/manifest.json").unlink()
+    (tmp_path / "bowl/uniform/3/history.csv").unlink()
+    (tmp_path / "bowl/uniform/3/summary.json").unlink()
+    assert build([tmp_path]).across[0].budgets["bowl"] == 32
+
+
 def test_twice_as_fast_is_a_speed_up_of_two(tmp_path):
     """On all scenes, at all levels; the slower one is a half and never gets to the end."""
     speeds = {"uniform": [4.0] * 3, "ours": [8.0] * 3, "gradient": [2.0] * 3}

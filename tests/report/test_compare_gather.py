@@ -55,6 +55,7 @@ def test_what_does_not_change_the_method_does_not_divide_it(tmp_path, key):
         ("budget.seconds", 30, "budget.seconds=30"),
         ("estimator.batch", 1024, "estimator.batch=1024"),
         ("scene.unknowns.lr", 0.5, f"scene.unknowns.{synthetic.KEY}.lr=0.5"),
+        ("scene.unknowns.blur", {"end": 1}, f"scene.unknowns.{synthetic.KEY}.blur.end=1"),
         ("scene.unknowns.range", [0, 2], f"scene.unknowns.{synthetic.KEY}.range=[0, 2]"),
         ("sampler.floor", None, "sampler.floor=null"),
     ],
@@ -124,6 +125,22 @@ def test_runs_of_other_scenes_or_targets_are_kept_apart(tmp_path, change, names)
     run(tmp_path / "2", manifest={"target_hash": "other"}, **change)
     assert sorted({scene for scene, _, _ in found(tmp_path)}) == names
     assert any("compared apart" in line for line in warnings(tmp_path))
+
+
+@pytest.mark.parametrize("key", ["exposure", "refine", "lens", "roughness"])
+def test_runs_of_other_models_of_the_same_photographs_are_kept_apart(tmp_path, key):
+    """No hash of the scene covers what is unknown in it; where its files lie, it does."""
+    run(tmp_path / "1", settings={f"scene.photos.{key}": "one", "scene.photos.path": "a"})
+    run(tmp_path / "2", settings={f"scene.photos.{key}": "two", "scene.photos.path": "b"})
+    assert len({scene for scene, _, _ in found(tmp_path)}) == 2
+    run(tmp_path / "3", settings={f"scene.photos.{key}": "one", "scene.photos.path": "c"}, seed=2)
+    assert [seeds for *_, seeds in found(tmp_path)] == [[1, 2], [1]]
+
+
+def test_runs_of_other_poses_are_kept_apart(tmp_path):
+    run(tmp_path / "1", settings={"scene.poses.turn.period": 360})
+    run(tmp_path / "2", settings={"scene.poses.turn.period": 90})
+    assert len({scene for scene, _, _ in found(tmp_path)}) == 2
 
 
 def test_runs_that_start_elsewhere_are_kept_apart(tmp_path):

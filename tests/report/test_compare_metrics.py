@@ -134,6 +134,23 @@ def test_other_seeds_aim_at_the_median_of_the_baselines_ends(tmp_path):
     assert math.isnan(row["image_rmse_speed_up_low"])
 
 
+def test_a_baseline_that_got_nowhere_sets_no_goal_that_the_start_meets(tmp_path):
+    """It ends at 0.97 of the start's error, which 5 % above is more than the start's."""
+    synthetic.write(tmp_path / "u", [0, 30, 60], [1, 1.02, 0.97], sampler="uniform")
+    synthetic.write(tmp_path / "o", [0, 30, 60], [1, 0.5, 0.1])
+    frame = summary(tmp_path)
+    columns = ["image_rmse_seconds_to_baseline", "image_rmse_speed_up"]
+    (base, one), (own, gain) = frame.loc["uniform", columns], frame.loc["ours", columns]
+    assert 30 < base < 60 and one == 1
+    assert 0 < own < 30 and gain == pytest.approx(base / own)
+
+
+def test_the_time_of_steps_is_without_the_plan_s_probe(tmp_path):
+    """The start's row has been billed what measured the plan, and nothing else."""
+    synthetic.write(tmp_path, [3, 10, 20], [1, 0.5, 0.4], columns={"stage1_seconds": [0, 1, 2]})
+    assert summary(tmp_path).loc["ours", "step_seconds"] == 20 - 2 - 3
+
+
 def test_photographs_and_killed_runs_leave_blanks(tmp_path):
     synthetic.write(tmp_path, range(3), [1, 0.5, 0.4], status=None)
     row = summary(tmp_path).loc["ours"]

@@ -6,8 +6,6 @@ import hashlib
 import math
 import re
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -235,7 +233,7 @@ def test_numbers_and_intervals_in_words():
     row = pandas.Series({"ratio_low": math.nan, "ratio_high": math.nan})
     assert facts.interval(row, "ratio") == ""
     words = [facts.times(value) for value in (1.3, 0.0, math.inf, math.nan)]
-    assert words == ["1.3×", "not reached", "baseline never", "not known"]
+    assert words == ["1.3×", "not reached", "baseline: not reached", "not known"]
 
 
 def test_the_headline_table_holds_seconds_interval_and_ratio(tmp_path):
@@ -274,15 +272,6 @@ def test_what_is_vendored_is_as_published_and_can_stand_in_a_page():
         assert "</style" not in path.read_text().lower(), path.name
         assert (path.parent / "LICENSE").is_file()
         assert path.parent.name.rsplit("-", 1)[1] in (ROOT / "ATTRIBUTION.md").read_text()
-
-
-def test_a_page_is_made_without_mitsuba_and_pyplot():
-    program = (
-        "import sys, isas_cli.report.compare.page\n"
-        "print([m for m in ('mitsuba', 'drjit', 'matplotlib.pyplot') if m in sys.modules])"
-    )
-    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert result.stdout.strip() == "[]", result.stderr
 
 
 def test_without_a_browser_tests_skip_or_where_one_is_required_fail(monkeypatch):

@@ -176,9 +176,9 @@ def test_bars_are_the_ratios_and_words_stand_where_there_is_none(comparison):
         assert heights == pytest.approx([r for r in rows if math.isfinite(r) and r > 0])
         own = [t.get_text() for t in upper.texts if to_rgba(t.get_color()) == colour]
         assert len(own) + len(heights) == len(levels)
-        assert own.count("baseline never") == sum(math.isinf(r) for r in rows)
+        assert own.count("baseline: not reached") == sum(math.isinf(r) for r in rows)
         words += own
-    assert {"not reached", "baseline never"} == set(words)
+    assert {"not reached", "baseline: not reached"} == set(words)
 
 
 def test_the_price_is_drawn_with_its_slopes(comparison):

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+import synthetic_runs as synthetic
 from matplotlib.figure import Figure
 
 from isas_cli import report
 from isas_cli.records import SCHEMA_VERSION, RunWriter, load, safe_name
-from isas_cli.report import cells, figures, page, plots
+from isas_cli.report import cells, figures, inside, page, plots
 from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
 
@@ -257,6 +256,20 @@ def test_curves_carry_the_history_and_their_units(tmp_path, monkeypatch):
     assert widths == pytest.approx(1.11 + 14.3 + 1.1 + 0.52 + 3.21 + 2.6 + 0.31)
 
 
+def test_the_page_says_why_a_run_failed(tmp_path):
+    run = synthetic.write(
+        tmp_path, [0, 1], [1, 0.5], status="failed", summary={"error": "its process was killed"}
+    )
+    report.write(run)
+    assert "failed: its process was killed" in (tmp_path / "report.html").read_text()
+
+
+def test_methods_without_times_by_phase_have_no_row(tmp_path):
+    whole = synthetic.run(tmp_path / "a", [0, 1], [1, 0.5], summary={"by": {"step": 2.0}})
+    killed = synthetic.run(tmp_path / "b", [0, 1], [1, 0.5], status=None)
+    assert list(inside.phases({"ours": [whole], "killed": [killed]}, "by").index) == ["ours"]
+
+
 def test_numbers_are_shown_to_four_digits():
     shown = [page.number(x) for x in (None, math.nan, 0, 1234567, 0.123456, 60.0, 936853.2, 1e-9)]
     assert shown == ["–", "–", "0", "1,234,567", "0.1235", "60", "936,853", "1e-09"]
@@ -266,12 +279,3 @@ def test_a_folder_without_a_run_is_refused(tmp_path):
     with pytest.raises(InputError, match="holds no run"):
         report.write(tmp_path)
     assert not any(tmp_path.iterdir())
-
-
-def test_reporting_starts_neither_mitsuba_nor_pyplot():
-    program = (
-        "import sys, isas_cli.report\n"
-        "print([m for m in ('mitsuba', 'drjit', 'matplotlib.pyplot') if m in sys.modules])"
-    )
-    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert result.stdout.strip() == "[]", result.stderr

@@ -28,7 +28,8 @@ class Bootstrap:
     resampled, as all estimates of a round share one pmf: a lucky look is one piece of luck, not
     sixteen. (Of very many rounds, blocks of them.) The same rounds are taken for all samplers,
     whose estimates share random numbers. Percentile intervals: they are somewhat too narrow for few
-    rounds, and where now and then an estimate is far off, as nothing that was not drawn can be
+    rounds, where a round's look keeps a share of those before (``stage1.average``), as it shares
+    their luck, and where now and then an estimate is far off, as nothing that was not drawn can be
     resampled.
     """
 

@@ -102,11 +102,8 @@ def measure(
             seeds = [streams.seed(seed, 4 * number + i, "variance") for i in range(4)]
             problem.unknowns.push_tangent(values, random_signs(values, seeds[3]))
             opaque = [dr.opaque(mi.UInt32, drawn) for drawn in seeds[:3]]
-            p = problem
-            leaves = p.unknowns.leaves
-            sums = kernel(
-                p.scene, p.sensors, p.views, leaves, tiles, p.targets, p.mask, opaque, sums
-            )
+            given = tiles, problem.targets, problem.mask, opaque, sums
+            sums = kernel(*problem.traced, *given)
             dr.sync_thread()
             done((number + 1) * copies, 2 * passes * copies)
         products = np.array([np.array(s, np.float64) for s in sums]) / (passes * copies)
@@ -132,14 +129,13 @@ def _kernel(problem: Problem, loss, copies: int):
             dr.eval(view, column, row, pixel)
 
             first = rays.stream(seeds[1], count)
-            ray, weight = rays.spawn(sensors, views, view, column, row, first)
-            radiance, _ = integrator.primal(scene, first, ray)
-            residual = loss.derivative(radiance * weight, dr.gather(mi.Color3f, targets, pixel))
-            if mask is not None:
-                residual *= dr.gather(mi.Float, mask, pixel)
+            place = view, column, row
+            radiance = rays.radiance(integrator, scene, sensors, views, place, first)
+            residual = loss.derivative(radiance, dr.gather(mi.Color3f, targets, pixel))
+            residual = rays.masked(residual, mask, pixel)
 
             second = rays.stream(seeds[2], count)
-            ray, weight = rays.spawn(sensors, views, view, column, row, second)
+            ray, weight = rays.spawn(sensors, views, *place, second)
             derivative = integrator.forward(scene, second, ray) * weight
             dr.eval(residual, derivative)
             found = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 
 _MADE = ("variance.csv", "variance.png", "variance.svg")
 _MADE += ("density_*_v[0-9]*.exr", "density_*_v[0-9]*.png", "densities_v[0-9]*.png")
-_QUIET_SECONDS = 5.0
 _WIDTH = 160  # columns where there is no terminal: no figure may be cut
 
 
@@ -48,20 +46,11 @@ class Plan:
         return next(iter(self.cfgs.values()))
 
 
-class Progress(Display):
+def _told(display: Display, done: int, total: int, what: str) -> None:
     """How far the brute force and the rounds have come."""
-
-    def __init__(self) -> None:
-        super().__init__(None)
-
-    def advanced(self, done: int, total: int, what: str) -> None:
-        interrupt.check()
-        text = f"{done} of {total} {what}"
-        if self._bar:
-            self._bar.update(self._task, completed=done / total, text=text, refresh=True)
-        elif time.monotonic() - self._last > _QUIET_SECONDS or done == total:
-            self._last = time.monotonic()
-            self.say(text)
+    interrupt.check()
+    text = f"{done} of {total} {what}"
+    display.advanced(done / total, text, text)
 
 
 def run(plan: Plan) -> int:
@@ -82,7 +71,7 @@ def run(plan: Plan) -> int:
         plan = replace(plan, cfgs={label: plan.cfgs[label] for label in made})
     for choices in made.values():
         choices.check(typed)
-    with Progress() as display:
+    with Display(None) as display:
         phases = Phases(display)
         if estimator.blurred:
             raise InputError(
@@ -125,7 +114,7 @@ def _prepared(
         phases.begin("moments")
 
         def done(paths, total):
-            phases.display.advanced(paths, total, "paths per pixel for the best pmf")
+            _told(phases.display, paths, total, "paths per pixel for the best pmf")
 
         measured = moments.measure(problem, loss, values, plan.best, typed.seed, freeze, done)
         bench.second_moment = measured.second_moment
@@ -163,7 +152,7 @@ class _Record:
     bench: "Bench"
     contestants: "list[Contestant]"
     best: "Best | None"
-    display: Progress
+    display: Display
 
     def make(self, stop) -> int:
         from .table import Results, rows, write
@@ -176,7 +165,7 @@ class _Record:
         def finished(rounds: list[int]) -> None:
             self.table = rows(self.contestants, rounds, results)
             write(self.table, self.plan.folder)
-            self.display.advanced(sum(rounds), self.plan.repeats, "repeats")
+            _told(self.display, sum(rounds), self.plan.repeats, "repeats")
 
         self.display.phase("rounds")
         done = self.bench.run(self.contestants, self.plan.repeats, finished, stop)

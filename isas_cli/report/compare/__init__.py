@@ -7,6 +7,7 @@ back from a table.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from ...runtime.errors import InputError
@@ -31,8 +32,10 @@ def compare(folders: list[Path], output: Path | None = None, baseline: str | Non
     return write(build(folders, baseline), target)
 
 
-def build(folders: list[Path], baseline: str | None = None) -> Comparison:
-    """The numbers of a comparison; nothing is written."""
+def build(
+    folders: list[Path], baseline: str | None = None, known: Sequence[str] = ()
+) -> Comparison:
+    """The numbers of a comparison; nothing is written. ``known``: more that is to be warned of."""
     methods, chosen, warnings = gather([Path(folder) for folder in folders], baseline)
     return Comparison(
         methods=methods,
@@ -41,7 +44,7 @@ def build(folders: list[Path], baseline: str | None = None) -> Comparison:
         accuracy=accuracy.table(methods, chosen),
         price=price.table(methods),
         summary=summary.table(methods, chosen),
-        warnings=warnings + _few_seeds(methods),
+        warnings=[*known, *warnings, *_few_seeds(methods)],
         across=across.problems(methods, chosen),
     )
 
@@ -73,7 +76,7 @@ def output_of(folders: list[Path], output: Path | None) -> Path:
 
 def _few_seeds(methods: list[Method]) -> list[str]:
     counts = sorted({len(m.runs) for m in methods})
-    few = [n for n in counts if 1 < n < bootstrap.RANGE_UP_TO]
+    few = [n for n in counts if 1 < n and bootstrap.held(n) < bootstrap.CONFIDENCE]
     lines = []
     if 1 in counts:
         lines.append("methods with one run have no intervals: their seed may be a lucky one")
@@ -82,6 +85,6 @@ def _few_seeds(methods: list[Method]) -> list[str]:
         held = " and ".join(f"{100 * bootstrap.held(n):.0f} %" for n in few)
         lines.append(
             f"with {seeds} seeds an interval is their range, which holds the true median in {held} "
-            "of cases, not 95 %; five seeds or more make it what it is called"
+            "of cases, not 95 %; six seeds or more make it what it is called"
         )
     return lines

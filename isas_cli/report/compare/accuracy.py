@@ -23,7 +23,7 @@ def table(methods: list[Method], baseline: dict[str, str]) -> pandas.DataFrame:
     ``level``: share of the start's error, 1/2, 1/4, … down to the deepest that any run of the scene
     reaches and the one below it, which none does. ``seconds`` (billed) and ``paths``: median over
     seeds of the cost from which on the error stays at or below the level (`Series.reached`), with
-    a bootstrap interval; +inf: not reached. A median is +inf unless more than half of the ``runs``
+    an interval; +inf: not reached. A median is +inf unless more than half of the ``runs``
     have ``reached`` it, whatever more budget would have brought.
 
     ``ratio``: the baseline's ``seconds`` divided by this method's, above 1 where this method is

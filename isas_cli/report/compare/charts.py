@@ -85,7 +85,7 @@ def errors(
             row.append(Panel(axis, y, [*rules, *marks], title, 3.5))
         grid.append(row)
     note = (
-        "Median over runs with its 95 % bootstrap band (up to five runs: their range; of one run "
+        "Median over runs with its 95 % band (up to eight runs: their range; of one run "
         "none); thin where only some runs went so far. Levels: 1/2, 1/4, … of the start's error. "
         "Dotted: the slope −1/2 of Monte Carlo."
     )
@@ -149,7 +149,7 @@ def _speedup_panel(comparison: Comparison, scene: str, measure: str, labels: lis
         own = content.rows(table, method=label).set_index("level").reindex(levels)
         never = ~np.isfinite(own["seconds"]), ~np.isfinite(reference)
         found[label] = own[["ratio", "ratio_low", "ratio_high"]].mask(never[0] | never[1])
-        found[label]["instead"] = np.select(never, ["not reached", "baseline never"], "")
+        found[label]["instead"] = np.select(never, ["not reached", "baseline: not reached"], "")
     ends = _values(pandas.concat(found.values()), *(f"ratio{end}" for end in _ENDS))
     ends = ends[np.isfinite(ends) & (ends > 0)]
     y = log_axis("speed-up", np.array([0.55, *ends, 1.8]))

@@ -18,7 +18,7 @@ def table(methods: list[Method]) -> pandas.DataFrame:
 
     ``x``: billed seconds or light paths, evenly spaced in the logarithm, from the first evaluation
     of any run of the scene after the start to the end of its longest. ``median`` of the errors at x
-    of the runs that went that far, ``runs`` of them, with the bootstrap's 95 % band ``low`` to
+    of the runs that went that far, ``runs`` of them, with the 95 % band ``low`` to
     ``high`` (NaN for one run). A curve ends with its last run and is not extrapolated; where
     ``runs`` drops on the way, the median may jump.
     """

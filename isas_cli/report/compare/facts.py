@@ -44,6 +44,7 @@ _MEANINGS = {
     "MPEA": "material parameter error, parameter RMSE²: smaller is better (PBDR Eq. 8)",
     "CS": "convergence speed: iterations until the image error stays near its final value (PBDR)",
     "GN": "gradient noise: mean squared distance of gradient and smoothed gradient (PBDR Eq. 9)",
+    "nonfinite": "of all runs together",
 }
 
 
@@ -101,7 +102,10 @@ def headlines(comparison: Comparison, scene: str, methods: list[Method]) -> list
         rows = rows[np.isfinite(rows["seconds"])]
         if rows.empty:
             half = content.level_name(max(content.levels(comparison, scene, measure)))
-            lines.append(f"No method reached {half} of the start's {content.SHORT[measure]}.")
+            lines.append(
+                f"No method reached {half} of the start's {content.SHORT[measure]} in most of its "
+                "runs."
+            )
             continue
         first = rows.sort_values(["level", "seconds"]).iloc[0]
         goal = f"{content.level_name(first['level'])} of the start's {content.SHORT[measure]}"
@@ -124,7 +128,7 @@ def _against(row: pandas.Series, base: str) -> str:
     if row["method"] == base:
         return ", the baseline"
     if math.isinf(row["ratio"]):
-        return f"; {base} did not reach it"
+        return f"; {base} did not reach it in most of its runs"
     unclear = row["ratio_low"] <= 1 <= row["ratio_high"]
     end = ", so which is sooner is not clear" if unclear else ""
     return f", {_ratio(row)} as fast as {base}{end}"
@@ -226,7 +230,7 @@ def number(value: float | None) -> str:
 def times(ratio: float) -> str:
     """A speed-up; what an infinite one and none mean, in words."""
     if math.isinf(ratio):
-        return "baseline never"
+        return "baseline: not reached"
     if ratio == 0:
         return tables.NOT_REACHED
     return "not known" if math.isnan(ratio) else f"{number(ratio)}×"
@@ -237,7 +241,8 @@ def interval(row: pandas.Series, name: str, unit: str = "") -> str:
     low, high = row[f"{name}_low"], row[f"{name}_high"]
     if math.isnan(low) or math.isnan(high):
         return ""
-    upper = tables.NOT_REACHED if math.isinf(high) and name != "ratio" else _bound(high)
+    never = math.isinf(high) and not name.endswith(("ratio", "speed_up"))
+    upper = tables.NOT_REACHED if never else _bound(high)
     return f"[{_bound(low)}, {upper}]{unit if math.isfinite(high) else ''}"
 
 

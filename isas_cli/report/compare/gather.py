@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 # Any of these makes a folder one that somebody would miss in a comparison.
 _MARKS = {"manifest.json", "history.csv", "summary.json"}
+# Of photographs: where things lie, whose content the hashes cover.
+_PLACES = ("path", "cameras", "mesh", "environment", "images", "masks", "texture")
 # The rates are each method's own business: methods that differ in nothing else are one.
 _OWN = "optimizer.lr=", "optimizer.factor="
 _DEFAULT_BASELINE = "uniform"
@@ -192,7 +194,8 @@ def _scenes(runs: list[Run], warnings: list[str]) -> dict[str, list[Run]]:
         if len(names) > 1:
             warnings.append(
                 f"{name}: not all runs pose the same problem (scene, targets or start values "
-                f"differ), so they are compared apart: {', '.join(names)}"
+                f"differ), so they are compared apart, each as a scene of its own: "
+                f"{', '.join(names)}"
             )
     return named
 
@@ -213,8 +216,15 @@ def _identity(run: Run) -> tuple:
     problem, _ = labels.split(labels.flatten(run.config))
     hashes = _hashes(run)
     if len(hashes) == 2:  # they cover scene and targets, however the configuration puts it
-        problem = {key: value for key, value in problem.items() if ".unknowns." in key}
+        problem = {key: value for key, value in problem.items() if _of_unknowns(key)}
     return (*hashes.items(), *sorted(problem.items()))
+
+
+def _of_unknowns(key: str) -> bool:
+    """Whether it says what is unknown, and how, in a scene whose content is known otherwise."""
+    if key.startswith("scene.photos."):
+        return key.rpartition(".")[2] not in _PLACES
+    return ".unknowns." in key or key.startswith("scene.poses.")
 
 
 def _told(run: Run) -> Settings:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -20,53 +19,12 @@ from markupsafe import Markup
 from ...records import Run, write_text
 from .. import interactive
 from ..chart import Chart
-from ..figures import Picture
 from ..page import template
 from . import animation, charts, facts, plots, sheet, slides, together
 from .gather import Comparison, Method, by_scene
 from .styles import styles
 
 _SLIDER, _SORTER = "img-comparison-slider-8.0.7", "sortable-tablesort-4.1.7"
-
-
-@dataclass(frozen=True)
-class _Plot:
-    """A zoomable plot: its heading, the piece of HTML, and a sentence on how to read it."""
-
-    title: str
-    html: Markup
-    note: str
-
-
-@dataclass(frozen=True)
-class _Record:
-    """What one run was made with."""
-
-    name: str
-    folder: str
-    status: str
-    config: str
-    manifest: str
-
-
-@dataclass(frozen=True)
-class _Scene:
-    """Everything that the page says of one scene."""
-
-    name: str
-    anchor: str
-    baseline: str
-    headlines: list[str]
-    accuracy: list[facts.Table]
-    price: list[facts.Table]
-    methods: facts.Table
-    costs: list[_Plot]
-    insides: list[_Plot]
-    exposure: str
-    groups: list[slides.Group]
-    pictures: list[Picture]
-    effects: list[tuple[list[str], dict[str, str]]]
-    records: list[_Record]
 
 
 def write(comparison: Comparison, output: Path) -> Path:
@@ -89,7 +47,7 @@ def write(comparison: Comparison, output: Path) -> Path:
         anchor = f"scene{number}"
         scene = _scene(comparison, name, anchor, methods, output)
         drawn = {"costs": _plots(anchor, costs), "insides": _plots(f"{anchor}in", insides)}
-        scenes.append(_Scene(**scene, **drawn, pictures=pictures))
+        scenes.append({**scene, **drawn, "pictures": pictures})
     chips = together.styled(comparison, own)
     whole = together.charts(comparison, chips)
     plots.write_plots("all", whole, output / "plots")
@@ -137,16 +95,22 @@ def _scene(
     )
 
 
-def _plots(anchor: str, drawn: list[Chart]) -> list[_Plot]:
+def _plots(anchor: str, drawn: list[Chart]) -> list[dict[str, str]]:
+    """Zoomable plots: of each its heading, the piece of HTML, and a sentence on how to read it."""
     return [
-        _Plot(chart.title, Markup(interactive.embedded(chart, f"{anchor}plot{index}")), chart.note)
+        dict(
+            title=chart.title,
+            html=Markup(interactive.embedded(chart, f"{anchor}plot{index}")),
+            note=chart.note,
+        )
         for index, chart in enumerate(drawn)
     ]
 
 
-def _record(method: Method, run: Run, output: Path) -> _Record:
+def _record(method: Method, run: Run, output: Path) -> dict[str, str]:
+    """What one run was made with."""
     seed = run.config.get("seed")
-    return _Record(
+    return dict(
         name=f"{method.label}, seed {'not recorded' if seed is None else seed}",
         folder=os.path.relpath(run.folder, output),
         status=str((run.summary or {}).get("status", "no summary: stopped before its end")),

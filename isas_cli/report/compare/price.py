@@ -28,13 +28,13 @@ def table(methods: list[Method]) -> pandas.DataFrame:
     """One row per scene, measure, method and level.
 
     ``seconds``, ``paths``: what it took to get from twice the level to the level (for 1/2: from
-    the start), median over seeds of each run's own difference, with a bootstrap interval; +inf:
+    the start), median over seeds of each run's own difference, with its interval; +inf:
     not reached. Where each halving costs as much as the one before, the error falls exponentially;
     where it costs four times as much, like Monte Carlo's, which is the ``slope_monte_carlo`` of
     -1/2.
 
     ``slope_…``: of log error against log seconds or log paths in the late part of the curve
-    (`late_slope`), median over seeds with a bootstrap interval; one value for all levels of a
+    (`late_slope`), median over seeds with its interval; one value for all levels of a
     method, repeated in each of its rows.
     """
     rows = []

@@ -63,6 +63,9 @@ def _views_sheet(methods: dict[str, frames.Frames], styles: dict[str, Style]) ->
     errors = {label: row.get("error") for label, row in methods.items()}
     scale = cells.error_scale(_saved(errors))  # the start's, often far larger, is cut off
     before = _difference(given.get("start"), given.get("target"))
+    alike = [e for e in _saved(errors) if before is not None and e.shape == before.shape]
+    if alike:  # pixels that do not count have no error, in any result
+        before = before * np.any([error != 0 for error in alike], axis=0)
     errors = {**({} if before is None else {"start": before}), **errors}
     densities = {label: row.get("density") for label, row in methods.items()}
     rows = [
@@ -72,9 +75,9 @@ def _views_sheet(methods: dict[str, frames.Frames], styles: dict[str, Style]) ->
     ]
     columns = ["target", "start", *methods]
     caption = (
-        "View 0: target, start and result of each method; below, the absolute error and the "
-        "sampling density, each on one scale (which the start's error may exceed). "
-        f"{reason}. Non-finite pixels are magenta."
+        "View 0: target, start and result of each method; below, the absolute error (of "
+        "pixels that count) and the sampling density, each on one scale (which the start's error "
+        f"may exceed). {reason}. Non-finite pixels are magenta."
     )
     return _sheet(rows, columns, styles, exposure, reason), caption
 

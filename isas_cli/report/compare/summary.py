@@ -17,21 +17,25 @@ from .series import MEASURES, Series, known, same_seeds, seed
 # As near to the baseline's final error as counts as having got there. Curves are flat at their
 # ends: without a margin, a method that ends a thousandth above the baseline would never get there.
 _NEAR = 1.05
+# Of the start's error: a baseline that ends above sets no goal, as the start itself would meet it.
+_HIGHEST = 0.99
 
 
 def table(methods: list[Method], baseline: dict[str, str]) -> pandas.DataFrame:
-    """One row per scene and method; medians over seeds, ``…_low`` and ``…_high`` the bootstrap's
+    """One row per scene and method; medians over seeds, ``…_low`` and ``…_high`` their
     95 % interval (NaN for one run). NaN: not known (no truth, not recorded).
 
     ``seeds``: their list, as text. ``iterations, paths, seconds`` (billed): at the last evaluation.
     ``<measure>``: final error; ``<measure>_share``: of the start's.
     ``<measure>_seconds_to_baseline``: until the error stays within 5 % of (or below) the final
     error of the baseline's run of the same seed (where seeds differ, of the median of its final
-    errors), +inf: never; ``<measure>_speed_up``: what the baseline needed until then, divided by
-    that, see `accuracy.table` for its infinities.
+    errors), or below 0.99 of the start's where that is less, +inf: never;
+    ``<measure>_speed_up``: what the baseline needed until then, divided by that, see
+    `accuracy.table` for its infinities.
     ``RE, MPEA, CS, GN``: see `metrics`; CS +inf: not converged.
     ``nonfinite``: gradient entries that were not finite, of all runs together.
-    ``<phase>_seconds``: billed seconds of stage1 and step; ``unbilled_seconds``: all others;
+    ``<phase>_seconds``: billed seconds of stage1 and step, the plan's probe in neither;
+    ``unbilled_seconds``: all others;
     ``stage1_share``: of the billed seconds.
     """
     rows = []
@@ -79,12 +83,12 @@ def _to_baseline(
     own: list[Series], base: list[Series], itself: bool
 ) -> tuple[bootstrap.Estimate, bootstrap.Estimate]:
     """Seconds to the baseline's final error, and by what factor that is sooner than it was."""
-    finals = np.array([s.error[-1] * _NEAR for s in base])
+    finals = np.array([min(s.error[-1] * _NEAR, s.error[0] * _HIGHEST) for s in base])
     paired = same_seeds(own, base)
     goals = finals if paired else np.repeat(np.median(finals) if base else np.nan, len(own))
     judged = own if base else []
     seconds = np.array([s.reached(goal, "seconds") for s, goal in zip(judged, goals)])
-    needed = np.array([s.reached(s.error[-1] * _NEAR, "seconds") for s in base])
+    needed = np.array([s.reached(goal, "seconds") for s, goal in zip(base, finals)])
     return bootstrap.median(seconds), speed_up(needed, seconds, paired, itself)
 
 
@@ -95,6 +99,9 @@ def _phases(runs: list[Run]) -> dict[str, float]:
     def billed(run: Run) -> float:
         return float(run.history["seconds"].iloc[-1])
 
+    def probe(run: Run) -> float:
+        return float(run.history["seconds"].iloc[0])  # all that is billed before a run's start
+
     def share(run: Run) -> float:
         return stage1(run) / billed(run) if billed(run) > 0 else float("nan")
 
@@ -104,7 +111,7 @@ def _phases(runs: list[Run]) -> dict[str, float]:
 
     return {
         "stage1_seconds": _median(runs, stage1),
-        "step_seconds": _median(runs, lambda run: billed(run) - stage1(run)),
+        "step_seconds": _median(runs, lambda run: billed(run) - stage1(run) - probe(run)),
         "unbilled_seconds": _median(runs, unbilled),
         "stage1_share": _median(runs, share),
     }

@@ -74,8 +74,10 @@ def worded(frame: pandas.DataFrame) -> pandas.DataFrame:
             continue
         stem = name.removesuffix("_low").removesuffix("_high")
         column = shown[name].astype(object)
-        if stem in ("ratio", "speed_up"):
-            column[frame[stem].isna()] = NEITHER
+        if stem.endswith(("ratio", "speed_up")):
+            # Of photographs nothing is known of the parameters, and so nothing of their speed-up.
+            of = frame["scene" if stem == "ratio" else stem.removesuffix("_speed_up")]
+            column[frame[stem].isna() & of.notna()] = NEITHER
         else:
             column[np.isinf(frame[name])] = NOT_CONVERGED if name == "CS" else NOT_REACHED
         if name.endswith(_BOUNDS):
