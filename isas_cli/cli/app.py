@@ -167,6 +167,10 @@ class _Parser(argparse.ArgumentParser):
         raise InputError(f"{message}; see {self.prog} --help")
 
 
+def _path(text: str) -> Path:
+    return Path(os.path.expanduser(text))  # a shell does so in some places only
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="isas",
@@ -179,60 +183,65 @@ def _parser() -> argparse.ArgumentParser:
         commands.add_parser(command, help=_SUMMARIES[command], add_help=False)
     compare = commands.add_parser("compare", help=_SUMMARIES["compare"])
     compare.add_argument(
-        "folders", type=Path, nargs="+", metavar="DIR", help="runs, or folders of runs"
+        "folders", type=_path, nargs="+", metavar="DIR", help="runs, or folders of runs"
     )
     compare.add_argument(
-        "--output", type=Path, metavar="DIR", help="where to (default: DIR/comparison)"
+        "--output", type=_path, metavar="DIR", help="where to (default: DIR/comparison)"
     )
     compare.add_argument(
         "--baseline", metavar="METHOD", help="what others are set against (default: uniform)"
     )
     watch = commands.add_parser("watch", help=_SUMMARIES["watch"])
     watch.add_argument(
-        "folder", type=Path, metavar="DIR", help="a run's folder, or one of several runs"
+        "folder", type=_path, metavar="DIR", help="a run's folder, or one of several runs"
     )
     watch.add_argument("--once", action="store_true", help="show the present state and leave")
     commands.add_parser("scenes", help=_SUMMARIES["scenes"])
     doctor = commands.add_parser("doctor", help=_SUMMARIES["doctor"])
     doctor.add_argument("--variant", default="auto", help="Mitsuba variant (default: auto)")
     replay = commands.add_parser("replay", help=_SUMMARIES["replay"])
-    replay.add_argument("folder", type=Path, metavar="DIR", help="a run's folder")
+    replay.add_argument("folder", type=_path, metavar="DIR", help="a run's folder")
     replay.add_argument(
         "iteration", nargs="?", metavar="iteration=N", help="which (default: the checkpoint's last)"
     )
     landscape = commands.add_parser("landscape", help=_SUMMARIES["landscape"])
-    landscape.add_argument("folder", type=Path, metavar="DIR", help="a run's folder")
+    landscape.add_argument("folder", type=_path, metavar="DIR", help="a run's folder")
     landscape.add_argument(
         "--along", nargs="+", metavar="KEY", help="one or two numbers (default: all, if no more)"
     )
     landscape.add_argument("--spp", type=int, default=32, help="paths a pixel and point, twice")
     report = commands.add_parser("report", help=_SUMMARIES["report"])
-    report.add_argument("folder", type=Path, help="a run's folder")
+    report.add_argument("folder", type=_path, help="a run's folder")
     export = commands.add_parser("export", help=_SUMMARIES["export"])
-    export.add_argument("folder", type=Path, help="a run's folder")
-    export.add_argument("--output", type=Path, help="where to (default: FOLDER/result)")
+    export.add_argument("folder", type=_path, help="a run's folder")
+    export.add_argument("--output", type=_path, help="where to (default: FOLDER/result)")
     relight = commands.add_parser("relight", help=_SUMMARIES["relight"])
-    relight.add_argument("folder", type=Path, metavar="DIR", help="a run's folder")
+    relight.add_argument("folder", type=_path, metavar="DIR", help="a run's folder")
     relight.add_argument(
         "pictures",
-        type=Path,
+        type=_path,
         metavar="SET",
         help="a folder of photographs with cameras, or their file in it",
     )
     relight.add_argument(
         "--light",
-        type=Path,
+        type=_path,
         help="an environment in place of the scene's lights, or a folder with one called as each "
         "view (default: the scene's own lights)",
     )
     relight.add_argument(
         "--up",
-        default="y",
-        help="the world's axis that is its up, such as z, or --up=-z (default: y)",
+        help="the world's axis that is its up, such as z, or --up=-z; or camera: its middle lies "
+        "straight ahead of each view's camera (default: the run's photos.up)",
+    )
+    relight.add_argument(
+        "--turn",
+        type=float,
+        help="degrees that it is turned about that axis by (default: the run's photos.turn)",
     )
     relight.add_argument("--width", type=int, help="pixels of renderings (default: the pictures')")
     relight.add_argument("--spp", type=int, default=256, help="paths a pixel (default: 256)")
-    relight.add_argument("--output", type=Path, help="where to (default: DIR/relit)")
+    relight.add_argument("--output", type=_path, help="where to (default: DIR/relit)")
     return parser
 
 

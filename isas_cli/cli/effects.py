@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 def main(arguments: list[str]) -> int:
     """Print the plan of the run that ``arguments`` describe. Raises IsasError; returns 0."""
     one.no_flags("effects", arguments)
+    one.no_sweep(arguments, "leave it out")
     with one.argv(["isas", "effects", *arguments]), interrupt.prompt():
         cfg = compose(translate(arguments))
         typed, budget = experiment.checked(cfg)

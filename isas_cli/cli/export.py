@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from ..engine import resumption
@@ -16,6 +17,8 @@ def main(folder: Path, output: Path | None) -> int:
         backend.start(typed.variant, typed.threads)
         from ..scene import export
 
+        if told := resumption.changed_since(folder, typed):
+            print(told, file=sys.stderr)
         path, told = export.write(typed.scene, arrays, output or folder / "result")
     glb = path.with_suffix(".glb")
     print(f"result: {path}", *[f"glTF: {glb}"] * glb.exists(), *told, sep="\n")

@@ -11,7 +11,10 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from ..records.writer import RECORD_FILES
 from ..runtime.errors import InputError
+
+_OF_SWEEPS = ("hydra/launcher", "hydra/sweeper", "hydra.launcher", "hydra.sweeper", "hydra.sweep")
 
 
 @contextlib.contextmanager
@@ -28,6 +31,13 @@ def no_flags(command: str, arguments: list[str], but: tuple[str, ...] = ()) -> N
     for argument in arguments:
         if argument.startswith("-") and argument not in but:
             raise InputError(f"{argument}: no such flag; see isas {command} --help")
+
+
+def no_sweep(arguments: list[str], instead: str) -> None:
+    """Raises InputError for an argument that is of several runs; ``instead``: what to do."""
+    for argument in arguments:
+        if argument.lstrip("+~").startswith(_OF_SWEEPS):
+            raise InputError(f"{argument}: is for several runs: {instead}")
 
 
 def run(cfg: DictConfig, name: str) -> int:
@@ -53,7 +63,7 @@ def check_folder(folder: Path, overwrite: bool) -> None:
             f"cannot write to the output folder {folder}: {existing}: "
             f"{error.strerror or error}; choose another with hydra.run.dir=DIR"
         ) from error
-    if (folder / "manifest.json").exists() and not overwrite:
+    if any((folder / name).exists() for name in RECORD_FILES) and not overwrite:
         raise InputError(
             f"{folder} already holds a run: choose another folder with hydra.run.dir=DIR, "
             "or replace it with overwrite=true"

@@ -25,7 +25,7 @@ def main(arguments: list[str]) -> int:
     one.no_flags("photos", arguments)
     for argument in arguments:
         if argument.startswith(_OUTPUT):
-            output = Path(argument.removeprefix(_OUTPUT))
+            output = Path(argument.removeprefix(_OUTPUT)).expanduser()
         else:
             (settings if "=" in argument else folders).append(argument)
     folders += [each.partition("=")[2] for each in settings if each.startswith("photos.path=")]
@@ -57,19 +57,30 @@ def main(arguments: list[str]) -> int:
 
 def _unlike(taken: photographs.Photographs) -> list[str]:
     """Whether pictures were exposed unlike, which nothing accounts for."""
-    if taken.settings.exposure != "fixed":
+    if taken.settings.exposure == "channels":
         return []
+    cast = None if taken.surface is None else brightness.tinted(taken.all, taken.surface)
+    tints = []
+    if cast is not None:
+        factor, more, less = cast
+        tints = [
+            f"the same places of the object have another tint, up to {factor:.3g} times in {more} "
+            f"what it is in {less}: another white balance (photos.exposure=channels finds a factor "
+            "a channel each), or the light moved"
+        ]
+    if taken.settings.exposure != "fixed":
+        return tints
     ratio = photo_tables.exposures(taken)
     if ratio >= _ALIKE:
-        return [
+        return tints + [
             f"by their EXIF, pictures were exposed unlike, up to {ratio:.3g} times: "
             "photos.exposure=scale finds a factor each"
         ]
     seen = None if taken.surface is None else brightness.unlike(taken.all, taken.surface)
     if seen is None:
-        return []
+        return tints
     factor, bright, dark = seen
-    return [
+    return tints + [
         f"the same places of the object are up to {factor:.3g} times as bright in {bright} as in "
         f"{dark}: exposed unlike (photos.exposure=scale finds a factor each), or the light moved, "
         "or the surface is glossy"

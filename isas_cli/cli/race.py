@@ -178,7 +178,7 @@ def _resumed(own: dict[str, str]) -> Path:
     strange = sorted(set(own) - {"resume", "slice"})
     if strange:
         raise InputError(f"{strange[0]}={own[strange[0]]}: a continued race keeps its contestants")
-    return Path(own["resume"].strip("\"'"))
+    return Path(own["resume"].strip("\"'")).expanduser()
 
 
 def unfinished(folder: Path, changes: dict[str, Any]) -> list[Entry]:
@@ -286,7 +286,7 @@ def folder_of(given: str) -> Path:
     folder = given.strip("\"'")
     if not folder:
         raise InputError("hydra.run.dir is empty: give hydra.run.dir=DIR")
-    return Path(folder)
+    return Path(folder).expanduser()
 
 
 def _compared(folder: Path, status: int) -> int:
@@ -304,7 +304,9 @@ def compared(folders: list[Path], output: Path, status: int) -> None:
 
     try:
         begun = [each for each in folders if (each / "manifest.json").is_file()]
-        compare(begun, output / "comparison", None)
+        never = [str(each) for each in folders if each not in begun]
+        told = [f"left out, as they never began: {', '.join(never)}"] if never else []
+        compare(begun, output / "comparison", None, told)
     except InputError:
         if not status:
             raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from ..runtime import backend, interrupt
 from ..runtime.errors import InputError
 
 SCORES = "scores.json"
+_CAMERA = "camera"  # relit.CAMERA
 _HEADS = {"psnr_h": "PSNR-H", "psnr_l": "PSNR-L", "ssim": "SSIM"}
 
 
@@ -22,7 +24,8 @@ def main(
     folder: Path,
     pictures: Path,
     light: Path | None = None,
-    up: str = "y",
+    up: str | None = None,
+    turn: float | None = None,
     width: int | None = None,
     spp: int = 256,
     output: Path | None = None,
@@ -30,12 +33,15 @@ def main(
     """Render the result of the run in ``folder`` as the cameras of ``pictures`` see it, a folder of
     photographs or a file of cameras in one, and score it as Stanford-ORB does
     (``measure.relighting``). ``light``: an environment in place of the scene's lights, or a folder
-    with one for each view; ``width``: pixels of the renderings. Renderings and scores.json go into
-    ``output`` (None: ``folder/relit``). Raises InputError; returns 0."""
+    with one for each view; ``up``, ``turn``: as ``photos.up`` and ``photos.turn`` (None: those of
+    the run), or ``camera``, see ``relit.views``; ``width``: pixels of the renderings. Renderings
+    and scores.json go into ``output`` (None: ``folder/relit``). Raises InputError; returns 0."""
     if spp < 1:
         raise InputError(f"--spp {spp}: at least 1")
-    if up not in UPS:
-        raise InputError(f"--up {up}: valid: {', '.join(UPS)}")
+    if up not in (None, *UPS, _CAMERA):
+        raise InputError(f"--up {up}: valid: {', '.join(UPS)}, {_CAMERA}")
+    if turn is not None and not math.isfinite(turn):
+        raise InputError(f"--turn {turn}: degrees")
     if width is not None and width < 1:
         raise InputError(f"--width {width}: at least 1")
     typed, arrays = resumption.result(folder)
@@ -44,13 +50,17 @@ def main(
         from ..measure import relighting
         from ..scene import export, relit
 
+        if told := resumption.changed_since(folder, typed):
+            print(told, file=sys.stderr)
         cameras, over = _cameras(pictures, typed.scene.photos)
         rendering = [relit.cut(camera, width) for camera in cameras]
-        lights = [_light(light, camera.name) for camera in cameras]
+        lights = _lights(light, [camera.name for camera in cameras])
+        own = typed.scene.photos
+        how = own.up if up is None else up, own.turn if turn is None else turn
         scene = export.result(typed.scene, arrays)
         output = output or folder / "relit"
         found, console = {}, Console()
-        for camera, image in zip(cameras, relit.views(scene, rendering, lights, up, spp)):
+        for camera, image in zip(cameras, relit.views(scene, rendering, lights, *how, spp)):
             where = f"{pictures}: {camera.name}"
             mask = None if camera.hides else camera.mask  # which is to say where the object is
             turned = camera.name in over
@@ -87,16 +97,26 @@ def _cameras(pictures: Path, own: PhotosConfig) -> tuple[list, set[str]]:
     return cameras, over
 
 
-def _light(light: Path | None, name: str) -> Path | None:
-    """The environment of a view. Raises InputError."""
+def _lights(light: Path | None, names: list[str]) -> list[Path | None]:
+    """The environments of views. Raises InputError."""
     from ..measure import relighting
 
     if light is None or light.is_file():
-        return light
+        return [light] * len(names)
     if not light.is_dir():
         raise InputError(f"--light {light}: no such file or folder")
-    if (found := relighting.of_name(light, name)) is None:
-        raise InputError(
-            f"--light {light}: no environment for {name}, such as {Path(name).stem}.exr"
-        )
-    return found
+    found: dict[Path, str] = {}
+    for name in names:
+        # As Stanford-ORB has them, of a scene's name and a picture's number.
+        own = light / Path(name).parts[0] / "env_map"
+        one = relighting.of_name(own, Path(name).name) or relighting.of_name(light, name)
+        if one is None:
+            raise InputError(
+                f"--light {light}: no environment for {name}, such as {Path(name).stem}.exr"
+            )
+        if found.setdefault(one, name) != name:
+            raise InputError(
+                f"--light {light}: {one} would be that of {found[one]} and of {name}: put one for "
+                "each below folders that are called as the views' are"
+            )
+    return list(found)

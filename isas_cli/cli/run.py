@@ -17,13 +17,13 @@ from .sweeps import sweep
 
 def main(arguments: list[str]) -> int:
     """Run what ``arguments`` (as typed) say. Raises IsasError; else returns the exit status."""
-    flags, overrides = _split(arguments)
-    continued = [o for o in overrides if o.startswith("resume=")]
+    flags, typed = _split(arguments)
+    continued = [o for o in typed if o.startswith("resume=")]
     if continued:
         if flags or len(continued) > 1:
             raise InputError("resume=DIR goes on with one run: give no flags and one folder")
-        return _resume(arguments, continued[0], [o for o in overrides if o not in continued])
-    overrides = translate(overrides)
+        return _resume(arguments, continued[0], [o for o in typed if o not in continued])
+    overrides = translate(typed)
     # So that the record's command line is the one typed, however this was called.
     with one.argv(["isas", "run", *arguments]), interrupt.prompt():
         if flags:
@@ -31,6 +31,7 @@ def main(arguments: list[str]) -> int:
         cfg = compose(overrides, hydra=True)
         if cfg.hydra.mode == RunMode.MULTIRUN:
             return sweep.by_hydra(["--multirun"], overrides)
+        one.no_sweep(typed, "add -m")
         return _one(cfg)[0]
 
 
@@ -58,7 +59,7 @@ def _resume(arguments: list[str], wanted: str, overrides: list[str]) -> int:
         raise InputError("resume is empty: give resume=DIR, a run's folder")
     changes = resumption.parse(overrides)
     with one.argv(["isas", "run", *arguments]), interrupt.prompt():
-        return experiment.resume(Path(folder), changes)
+        return experiment.resume(Path(folder).expanduser(), changes)
 
 
 def _split(arguments: list[str]) -> tuple[list[str], list[str]]:

@@ -28,6 +28,7 @@ def main(arguments: list[str]) -> int:
     """Print what the scene that ``arguments`` name offers. Raises IsasError; returns 0."""
     flags = [each for each in arguments if each.startswith("-")]
     one.no_flags("unknowns", arguments, ("--json",))
+    one.no_sweep(arguments, "leave it out")
     settings = _settings([each for each in arguments if each not in flags])
     with interrupt.prompt():
         cfg = compose(translate(settings))

@@ -42,6 +42,7 @@ def main(arguments: list[str]) -> int:
 def _own(arguments: list[str]) -> tuple[dict[str, str], list[str]]:
     """The command's own settings by name, and the overrides that all samplers share."""
     own, overrides = race.options_of(arguments, _OWN)
+    one.no_sweep(overrides, "leave it out")
     for argument in overrides:
         group = argument.partition("=")[0].lstrip("+~").split("@")[0]
         if group.split(".")[0] == "sampler":

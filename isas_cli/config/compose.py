@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -67,8 +68,9 @@ def _translate(override: str) -> str:
             return _translate_named(bare, setting, entry)
     key, equals, value = bare.partition("=")
     if key in _PATHS and value and value[0] not in "'\"":
+        value = os.path.expanduser(value)  # a shell does so in some places only
         sweep = key == "scene.path" and "," in value and not paths.exists(Path(value))
-        return bare if sweep else f"{key}={literal(value)}"
+        return f"{key}={value}" if sweep else f"{key}={literal(value)}"
     if bare.startswith("hydra") or bare.startswith("~hydra"):
         return override
     if bare == "~scene.method":

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import datetime
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -41,6 +44,53 @@ def locate(cfg: DictConfig, started_in: str | None) -> None:
         # Without an ending it is a word, such as 'sphere'.
         if isinstance(unknown.start, str) and Path(unknown.start).suffix:
             unknown.start = found(unknown.start)
+
+
+def named(cfg: DictConfig) -> list[tuple[str, str]]:
+    """The files and folders that ``cfg`` names: (setting, name)."""
+    listed = []
+    for key in _FILES:
+        value = OmegaConf.select(cfg, key)
+        if value is not None and not isinstance(value, (int, float)):
+            listed += [(key, each) for each in ([value] if isinstance(value, str) else value)]
+    for key, unknown in cfg.scene.unknowns.items():
+        if unknown is not None and isinstance(start := unknown.get("start"), str):
+            if Path(start).suffix:
+                listed.append((f"scene.unknowns.{key}.start", start))
+    return listed
+
+
+def elsewhere(cfg: DictConfig, started_in: str | None) -> str | None:
+    """Of files that ``cfg`` names relative to the working directory, one that is another file than
+    what the same name means in ``started_in``, where both are there."""
+    if started_in is None:
+        return None
+    for key, name in named(cfg):
+        here, there = Path(name), Path(started_in) / name
+        if exists(here) and exists(there) and here.resolve() != there.resolve():
+            return f"{key}={name}"
+    return None
+
+
+def newer(cfg: DictConfig, than: str) -> str | None:
+    """A file that ``cfg`` names, or that a scene's XML does, changed after the time ``than`` (ISO
+    8601); None where none was. Of folders of photographs the files in them are not asked."""
+    try:
+        since = datetime.datetime.fromisoformat(than).timestamp()
+    except ValueError:
+        return None
+    for key, name in named(cfg):
+        path = Path(name)
+        files = [path]
+        with contextlib.suppress(OSError, UnicodeDecodeError):
+            if path.suffix.lower() == ".xml":
+                values = re.findall(r'value\s*=\s*"([^"]+)"', path.read_text(encoding="utf-8"))
+                files += [path.parent / each for each in values]
+        for file in files:
+            with contextlib.suppress(OSError):
+                if file.is_file() and file.stat().st_mtime > since:
+                    return str(file) if file != path else f"{key}={name}"
+    return None
 
 
 def _each(named, found: Callable[[str], str]):

@@ -27,7 +27,8 @@ class PhotosConfig:
     that of the mesh, or ``file``: as they stand there; ``mesh``: a file (OBJ, PLY, STL, glTF) in
     the cameras' world, or instead ``plane``: [x0, y0, x1, y1] of z = 0, or ``sphere``: [x, y, z,
     radius]; ``environment``: a picture of the light from all sides (None: unknown), whose up is the
-    world's axis ``up``; ``width``: pixels, to which views are shrunk (None: as they are);
+    world's axis ``up`` and which is turned about that by ``turn`` degrees; ``width``: pixels, to
+    which views are shrunk (None: as they are);
     ``texture``: texels a side of the base colour, or the picture file of one that is known;
     ``roughness``, ``metallic``: whether that is unknown, too, as one number or, ``map``, as a
     texture; ``normals``: whether a normal map is, false or ``map``; ``texels``: a side of these
@@ -66,6 +67,7 @@ class PhotosConfig:
     sphere: Optional[List[float]] = None
     environment: Optional[str] = None
     up: str = "y"
+    turn: float = 0.0
     width: Optional[int] = None
     texture: Any = SIDE  # an int, or a file's name
     roughness: Any = False  # a bool, or "map"
@@ -123,11 +125,28 @@ class PhotosConfig:
                 f"photos.lens=[{','.join(map(str, self.lens))}]: a list of what is unknown, each "
                 f"once: {', '.join(LENS)}"
             )
+        if self.lenses != "shared" and not self.lens:
+            raise InputError(
+                f"photos.lenses={self.lenses}: of lenses that are unknown, and photos.lens says "
+                "nothing of what is: photos.lens=[focal], or leave it out"
+            )
+        if self.environment is not None and self.sky != PhotosConfig.sky:
+            raise InputError(
+                f"photos.sky={self.sky}: of an unknown light, but photos.environment is given"
+            )
+        if not math.isfinite(self.turn):
+            raise InputError(f"photos.turn={self.turn}: degrees")
+        if self.environment is None and self.turn:
+            raise InputError(f"photos.turn={self.turn}: of photos.environment, which is not given")
         if not isinstance(self.background, bool) and self.background != "black":
             raise InputError(f"photos.background={self.background}: valid: true, false, black")
         shapes = [n for n in ("mesh", "plane", "sphere", "start") if getattr(self, n) is not None]
         if len(shapes) > 1:
             raise InputError(f"photos.{shapes[0]} and photos.{shapes[1]}: one shape alone")
+        if shapes and shapes != ["start"] and self.voxels != PhotosConfig.voxels:
+            raise InputError(
+                f"photos.voxels={self.voxels}: of a hull, but photos.{shapes[0]} is given"
+            )
         for name in ("plane", "sphere"):
             numbers = getattr(self, name)
             if numbers is not None and (len(numbers) != 4 or not all(map(math.isfinite, numbers))):

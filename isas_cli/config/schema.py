@@ -85,7 +85,7 @@ class UnknownConfig:
     # How fast, and within which bounds, an unknown may move is the method's affair.
     range: Optional[List[float]] = setting(None, Role.METHOD)
     lr: Optional[float] = setting(None, Role.METHOD)
-    blur: Optional[BlurConfig] = None
+    blur: Optional[BlurConfig] = setting(None, Role.METHOD)
     levels: Any = setting(1, Role.METHOD)
     during: Optional[List[float]] = setting(None, Role.METHOD)
     schedule: Optional[str] = setting(None, Role.METHOD)

@@ -49,7 +49,8 @@ def bare(
             loaded = built.load(described)
             integrator = loaded.integrator()
             built_by = f"{scene.builder} {dict(scene.arguments)} {built.told(described)}"
-            description = built_by if taken is None else str(scene.photos.up)
+            turned = f"{scene.photos.up} {scene.photos.turn:g}"
+            description = built_by if taken is None else turned
     sensors = loaded.sensors()
     if not sensors:
         raise InputError(f"{where_of(scene)} has no sensor: add at least one camera")

@@ -76,36 +76,37 @@ class Display:
 
     def targets(self, done: int, total: int) -> None:
         """Progress of rendering targets, in light paths."""
+        text = f"{done / 1e6:.1f} of {total / 1e6:.1f} M paths"
+        self.advanced(done / total, text, f"targets {100 * done / total:.0f} %")
+
+    def advanced(self, share: float, text: str, line: str) -> None:
+        """Progress of what has no rows: ``text`` beside the bar, or a ``line``, not too often."""
         if self._bar:
-            text = f"{done / 1e6:.1f} of {total / 1e6:.1f} M paths"
-            self._bar.update(self._task, completed=done / total, text=text, refresh=True)
-        elif time.monotonic() - self._last > _QUIET_SECONDS or done == total:
+            self._bar.update(self._task, completed=share, text=text, refresh=True)
+        elif time.monotonic() - self._last > _QUIET_SECONDS or share == 1:
             self._last = time.monotonic()
-            self.say(f"targets {100 * done / total:.0f} %")
+            self.say(line)
 
     def evaluated(self, row: dict) -> None:
         """A new row of the history: always a line where there is no terminal."""
         if not self.live:
             self.say("  ".join(self._fields(row)))
 
-    def stepped(self, loop, spent: float) -> None:
-        """After each iteration; redraws at most a few times a second."""
+    def stepped(self, loop, spent: float, name: str = "") -> None:
+        """After each iteration; redraws at most a few times a second. ``name``: whose it was."""
         now = time.monotonic()
         if not self._bar or now - self._last < _REDRAW_SECONDS:
             return
         self._last = now
-        room = self.console.width - self._bar_width - _BESIDE
-        text = _fitting(self._fields(self._present(loop)), room)
-        self._bar.update(self._task, completed=spent, text=text, refresh=True)
-
-    @staticmethod
-    def _present(loop) -> dict:
-        """The last row with what has been spent since."""
-        return (loop.last or {}) | {
+        # The last row with what has been spent since.
+        row = (loop.last or {}) | {
             "iteration": loop.position.iteration,
             "seconds": loop.clock.seconds,
             "paths": loop.position.paths,
         }
+        room = self.console.width - self._bar_width - _BESIDE - len(name)
+        shown = {"completed": spent, "text": _fitting(self._fields(row), room)}
+        self._bar.update(self._task, description=name or None, **shown, refresh=True)
 
     def _fields(self, row: dict) -> list[str]:
         """Time, iteration, errors and speed; the first of them in the order of importance."""
@@ -137,7 +138,8 @@ class Lane:
 
     def stepped(self, loop, spent: float) -> None:
         self.spent = spent
-        self.race.redraw(self, loop)
+        together = sum(each.spent for each in self.race.lanes) / self.race.count
+        self.race.stepped(loop, together, self.name)
 
 
 class RaceDisplay(Display):
@@ -151,23 +153,6 @@ class RaceDisplay(Display):
     def lane(self, name: str) -> Lane:
         self.lanes.append(Lane(self, name))
         return self.lanes[-1]
-
-    def redraw(self, lane: Lane, loop) -> None:
-        """After an iteration of one contestant."""
-        now = time.monotonic()
-        if not self._bar or now - self._last < _REDRAW_SECONDS:
-            return
-        self._last = now
-        together = sum(each.spent for each in self.lanes) / self.count
-        row = self._present(loop)
-        room = self.console.width - self._bar_width - _BESIDE - len(lane.name)
-        self._bar.update(
-            self._task,
-            description=lane.name,
-            completed=together,
-            text=_fitting(self._fields(row), room),
-            refresh=True,
-        )
 
     def ended(self, name: str, status: str, first: dict, last: dict) -> None:
         """A contestant's record is finished."""

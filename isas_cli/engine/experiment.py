@@ -74,10 +74,10 @@ def started(cfgs: Iterable[DictConfig], typed: Config) -> tuple[backend.Backend,
     """The backend, started; then what each configuration chooses, which refuses its settings, and
     each other, before a scene is loaded."""
     machine = backend.start(typed.variant, typed.threads)
-    made = [Choices.of(cfg) for cfg in cfgs]
-    for choices in made:
-        choices.check(typed)
-    return machine, made
+    made = [(Choices.of(cfg), schema.typed(cfg)) for cfg in cfgs]
+    for choices, own in made:
+        choices.check(own)
+    return machine, [choices for choices, _ in made]
 
 
 class Phases:

@@ -85,11 +85,13 @@ class Stepper:
         self.unknowns, self.settings, self.filter = unknowns, settings, filter
         self._filters: dict[tuple, OnUnknown] = {}
         self._falling = {}
+        self.falls: set[str] = set()  # the names of all schedules
         for u in unknowns:
             # What moves keeps the schedule that scenes found its rates with.
             paced = u.paced or u.kind.moves_geometry
             how = settings.falling(paced, u.schedule, u.final)
             self._falling[u.key] = factor(*how, settings.half)
+            self.falls.add(how[0])
         ends = [(falls(0.0, 0), falls(1.0, 0)) for falls in self._falling.values()]
         # Whether a larger budget would have changed the steps so far.
         self.paced = any(u.paced for u in unknowns) or any(a != b for a, b in ends)

@@ -65,6 +65,7 @@ class Pictures:
             self._write(f"{kind}_v{view:02d}", image, _RGB, kind, self.exposure, **tags)
             if kind == "result":
                 error = np.abs(image - self.problem.target_image(view))
+                error = np.where(self.problem.counting(view)[..., None], error, np.float32(0))
                 self._write(f"error_v{view:02d}", error, _RGB, "|result - target|", **tags)
         arrays = self.problem.unknowns.arrays(values)
         self._unknowns(kind, arrays, iteration)

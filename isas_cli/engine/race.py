@@ -125,11 +125,14 @@ class _Lanes:
             self._detach(recorder)
 
     def open(self) -> None:
-        """Begin all records before any loop, so that a kill leaves each of them."""
+        """Begin all records before any loop, so that a kill leaves each of them; and all folders
+        before any record, so that none holds another race's when one of them fails."""
         self.display.phase("pictures")
-        for entry, recorder in zip(self.entries, self.recorders):
+        both = list(zip(self.entries, self.recorders))
+        writers = {r.folder: r.claimed() for entry, r in both if entry.earlier is None}
+        for entry, recorder in both:
             if entry.earlier is None:
-                recorder.open(self.machine)
+                recorder.open(self.machine, writers[recorder.folder])
             else:
                 recorder.reopen(self.machine, entry.earlier)
 

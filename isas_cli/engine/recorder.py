@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 # (large textures), as much as keeps writing below this share of the time.
 _CHECKPOINT_SECONDS = 5.0
 _CHECKPOINT_SHARE = 0.01
+# What other commands make of a result, below its record.
+_DERIVED = "result/scene.xml", "relit/scores.json", "landscape.csv"
 
 
 class Recorder:
@@ -58,13 +60,18 @@ class Recorder:
         self.left_out: float | None = None  # by the plan of effects, once the run has ended
         self.profile: Profile | None = None  # once made, where the configuration asks for it
 
-    def open(self, machine) -> None:
+    def claimed(self) -> RunWriter:
+        """The folder, empty of what an earlier run wrote there. Raises InputError when it holds a
+        run that is not to be replaced."""
+        return RunWriter(self.folder, overwrite=self.typed.overwrite)
+
+    def open(self, machine, writer: RunWriter | None = None) -> None:
         """Begin the record: configuration, manifest, a checkpoint of the start, and the pictures
-        that are known by now. Raises InputError when the folder holds a run already."""
+        that are known by now. ``writer``: of a folder that is ``claimed``; None claims it."""
         loop, typed = self.loop, self.typed
         floor = loop.floor
         with loop.clock.unbilled("writing"):
-            self._take(RunWriter(self.folder, overwrite=typed.overwrite))
+            self._take(writer or self.claimed())
             self._config(self.cfg)
             self.writer.manifest(
                 manifest.describe(
@@ -302,6 +309,15 @@ class Recorder:
                 f"optimizer.lr={chosen:g} has no effect: every unknown has a rate of its own; "
                 "optimizer.factor=… scales them"
             )
+        for name, least in (("half", {"inverse"}), ("final", {"cosine", "exponential"})):
+            asked = getattr(self.typed.optimizer, name)
+            if asked != getattr(OptimizerConfig(), name) and not least & self.loop.stepper.falls:
+                notes.append(
+                    f"optimizer.{name}={asked:g} has no effect: rates fall by schedule "
+                    f"{' and '.join(sorted(self.loop.stepper.falls))}"
+                )
+        if self._resumed and (old := [x for x in _DERIVED if (self.folder / x).exists()]):
+            notes.append(f"made before this run went on, and not anew: {', '.join(old)}")
         if self.loop.converged:
             notes.append(
                 "what is left is the targets' noise: a fit to them ends at an image_rmse of "

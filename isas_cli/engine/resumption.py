@@ -123,6 +123,26 @@ def result(folder: Path) -> tuple[Config, dict[str, np.ndarray]]:
     return schema.typed(configuration(folder, run, {})[0]), arrays
 
 
+def changed_since(folder: Path, typed: Config) -> str | None:
+    """A line where the scene is not what it was when the run in ``folder`` began, which has
+    ``typed`` settings; None where that cannot be told, as of starts whose files are gone."""
+    from . import assemble
+
+    if typed.scene.name == "external":  # which has no scene
+        return None
+    try:
+        now = assemble.bare(typed.scene)[0].content_hash
+    except InputError:
+        return None
+    before = records.load(folder).manifest.get("scene_hash")
+    if before == now:
+        return None
+    return (
+        f"warning: {folder}: its scene has changed since the run: what was found then is put into "
+        "what is there now"
+    )
+
+
 def configuration(folder: Path, run: Run, changes: dict) -> tuple[DictConfig, Budget]:
     """The configuration of the ``run`` recorded in ``folder``, as changed, with files where they
     are found from here, and the budget before that."""
@@ -135,6 +155,9 @@ def configuration(folder: Path, run: Run, changes: dict) -> tuple[DictConfig, Bu
         reason = str(error).split("\n")[0]
         raise InputError(f"{folder}/config.yaml does not give a run: {reason}") from error
     paths.locate(cfg, run.manifest.get("folder"))
+    # On a machine where a card works by now; a run that took one goes on by one alone.
+    if cfg.variant == "auto" and str(run.manifest.get("variant")).startswith("llvm"):
+        cfg.variant = run.manifest["variant"]
     return changed(cfg, changes), before
 
 

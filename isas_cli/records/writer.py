@@ -28,15 +28,17 @@ from .files import (
 )
 from .reader import read_rows
 
-_RECORD_FILES = ("manifest.json", "config.yaml", "history.csv", "summary.json")
+RECORD_FILES = ("manifest.json", "config.yaml", "history.csv", "summary.json")
+# How names of pictures and meshes begin: others in such folders may be a user's own.
+_UNKNOWNS = ("start", "result", "truth")
+_FRAMES = (*_UNKNOWNS, "target", "error", "density", "progress", "held")
 _MADE_FILES = (
     "profile.csv",
     "error.txt",
     "report.html",
     "landscape.csv",
-    "frames/*.exr",
-    "frames/*.png",
-    "meshes/*",
+    *(f"frames/{what}_*.{form}" for what in _FRAMES for form in ("exr", "png")),
+    *(f"meshes/{what}_*" for what in (*_UNKNOWNS, "turntable", "turning")),
     "plots/*.png",
     "checkpoint/state.npz",
     "tensorboard/events.*",
@@ -66,11 +68,11 @@ class RunWriter:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._claim()
-            if any((self.folder / name).exists() for name in _RECORD_FILES):
+            if any((self.folder / name).exists() for name in RECORD_FILES):
                 if not overwrite:
                     message = "already holds a run; choose another folder with hydra.run.dir=DIR"
                     raise InputError(f"{self.folder} {message}")
-                for pattern in _RECORD_FILES + _MADE_FILES + _LEFT_OVER:
+                for pattern in RECORD_FILES + _MADE_FILES + _LEFT_OVER:
                     for old in self.folder.glob(pattern):
                         old.unlink()
         except OSError as error:
@@ -95,7 +97,8 @@ class RunWriter:
             writer._claim()
             if columns:
                 writer._history()
-            (writer.folder / "summary.json").unlink(missing_ok=True)
+            for name in ("summary.json", "error.txt"):
+                (writer.folder / name).unlink(missing_ok=True)
             for old in writer.folder.glob("frames/progress_*_i*"):
                 if int(old.stem.rpartition("_i")[2]) > iteration:
                     old.unlink()
@@ -180,7 +183,7 @@ class RunWriter:
     ) -> None:
         """frames/<name>.exr, the arguments those of `images.write_exr`; with an ``exposure`` also
         frames/<name>.png, as `images.write_preview` shows it."""
-        # Imported here: images stands on this module, and readers need no OpenImageIO.
+        # Imported here: readers need no OpenImageIO.
         from ..runtime.images import write_exr, write_preview
 
         path = self.folder / "frames" / f"{name}.exr"

@@ -5,28 +5,19 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+from processes import begun, started
 
 from isas_cli import records
+from isas_cli.cli import race
 from isas_cli.cli.app import main
+from isas_cli.config.compose import compose, translate
 from isas_cli.runtime.errors import IsasError
 
 TINY = ["scene=pottery", "size=tiny", "effects=full", "budget.iterations=2", "target.spp=4"]
 TINY += ["frames.spp=2", "estimator.batch=256"]
-
-
-def refused(isas, arguments: list[str], expected: list[str]) -> None:
-    """One line on stderr that holds every expected part, status 2, and no file left."""
-    status, out, err = isas(*arguments)
-    assert status == 2, err
-    assert out == ""
-    assert err.startswith("isas: ") and err.count("\n") == 1, err
-    for part in expected:
-        assert part in err
-    assert list(Path.cwd().iterdir()) == []
 
 
 # What is typed after `isas run` → parts of the answer.
@@ -95,6 +86,13 @@ BAD_SETTINGS = {
     "scene=pottery scene.unknowns={}": ["scene.unknowns={}"],
     "scene=pottery name=a=b": ["name=a=b", "quotes"],
     "scene=pottery hydra.run.dir=": ["hydra.run.dir"],
+    "scene=pottery hydra/launcher=joblib": ["hydra/launcher=joblib: is for several runs: add -m"],
+    "scene=pottery hydra/sweeper=optuna": ["hydra/sweeper=optuna: is for several runs"],
+    "scene=pottery hydra.sweep.dir=x": ["hydra.sweep.dir=x: is for several runs: add -m"],
+    "scene=photos photos.path=chessboard photos.sky=9 photos.environment=a.exr": ["photos.sky=9"],
+    "scene=photos photos.path=chessboard photos.lenses=each": ["photos.lenses=each", "photos.lens"],
+    "scene=photos photos.path=chessboard photos.mesh=a.obj photos.voxels=99": ["photos.voxels=99"],
+    "scene=photos photos.path=chessboard photos.turn=9": ["photos.turn=9", "photos.environment"],
     "scene=file": ["scene.path"],
     "scene=file size=tiny scene.path=a.xml": ["size=tiny", "no sizes"],
     "--foo scene=pottery": ["--foo", "isas run --help"],
@@ -103,13 +101,31 @@ BAD_SETTINGS = {
 
 
 @pytest.mark.parametrize("typed", BAD_SETTINGS)
-def test_bad_settings_are_refused_in_one_line(isas, typed):
-    refused(isas, ["run", *typed.split()], BAD_SETTINGS[typed])
+def test_bad_settings_are_refused_in_one_line(refused, typed):
+    refused(["run", *typed.split()], *BAD_SETTINGS[typed])
+
+
+@pytest.mark.parametrize("command", ["effects", "unknowns", "variance"])
+def test_what_is_of_several_runs_is_refused_by_commands_that_make_none(refused, command):
+    told = "hydra/launcher=joblib: is for several runs: leave it out"
+    refused([command, "scene=pottery", "hydra/launcher=joblib"], told)
+
+
+def test_a_home_folder_is_where_the_shell_leaves_it(isas, tmp_path, monkeypatch):
+    """Behind `hydra.run.dir=` no shell puts it in."""
+    home = tmp_path / "home"
+    home.mkdir()
+    monkeypatch.setenv("HOME", str(home))
+    cfg = compose(translate(["scene=pottery", "hydra.run.dir=~/a"]), hydra=True)
+    assert cfg.hydra.run.dir == f"{home}/a"
+    assert race.folder_of("~/a") == home / "a"
+    status, _, err = isas("report", "~/a")
+    assert status == 2 and f"{home}/a" in err
 
 
 @pytest.mark.skipif(bool(list(Path("/dev").glob("nvidia[0-9]*"))), reason="there may be a GPU")
-def test_a_variant_that_cannot_run_here_is_refused(isas):
-    refused(isas, ["run", "scene=pottery", "variant=cuda_ad_rgb"], ["variant=cuda_ad_rgb", "auto"])
+def test_a_variant_that_cannot_run_here_is_refused(refused):
+    refused(["run", "scene=pottery", "variant=cuda_ad_rgb"], "variant=cuda_ad_rgb", "auto")
 
 
 @pytest.mark.parametrize(
@@ -125,25 +141,25 @@ def test_a_variant_that_cannot_run_here_is_refused(isas):
         (["--foo"], ["--foo"]),
     ],
 )
-def test_bad_commands_are_refused_in_one_line(isas, arguments, expected):
-    refused(isas, arguments, expected)
+def test_bad_commands_are_refused_in_one_line(refused, arguments, expected):
+    refused(arguments, *expected)
 
 
-def test_an_unusable_output_folder_is_refused(isas, tmp_path_factory):
+def test_an_unusable_output_folder_is_refused(refused, tmp_path_factory):
     file = tmp_path_factory.mktemp("elsewhere") / "file"
     file.write_text("mine")
-    refused(isas, ["run", *TINY, f"hydra.run.dir={file}/run"], [f"{file}/run", "hydra.run.dir=DIR"])
-    refused(isas, ["run", *TINY, f"hydra.run.dir={file}"], [str(file)])
+    refused(["run", *TINY, f"hydra.run.dir={file}/run"], f"{file}/run", "hydra.run.dir=DIR")
+    refused(["run", *TINY, f"hydra.run.dir={file}"], str(file))
     assert file.read_text() == "mine"
 
 
-def test_errors_found_late_leave_an_earlier_run_alone(isas, tmp_path_factory):
+def test_errors_found_late_leave_an_earlier_run_alone(refused, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     (folder / "manifest.json").write_text("{}")
     arguments = ["run", *TINY, "sampler=uniform", f"hydra.run.dir={folder}"]
-    refused(isas, arguments, ["already holds a run", "overwrite=true"])
+    refused(arguments, "already holds a run", "overwrite=true")
     unknown = 'scene.unknowns={"jar.bsdf.base_colour": {"start": 0.5}}'
-    refused(isas, [*arguments, "overwrite=true", unknown], ["'jar.bsdf.base_colour'"])
+    refused([*arguments, "overwrite=true", unknown], "'jar.bsdf.base_colour'")
     assert (folder / "manifest.json").read_text() == "{}"
 
 
@@ -161,11 +177,8 @@ def test_a_run_leaves_its_record_where_it_was_asked_to(isas):
     assert (status, out) == (0, "a dir, with=all/report.html\n")
 
 
-def test_a_sweep_with_an_unknown_name_runs_nothing(isas):
-    status, out, err = isas("run", *TINY, "-m", "sampler=uniform,our")
-    assert (status, out) == (2, "")
-    assert err.count("\n") == 1 and "did you mean 'ours'?" in err
-    assert list(Path.cwd().iterdir()) == []
+def test_a_sweep_with_an_unknown_name_runs_nothing(refused):
+    refused(["run", *TINY, "-m", "sampler=uniform,our"], "did you mean 'ours'?")
 
 
 def test_cfg_prints_the_configuration_and_runs_nothing(isas):
@@ -209,21 +222,7 @@ def test_a_defect_keeps_its_traceback(isas, monkeypatch):
     assert "ZeroDivisionError" in err and "defect" in err.splitlines()[-1]
 
 
-def start(folder: Path, *arguments: str) -> subprocess.Popen:
-    """The command in a process of its own."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "isas_cli", *arguments],
-        cwd=folder,
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-
-
-def wait_for(path: Path, process: subprocess.Popen) -> None:
-    while not path.exists():
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.02)
+LONG = ["run", *TINY[:3], "sampler=uniform", "target.spp=4", "frames.spp=2", "hydra.run.dir=r"]
 
 
 def test_help_imports_nothing_heavy(tmp_path):
@@ -243,16 +242,7 @@ def test_help_imports_nothing_heavy(tmp_path):
     "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
 )
 def test_an_interrupted_loop_finishes_its_record(tmp_path, number):
-    process = start(
-        tmp_path,
-        "run",
-        *TINY[:3],
-        "sampler=uniform",
-        "target.spp=4",
-        "frames.spp=2",
-        "hydra.run.dir=r",
-    )
-    wait_for(tmp_path / "r" / "history.csv", process)
+    process, _ = begun(tmp_path, *LONG, rows=0)
     process.send_signal(number)
     out, err = process.communicate(timeout=120)
     assert process.returncode == 130, err
@@ -265,9 +255,7 @@ def test_an_interrupted_loop_finishes_its_record(tmp_path, number):
 
 
 def test_an_interruption_before_the_loop_leaves_nothing(tmp_path):
-    process = start(
-        tmp_path, "run", *TINY[:3], "sampler=uniform", "target.spp=1000000", "hydra.run.dir=r"
-    )
+    process = started(tmp_path, *LONG, "target.spp=1000000")
     while "targets" not in process.stderr.readline():
         assert process.poll() is None
     process.send_signal(signal.SIGINT)
@@ -279,30 +267,18 @@ def test_an_interruption_before_the_loop_leaves_nothing(tmp_path):
 
 
 def test_a_killed_run_leaves_readable_files(tmp_path):
-    process = start(
-        tmp_path,
-        "run",
-        *TINY[:3],
-        "sampler=uniform",
-        "target.spp=4",
-        "frames.spp=2",
-        "hydra.run.dir=r",
-    )
-    history = tmp_path / "r" / "history.csv"
-    wait_for(history, process)
+    process, (folder,) = begun(tmp_path, *LONG, rows=1)
     process.kill()
     process.communicate()
-    assert list(csv.DictReader(history.open()))[0]["iteration"] == "0"
-    assert (
-        json.loads((tmp_path / "r" / "manifest.json").read_text())["schema"]
-        == records.SCHEMA_VERSION
-    )
-    assert records.load(tmp_path / "r").summary is None
-    assert main(["report", str(tmp_path / "r")]) == 0
+    assert list(csv.DictReader((folder / "history.csv").open()))[0]["iteration"] == "0"
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["schema"] == records.SCHEMA_VERSION
+    assert records.load(folder).summary is None
+    assert main(["report", str(folder)]) == 0
 
 
 def test_a_closed_pipe_is_no_defect(tmp_path):
-    process = start(tmp_path, "scenes")
+    process = started(tmp_path, "scenes")
     process.stdout.close()
     assert process.wait(timeout=60) in (0, 1)
     assert "defect" not in process.stderr.read()

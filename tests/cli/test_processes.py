@@ -2,21 +2,18 @@
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from processes import isas
+from xml_for_tests import camera, paths
 
 from isas_cli import records
 from isas_cli.cli import app
 
-SCENE = """<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="2"/>
-</integrator><sensor type="perspective"><transform name="to_world">
-<lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform><film type="hdrfilm">
-<integer name="width" value="12"/><integer name="height" value="12"/></film></sensor>
+SCENE = f"""<scene version="3.0.0">{paths(2)}{camera(width=12)}
 <emitter type="constant"/><shape type="sphere" id="ball"><bsdf type="diffuse"/></shape></scene>"""
 UNKNOWN = (
     'scene.unknowns={"ball.bsdf.reflectance.value": '
@@ -65,11 +62,6 @@ SAID = {
     "replay": "iteration 1",
     "unknowns": "scene.unknowns",
 }
-
-
-def isas(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "isas_cli", *arguments]
-    return subprocess.run(command, cwd=folder, text=True, capture_output=True, timeout=300)
 
 
 @pytest.fixture(scope="module")
@@ -126,16 +118,3 @@ def test_a_folder_without_a_run_is_refused_in_one_line(folder, command):
     done = isas(folder, command, "nowhere", *["set"] * (command == "relight"))
     assert done.returncode == 2, done.stderr
     assert re.fullmatch(r"isas: nowhere.*\n", done.stderr)
-
-
-@pytest.mark.parametrize(
-    "typed", [["run", "--help"], ["run", "scene=potery"], ["run", *ONE, "sampler.flor=1"]]
-)
-def test_what_can_be_told_without_mitsuba_is_told_without_it(folder, typed):
-    code = (
-        "import sys\nfrom isas_cli.cli.app import main\n"
-        f"main({typed!r})\nassert not {{'mitsuba', 'drjit'}} & set(sys.modules)"
-    )
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, cwd=folder, text=True, capture_output=True)
-    assert done.returncode == 0, done.stderr

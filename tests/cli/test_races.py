@@ -1,17 +1,15 @@
 """Several races of one command: each whole, by whatever launcher, as if it had been held here."""
 
 import json
-import os
 import re
 import signal
 import subprocess
-import sys
-import time
 from pathlib import Path
 
 import psutil
 import pytest
 import yaml
+from processes import begun
 
 from isas_cli import records
 from isas_cli.cli import race
@@ -31,14 +29,8 @@ def no_plots(monkeypatch):
 
 def begin(*arguments: str) -> tuple[subprocess.Popen, Path]:
     """`isas race` in a process of its own, and the folder of a run that goes on."""
-    command = [sys.executable, "-m", "isas_cli", "race", *TINY, *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while True:
-        for history in Path("all").rglob("history.csv"):
-            if len(history.read_text().splitlines()) > 2:
-                return process, history.parent
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.02)
+    process, (folder, *_) = begun(Path(), "race", *TINY, *arguments, rows=2)
+    return process, folder
 
 
 def table(err: str) -> dict[str, str]:
@@ -51,7 +43,7 @@ def runs() -> dict[str, records.Run]:
     return {str(p.parent): records.load(p.parent) for p in Path().rglob("manifest.json")}
 
 
-def test_each_seed_is_a_race_and_what_is_done_is_skipped(isas):
+def test_each_seed_is_a_race_and_what_is_done_is_skipped(isas, refused):
     command = [*TINY, "scene=dodoco", "seed=1,2", "budget.iterations=2"]
     status, out, err = isas("race", *command)
     assert status == 0, err
@@ -81,15 +73,33 @@ def test_each_seed_is_a_race_and_what_is_done_is_skipped(isas):
     assert same == [True] * 3 + [False]
     assert len(after[held[3]].manifest["resumed"]) == 1
 
-    status, _, err = isas("race", *command[:-1], "budget.iterations=3")
-    assert (
-        status == 2
-        and err.count("\n") == 1
-        and "all/dodoco/seed1 holds a race with other settings" in err
-    )
+    other = ["race", *command[:-1], "budget.iterations=3"]
+    refused(other, "all/dodoco/seed1 holds a race with other settings")
     status, out, err = isas("race", "resume=all")
     assert status == 0 and list(table(err).values()) == ["skipped"] * 2
     assert out.endswith("report: all/comparison/report.html\n")
+
+
+def test_what_never_began_is_told_on_the_page_of_the_others(isas, tmp_path):
+    import synthetic_runs
+
+    for seed in (1, 2):
+        synthetic_runs.power_law(tmp_path / str(seed), seed=seed)
+    race.compared([tmp_path / name for name in ("1", "2", "gone")], tmp_path, 0)
+    told = f"left out, as they never began: {tmp_path / 'gone'}"
+    assert told in (tmp_path / "comparison/report.html").read_text()
+
+
+def test_races_that_go_on_replace_nothing(isas, monkeypatch):
+    """`overwrite=true` was for what lay there when they began."""
+    listed = [{"folder": "a", "arguments": ["scene=dodoco", "overwrite=true", "slice=1"]}]
+    Path("all").mkdir()
+    Path("all/races.yaml").write_text(yaml.safe_dump({"home": ".", "races": listed}))
+    seen = []
+    monkeypatch.setattr(races, "_job", lambda root, each, *_: seen.append(each["arguments"]))
+    monkeypatch.setattr(races, "_held", lambda *_: 0)
+    assert races.resume(Path("all"), {"slice": "2"}, []) == 0
+    assert seen == [["scene=dodoco", "slice=2"]]
 
 
 def test_ctrl_c_leaves_what_resume_goes_on_with(isas, monkeypatch):
@@ -220,18 +230,15 @@ def test_every_value_is_a_race_with_every_other(typed, places):
         ("scene=dodoco seed=1,2 budget.seconds=-1", "budget"),
     ],
 )
-def test_what_cannot_be_held_is_one_line_and_leaves_nothing(isas, monkeypatch, typed, words):
+def test_what_cannot_be_held_is_one_line_and_leaves_nothing(refused, monkeypatch, typed, words):
     monkeypatch.setattr("isas_cli.cli.sweeps.launchers._installed", lambda package: True)
     samplers = [] if "samplers=" in typed else ["samplers=[uniform]"]
-    status, out, err = isas("race", *typed.split(), *samplers)
-    assert (status, out) == (2, "")
-    assert words in err and err.count("\n") == 1, err
-    assert os.listdir() == []
+    refused(["race", *typed.split(), *samplers], words)
 
 
 @pytest.mark.parametrize("text", ["", "races: [1]", "races: [{folder: x}]", "races: [{folder: 1"])
-def test_a_damaged_list_of_races_is_refused(isas, text):
+def test_a_damaged_list_of_races_is_refused(refused, text):
     Path("all").mkdir()
     Path("all/races.yaml").write_text(text)
-    status, _, err = isas("race", "resume=all")
-    assert status == 2 and err == "isas: all holds no race: races.yaml is missing or damaged\n"
+    err = refused(["race", "resume=all"])
+    assert err == "isas: all holds no race: races.yaml is missing or damaged\n"

@@ -1,12 +1,14 @@
 """`isas relight`: a result against pictures that Mitsuba alone has made."""
 
 import json
+from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
 import photo_sets
 import pytest
 from photo_sets import FOCAL, SIZE, Files, look_at
+from xml_for_tests import camera
 
 import isas_cli
 from isas_cli.cli import relight
@@ -14,17 +16,16 @@ from isas_cli.cli.app import main
 from isas_cli.config.photographs import PhotosConfig
 from isas_cli.measure import relighting
 from isas_cli.runtime import backend, images
+from isas_cli.runtime.errors import InputError
 from isas_cli.scene import relit
+from isas_cli.scene.photos import building
 from isas_cli.scene.photos.camera import Camera
 
 PLACES = (0.8, 0.9, 2.2), (-2.0, 0.6, 1.2)
 # Of a sphere whose colour is the only unknown, and begins near the truth.
-SCENE = """<scene version="3.0.0">
+SCENE = f"""<scene version="3.0.0">
 <integrator type="prb"><integer name="max_depth" value="3"/></integrator>
-<sensor type="perspective"><float name="fov" value="40"/>
-<transform name="to_world"><lookat origin="0, 0, 3" target="0, 0, 0" up="0, 1, 0"/></transform>
-<film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="24"/></film>
-</sensor>
+{camera("0,0,3", 24, fov=40)}
 <emitter type="constant"><rgb name="radiance" value="1, 1, 1"/></emitter>
 <shape type="rectangle" id="lamp">
 <emitter type="area"><rgb name="radiance" value="9, 0, 0"/></emitter>
@@ -125,6 +126,55 @@ def test_each_view_may_have_a_light_of_its_own(run):
     assert json.loads((run / "small/scores.json").read_text())["mean"]["psnr_h"] > 30
 
 
+def test_an_environment_turns_about_the_world_s_up(run):
+    """By half a turn of a light from one side, what was bright is dark; by a whole one nothing
+    changes. Without a word it is turned as the run's own was."""
+    pixels = np.zeros((16, 32, 3), np.float32)
+    pixels[:, 12:20] = 3  # around the middle
+    images.write_exr(run / "side.exr", pixels, [*"RGB"], {})
+    found = {}
+    for turn in ("0", "180", "360"):
+        main(
+            [*("relight", str(run / "run"), str(run / "set"), "--light", str(run / "side.exr"))]
+            + [*("--turn", turn, "--spp", "64", "--output", str(run / f"turn{turn}"))]
+        )
+        found[turn] = images.read(run / f"turn{turn}/view_0.exr").mean()
+    assert found["0"] > 3 * found["180"] and found["360"] == pytest.approx(found["0"], rel=1e-3)
+
+
+def test_what_lies_ahead_of_a_camera_is_in_the_middle_of_its_environment():
+    """As Stanford-ORB's ground truth has it: forward in the middle, the camera's left a quarter
+    of the width from the left, up above."""
+    camera = Camera("a", Path("a"), *SIZE, FOCAL, FOCAL, 20, 15, look_at((1, 2, 3), (0, 0, 0)))
+    turned = np.array(building.facing(camera).matrix).reshape(4, 4)[:3, :3]
+    right, down, forward = camera.to_world[:3, :3].T
+    # Mitsuba's environments have z in the middle, x at a quarter, y above.
+    np.testing.assert_allclose(turned.T, [-right, -down, forward], atol=1e-6)
+
+
+def test_two_views_do_not_share_an_environment_by_chance(tmp_path):
+    for name in ("a/env_map/0001.exr", "0002.exr"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    found = relight._lights(tmp_path, ["a/test/0001.exr", "b/test/0002.exr"])
+    assert found == [tmp_path / "a/env_map/0001.exr", tmp_path / "0002.exr"]
+    with pytest.raises(InputError, match="would be that of b/test/0002.exr and of c/test/0002.exr"):
+        relight._lights(tmp_path, ["b/test/0002.exr", "c/test/0002.exr"])
+
+
+@pytest.mark.parametrize("name", ["/data/set/0001.exr", "../set/0001.exr"])
+def test_a_rendering_stays_in_its_folder(tmp_path, name):
+    relit.write(tmp_path, name, np.zeros((2, 2, 3), np.float32))
+    (path,) = tmp_path.rglob("*.exr")
+    assert path.name == "0001.exr"
+
+
+def test_a_dot_in_a_name_without_an_ending_stays(tmp_path):
+    for name in ("r_0.25", "r_0.5"):
+        relit.write(tmp_path, name, np.zeros((2, 2, 3), np.float32))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["r_0.25.exr", "r_0.5.exr"]
+
+
 def test_a_set_that_is_nowhere_is_one_line(run, capsys):
     assert main(["relight", str(run / "run"), "nowhere"]) == 2
     assert "isas: nowhere: no such folder of photographs" in capsys.readouterr().err
@@ -136,7 +186,7 @@ def test_a_set_that_is_nowhere_is_one_line(run, capsys):
         (["--light", "none.exr"], "--light none.exr: no such file or folder"),
         (["--light", "."], "--light .: no environment for view_0.exr, such as view_0.exr"),
         (["--output", "/dev/null/x"], "/dev/null/x: cannot be written"),
-        (["--up", "w"], "--up w: valid: x, y, z, -x, -y, -z"),
+        (["--up", "w"], "--up w: valid: x, y, z, -x, -y, -z, camera"),
         (["--width", "0"], "--width 0: at least 1"),
         (["--spp", "0"], "--spp 0: at least 1"),
         (["--width", "39"], "39 × 29 rendered, which does not go into its 40 × 30"),

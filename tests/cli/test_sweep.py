@@ -1,36 +1,29 @@
 """Sweeps: what becomes of jobs that fail, are done already or were interrupted."""
 
 import json
+import pickle
 import re
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import flaky_scene
 import joblib
 import pytest
 from omegaconf import OmegaConf
+from processes import begun, started, until
 
 from isas_cli import records
 from isas_cli.cli.sweeps import fingerprint, launchers, worker
-from isas_cli.cli.sweeps.job import UNFINISHED, Job, Report
+from isas_cli.cli.sweeps.job import DONE, OTHER, UNFINISHED, Job, Report
 from isas_cli.cli.sweeps.outcome import Outcome, exit_status
 from isas_cli.config import schema
 from isas_cli.config.compose import compose
 
 TINY = [
-    "scene=dodoco",
-    "size=tiny",
-    "scene.builder=flaky_scene.build",
+    *("scene=dodoco", "size=tiny", "scene.builder=flaky_scene.build", "effects=full"),
     "sampler=uniform",  # compiles fastest
-    "effects=full",
-    "budget.iterations=2",
-    "evaluation.count=2",
-    "frames.views=0",
-    "frames.snapshots=0",
-    "target.spp=4",
+    *("budget.iterations=2", "evaluation.count=2", "target.spp=4"),
+    *("frames.views=0", "frames.snapshots=0"),
 ]
 JOBLIB = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
 
@@ -95,6 +88,38 @@ def test_jobs_that_fail_are_recorded_and_done_again_and_finished_ones_skipped(is
     assert folders() == places
 
 
+def test_a_job_that_is_queued_again_goes_on_with_what_it_began(tmp_path):
+    """`overwrite=true` is of the first attempt: what that left is not begun anew."""
+    cfg = OmegaConf.create({"overwrite": True})
+    job = Job("a", [], tmp_path, cfg)
+    assert job.anew and Job("b", [], tmp_path, OmegaConf.create({"overwrite": False})).anew is False
+    (tmp_path / "manifest.json").touch()
+    again = pickle.loads(pickle.dumps(job))  # as a launcher hands it on
+    assert not again.anew
+    assert Job("a", [], tmp_path, cfg).anew  # another command's
+
+
+def test_what_is_done_is_skipped_with_a_word_on_files_that_changed_since(isas, monkeypatch):
+    folder = Path("there")
+    folder.mkdir()
+    (folder / "my.xml").touch()
+    monkeypatch.chdir(folder)
+    job = Job("a", [], Path("run").absolute(), compose(["scene=file", "scene.path=my.xml"]))
+    job.folder.mkdir()
+    (job.folder / "config.yaml").write_text(OmegaConf.to_yaml(job.cfg))
+    (job.folder / "summary.json").write_text('{"status": "done"}')
+    told = {"schema": records.files.SCHEMA_VERSION, "folder": str(Path.cwd())}
+    (job.folder / "manifest.json").write_text(json.dumps(told | {"started": "2999-01-01T00:00:00"}))
+    assert job.found() == DONE and job.doubt() == ""
+    (job.folder / "manifest.json").write_text(json.dumps(told | {"started": "1999-01-01T00:00:00"}))
+    assert "newer than that is scene.path=my.xml" in job.doubt()
+    elsewhere = Path("elsewhere")
+    elsewhere.mkdir()
+    (elsewhere / "my.xml").touch()
+    monkeypatch.chdir(elsewhere)
+    assert job.found() == OTHER
+
+
 def test_side_by_side_a_job_that_dies_ends_no_other(isas):
     killed = flaky_scene.KILLED
     status, _, err = isas("run", *TINY, "-m", *JOBLIB, textures(killed, 8))
@@ -110,7 +135,8 @@ def test_side_by_side_a_job_that_dies_ends_no_other(isas):
 
 def test_ctrl_c_lets_jobs_side_by_side_finish_their_records(isas):
     settings = [o for o in TINY if not o.startswith(("budget", "scene.builder"))]
-    process, folder = begin(*settings, "budget.seconds=60", "-m", *JOBLIB, "seed=1,2,3")
+    sweep = ["run", *settings, "budget.seconds=60", "-m", *JOBLIB, "seed=1,2,3"]
+    process, (folder, *_) = begun(Path(), *sweep, rows=0)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate()
     assert process.returncode == 130
@@ -119,21 +145,10 @@ def test_ctrl_c_lets_jobs_side_by_side_finish_their_records(isas):
     assert records.load(folder).summary["status"] == "interrupted"
 
 
-def begin(*arguments: str) -> tuple[subprocess.Popen, Path]:
-    """A sweep in a process of its own, and the folder of its first job, whose loop has begun."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "isas_cli", "run", *arguments], stderr=subprocess.PIPE, text=True
-    )
-    while not (found := list(Path("runs").rglob("history.csv"))):
-        assert process.poll() is None, process.stderr.read()
-        time.sleep(0.02)
-    return process, found[0].parent
-
-
 def test_interrupted_and_killed_jobs_go_on_where_they_were(isas):
     settings = [o for o in TINY if not o.startswith(("budget", "scene.builder"))]
-    sweep = [*settings, "budget.seconds=3", "-m", "seed=1,2"]
-    process, folder = begin(*sweep)
+    sweep = ["run", *settings, "budget.seconds=3", "-m", "seed=1,2"]
+    process, (folder,) = begun(Path(), *sweep, rows=0)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate()
     assert process.returncode == 130
@@ -154,12 +169,11 @@ def test_interrupted_and_killed_jobs_go_on_where_they_were(isas):
     assert status == 2 and "another machine" in err
     assert records.load(folder).summary == first.summary
 
-    process, _ = begin(*sweep)
-    while "resumed" not in json.loads((folder / "manifest.json").read_text()):
-        assert process.poll() is None, process.stderr.read()
-        time.sleep(0.02)
+    process = started(Path(), *sweep)
+    until(process, lambda: "resumed" in json.loads((folder / "manifest.json").read_text()))
     process.kill()  # and with it, at once, the job's own process
     process.wait()
+    process.stdout.close()
     process.stderr.close()
     assert not (folder / "summary.json").exists()
 
@@ -203,13 +217,8 @@ def test_a_changed_setting_makes_another_folder(tmp_path):
         ("hydra/launcher=joblib hydra.launcher.n_job=2", ["hydra.launcher.n_job"]),
     ],
 )
-def test_sweeps_that_cannot_begin_are_refused_in_one_line(isas, typed, expected):
-    status, out, err = isas("run", *TINY, "-m", *typed.split())
-    assert (status, out) == (2, "")
-    assert err.startswith("isas: ") and err.count("\n") == 1, err
-    for part in expected:
-        assert part in err
-    assert list(Path.cwd().iterdir()) == []
+def test_sweeps_that_cannot_begin_are_refused_in_one_line(refused, typed, expected):
+    refused(["run", *TINY, "-m", *typed.split()], *expected)
 
 
 @pytest.mark.parametrize(
@@ -221,11 +230,10 @@ def test_sweeps_that_cannot_begin_are_refused_in_one_line(isas, typed, expected)
         ("hydra/sweeper=optuna", "optuna"),
     ],
 )
-def test_extras_that_are_not_installed_are_named(isas, monkeypatch, choice, extra):
+def test_extras_that_are_not_installed_are_named(refused, monkeypatch, choice, extra):
     monkeypatch.setattr("isas_cli.cli.sweeps.launchers._installed", lambda package: False)
-    status, out, err = isas("run", *TINY, "-m", choice)
-    assert (status, out) == (2, "")
     install = f"pip install '.[{extra}]' in isas's source folder"
+    err = refused(["run", *TINY, "-m", choice])
     assert err == f"isas: {choice} is an extra: {install}\n"
 
 

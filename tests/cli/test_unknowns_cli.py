@@ -1,13 +1,13 @@
 """`isas unknowns`: what a scene offers, and who sees it."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from processes import isas
+from xml_for_tests import camera
 
 from isas_cli.cli.app import main
 from isas_cli.runtime import images
@@ -28,9 +28,6 @@ XML = """<scene version="3.0.0">
     name="to_world"><translate z="-300"/></transform></shape>
   {sensors}
 </scene>"""
-SENSOR = """<sensor type="perspective"><transform name="to_world">
-  <lookat origin="0,0,{z}" target="0,0,0" up="0,1,0"/></transform><film type="hdrfilm">
-  <integer name="width" value="8"/><integer name="height" value="6"/></film></sensor>"""
 
 
 @pytest.fixture
@@ -40,7 +37,7 @@ def scene(tmp_path, monkeypatch):
     trimesh.creation.box().export(tmp_path / "box.ply")
 
     def write(places=(3, -3), depth: int = 3) -> None:
-        sensors = "".join(SENSOR.format(z=z) for z in places)
+        sensors = "".join(camera(f"0,0,{z}", 8, 6) for z in places)
         (tmp_path / "my.xml").write_text(XML.format(depth=depth, sensors=sensors))
 
     write()
@@ -53,8 +50,7 @@ def listed(capsys, *arguments: str) -> dict[str, dict]:
 
 
 def test_a_process_of_its_own_prints_a_row_a_key(scene):
-    command = [sys.executable, "-m", "isas_cli", "unknowns", "my.xml"]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = isas(Path(), "unknowns", "my.xml")
     assert done.returncode == 0 and done.stderr == ""
     rows = [line for line in done.stdout.splitlines() if "floor.bsdf.base_color.value" in line]
     told = ["floor.bsdf.base_color.value", "value", "3", "0", "to", "1", "two_path"]
@@ -111,7 +107,7 @@ def of_materials(hidden: bool = False, waves: str = WAVES) -> None:
     integrator = f"""<integrator type="path">
       <boolean name="hide_emitters" value="{str(hidden).lower()}"/></integrator>"""
     images.write_exr("waves.exr", np.eye(4, dtype=np.float32)[..., None], ["Y"], {})
-    things = MATERIALS.format(waves=waves) + SENSOR.format(z=3)
+    things = MATERIALS.format(waves=waves) + camera("0,0,3", 8, 6)
     Path("my.xml").write_text(f'<scene version="3.0.0">{integrator}{things}</scene>')
 
 
@@ -129,31 +125,30 @@ def test_one_material_that_is_refused_hides_no_other_key(scene, capsys):
     assert "none: of a material with mirrors" in " ".join(capsys.readouterr().out.split())
 
 
-def refused(capsys, key: str) -> str:
+def run_of(key: str) -> list[str]:
     unknowns = json.dumps({key: {"start": 0.4}})
     settings = "scene=file", "scene.path=my.xml", f"scene.unknowns={unknowns}"
-    assert main(["run", *settings, "budget.iterations=1", "report=false"]) == 2
-    return capsys.readouterr().err
+    return ["run", *settings, "budget.iterations=1", "report=false"]
 
 
 @pytest.mark.parametrize("hidden, key", [(True, MIRROR), (False, UNDER)])
-def test_what_a_run_refuses_the_list_refuses_for_the_same_reason(scene, capsys, hidden, key):
+def test_what_a_run_refuses_the_list_refuses_for_the_same_reason(
+    scene, capfd, refused, hidden, key
+):
     of_materials(hidden)
-    told = listed(capsys, "my.xml")[key]["refused"]
-    assert told and f"'{key}': {told}" in refused(capsys, key)
+    told = listed(capfd, "my.xml")[key]["refused"]
+    assert told and f"'{key}': {told}" in refused(run_of(key))
 
 
-def test_the_opacity_of_what_lets_all_light_through_is_none(scene, capsys):
+def test_the_opacity_of_what_lets_all_light_through_is_none(scene, capfd, refused):
     of_materials()
-    assert "air.bsdf.opacity.value" not in listed(capsys, "my.xml")
-    assert "it changes nothing" in refused(capsys, "air.bsdf.opacity.value")
+    assert "air.bsdf.opacity.value" not in listed(capfd, "my.xml")
+    refused(run_of("air.bsdf.opacity.value"), "it changes nothing")
 
 
-def test_what_mitsuba_cannot_trace_is_said_in_one_line(scene, capsys):
+def test_what_mitsuba_cannot_trace_is_said_in_one_line(scene, refused):
     of_materials(waves='<texture type="checkerboard"/>')
-    assert main(["unknowns", "my.xml"]) == 2
-    told = capsys.readouterr().err
-    assert "scene.path=my.xml: Mitsuba cannot trace" in told and told.count("\n") == 1
+    refused(["unknowns", "my.xml"], "scene.path=my.xml: Mitsuba cannot trace")
 
 
 def test_scenes_of_isas_are_listed_too(capsys):
@@ -176,10 +171,8 @@ def test_scenes_of_isas_are_listed_too(capsys):
         (["scene=potery"], "did you mean 'pottery'?"),
     ],
 )
-def test_what_cannot_be_listed_is_refused_in_one_line(scene, capsys, arguments, told):
-    assert main(["unknowns", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert told in error and error.count("\n") == 1
+def test_what_cannot_be_listed_is_refused_in_one_line(scene, refused, arguments, told):
+    refused(["unknowns", *arguments], told)
 
 
 def test_help(capsys):

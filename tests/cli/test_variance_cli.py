@@ -6,14 +6,12 @@ import io
 import json
 import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from processes import started, until
 from samplers_for_tests import pixel_samplers
 from scenes_for_tests import TEXTURE, problem
 
@@ -159,14 +157,8 @@ def test_all_samplers_are_the_default_and_the_references_come_first():
         (["hydra.run.dir="], "hydra.run.dir is empty"),
     ],
 )
-def test_bad_requests_are_one_line_and_leave_nothing(
-    arguments, words, capsys, tmp_path, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
-    assert app.main(["variance", "scene=dodoco", *arguments]) == 2
-    error = capsys.readouterr().err.strip()
-    assert words in error and "\n" not in error
-    assert not any(tmp_path.iterdir())
+def test_bad_requests_are_one_line_and_leave_nothing(arguments, words, refused):
+    refused(["variance", "scene=dodoco", *arguments], words)
 
 
 def test_help_names_every_setting_of_its_own(capsys):
@@ -190,19 +182,10 @@ def test_the_point_lies_between_start_and_truth():
 
 def test_what_is_finished_stays_after_ctrl_c(tmp_path):
     folder = tmp_path / "cut"
-    command = [sys.executable, "-m", "isas_cli", *SMALL, "samplers=[uniform]", "best=0"]
-    process = subprocess.Popen(
-        [*command, "repeats=1000000", f"hydra.run.dir={folder}"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONUNBUFFERED": "1"},
-    )
-    until = time.monotonic() + 200
+    command = [*SMALL, "samplers=[uniform]", "best=0", "repeats=1000000", f"hydra.run.dir={folder}"]
+    process = started(tmp_path, *command, env={**os.environ, "PYTHONUNBUFFERED": "1"})
     path = folder / "variance.csv"
-    while not (path.exists() and int(read(folder)[0]["repeats"]) > 20):
-        assert time.monotonic() < until and process.poll() is None, process.communicate()
-        time.sleep(0.02)
+    until(process, lambda: path.exists() and int(read(folder)[0]["repeats"]) > 20)
     process.send_signal(signal.SIGINT)
     out, errors = process.communicate(timeout=100)
     assert process.returncode == 130, errors

@@ -36,13 +36,6 @@ def script(monkeypatch):
     return steps
 
 
-def test_watching_loads_no_renderer():
-    look = "import sys, isas_cli.cli.watch\n"
-    look += "print([name for name in ('mitsuba', 'drjit', 'OpenImageIO') if name in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True)
-    assert done.stdout.strip() == "[]", done.stderr
-
-
 def test_a_record_that_cannot_be_read_is_said_to_be(tmp_path):
     run(tmp_path)
     (tmp_path / "manifest.json").write_text(json.dumps({"schema": 99}))

@@ -114,6 +114,12 @@ def test_it_is_no_setting_of_its_own(typed):
         composed("scene=cup", typed)
 
 
+def test_a_set_that_comes_along_is_asked_whether_its_object_is_known():
+    """The board's plane stands in its file; the head begins as a hull."""
+    assert composed("scene=photos", "photos.path=chessboard").estimator.name == "two_path"
+    assert composed("scene=photos", "photos.path=head").estimator.name == "silhouettes"
+
+
 def test_a_scene_without_one_keeps_the_usual_choices():
     usual = composed("scene=pottery")
     assert (usual.sampler.name, usual.estimator.name) == ("progress", "two_path")

@@ -1,5 +1,7 @@
 """Files that a configuration names are found from anywhere."""
 
+import datetime
+import os
 from pathlib import Path
 
 import pytest
@@ -40,6 +42,26 @@ def test_they_are_where_the_run_was_started(home):
     assert starts == {"ball.vertices": "sphere", "a": str(home / "a.exr"), "b": 1}
     scene, _ = located(["scene=photos", "photos.path=photos", "photos.mesh=m.obj"], home)
     assert (scene.photos.path, scene.photos.mesh) == (str(home / "photos"), "m.obj")
+
+
+def test_a_relative_name_may_mean_another_file_elsewhere(home):
+    cfg = compose(translate(["scene=file", "scene.path=my.xml"]))
+    assert paths.elsewhere(cfg, str(home)) is None  # there is none here
+    Path("my.xml").touch()
+    assert paths.elsewhere(cfg, str(home)) == "scene.path=my.xml"
+    assert paths.elsewhere(cfg, str(Path.cwd())) is None
+    assert paths.elsewhere(cfg, None) is None
+
+
+def test_files_that_changed_after_a_time_are_told_those_of_a_scene_s_xml_too(home):
+    Path("my.xml").write_text('<string name="filename" value="wood.png"/>')
+    Path("wood.png").touch()
+    cfg = compose(translate(["scene=file", "scene.path=my.xml"]))
+    now = datetime.datetime.now(datetime.timezone.utc)
+    before, after = ((now + datetime.timedelta(hours=h)).isoformat() for h in (-1, 1))
+    assert paths.newer(cfg, before) == "scene.path=my.xml" and paths.newer(cfg, after) is None
+    os.utime("my.xml", (0, 0))
+    assert paths.newer(cfg, before) == "wood.png" and paths.newer(cfg, "") is None
 
 
 @pytest.mark.parametrize("gone", [None, "/nowhere/at/all"])

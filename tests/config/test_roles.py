@@ -27,6 +27,7 @@ def test_every_setting_says_what_it_is(field):
         "budget.seconds": Role.METHOD,
         f"{TEXTURE}.lr": Role.METHOD,
         f"{TEXTURE}.range": Role.METHOD,
+        f"{TEXTURE}.blur.start": Role.METHOD,
         f"{TEXTURE}.start": Role.PROBLEM,
         "scene.path": Role.PROBLEM,
         "scene.sizes.tiny.views": Role.RECORD,

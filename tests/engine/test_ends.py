@@ -1,22 +1,16 @@
 """What is said of results at an end of their range, and of derivatives that are not right."""
 
-import json
-
 import numpy as np
 import pytest
+from runs_for_tests import QUIET, ran
 from scenes_for_tests import ROUGHNESS, TEXTURE, dictionary, without_targets
+from xml_for_tests import camera, paths
 
-from isas_cli.cli.app import main
 from isas_cli.config.schema import UnknownConfig
 from isas_cli.engine import ends
 
 KEY = "ball.bsdf.brdf_0.weight.value"
-BLEND = """<scene version="3.0.0">
-<integrator type="path"><integer name="max_depth" value="4"/></integrator>
-<sensor type="perspective"><float name="fov" value="45"/>
-<transform name="to_world"><lookat origin="0,1.2,4" target="0,0,0" up="0,1,0"/></transform>
-<film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="16"/></film>
-</sensor><emitter type="constant"/>
+BLEND = f"""<scene version="3.0.0">{paths(4)}{camera("0,1.2,4", fov=45)}<emitter type="constant"/>
 <shape type="sphere" id="ball"><bsdf type="twosided"><bsdf type="blendbsdf">
 <float name="weight" value="0.4"/><bsdf type="conductor"/>
 <bsdf type="diffuse"><rgb name="reflectance" value="0.2,0.5,0.3"/></bsdf></bsdf></bsdf></shape>
@@ -61,10 +55,8 @@ def test_texels_are_not_counted():
 def test_a_run_says_that_it_did_not_leave_its_start(tmp_path, capsys):
     file = tmp_path / "blend.xml"
     file.write_text(BLEND)
-    run = ["run", "scene=file", f"scene.path={file}", f"hydra.run.dir={tmp_path / 'run'}"]
-    run += [f"scene.unknowns={{{KEY}: {{start: 1.0}}}}", "optimizer.lr=1e-9", "target.spp=4"]
-    run += ["budget.iterations=2", "effects=full", "frames.views=0", "frames.snapshots=0"]
-    assert main([*run, "report=false", "estimator.batch=256"]) == 0
-    (note,) = json.loads((tmp_path / "run" / "summary.json").read_text())["notes"]
+    run = ["scene=file", f"scene.path={file}", f"scene.unknowns={{{KEY}: {{start: 1.0}}}}"]
+    run += ["optimizer.lr=1e-9", "target.spp=4", "budget.iterations=2", "effects=full"]
+    (note,) = ran(tmp_path / "run", *run, *QUIET, "estimator.batch=256").summary["notes"]
     assert note.startswith(f"'{KEY}' ended at the high end of its range, 1, where it began")
     assert note in capsys.readouterr().err.replace("\n", " ")

@@ -5,14 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from omegaconf import OmegaConf
+from problems_for_tests import built
+from runs_for_tests import QUIET, ran, resumed
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
-import isas_cli
 from isas_cli.cli.app import main
-from isas_cli.config.compose import compose
 from isas_cli.config.schema import TargetConfig
-from isas_cli.engine import assemble
 from isas_cli.engine.evaluate import Evaluator
 from isas_cli.engine.floor import _moved
 from isas_cli.engine.loop import Loop
@@ -20,12 +18,11 @@ from isas_cli.losses import L2
 from isas_cli.runtime.errors import InputError
 
 TINY = ["scene=pottery", "size=tiny", "sampler=uniform", "effects=full", "estimator.batch=1024"]
-TINY += ["frames.views=0", "frames.snapshots=0", "evaluation.pixels=512", "report=false"]
+TINY += ["evaluation.pixels=512", *QUIET]
 
 
 def measured(*settings):
-    cfg = OmegaConf.to_object(compose([*TINY, *settings]))
-    made = assemble.problem(cfg.scene, cfg.target, lambda done, total: None)
+    made = built(*TINY, *settings)
     return made, Evaluator(made, L2(), 1024, 8, 0).floor
 
 
@@ -76,33 +73,19 @@ def test_what_is_not_known_has_none():
     assert measured("target.spp=2", "scene.weights=equal")[1] is None
 
 
-def record(folder):
-    return (
-        json.loads((folder / "manifest.json").read_text()),
-        json.loads((folder / "summary.json").read_text()),
-    )
-
-
 def test_a_run_stops_there_and_says_so(tmp_path, capsys):
     """Noisy targets, so that few steps are enough."""
     settings = [*TINY, "target.spp=16", "budget.iterations=2000", "evaluation.count=100"]
-    settings += ["optimizer.lr=0.05"]
-    folder = tmp_path / "run"
-    run = ["run", *settings, "budget.converged=true", f"hydra.run.dir={folder}"]
-    assert main(run) == 0
-    manifest, summary = record(folder)
-    floor = manifest["targets"]["image_rmse"]
+    run = ran(tmp_path, *settings, "optimizer.lr=0.05", "budget.converged=true")
+    floor, summary = run.manifest["targets"]["image_rmse"], run.summary
     assert summary["status"] == "done" and summary["iterations"] < 2000
     assert summary["final"]["image_rmse"] <= floor
-    history = isas_cli.load(folder).history.image_rmse
-    assert np.all(history[:-1] > floor)
+    assert np.all(run.history.image_rmse[:-1] > floor)
     assert "what is left is the targets' noise" in summary["notes"][0]
     assert "what is left is the targets' noise" in " ".join(capsys.readouterr().err.split())
     # Killed while its pictures were made, it has ended all the same.
-    path = folder / "summary.json"
-    path.write_text(json.dumps(summary | {"complete": False}))
-    assert main(["run", f"resume={folder}"]) == 0
-    assert record(folder)[1]["iterations"] == summary["iterations"]
+    (tmp_path / "summary.json").write_text(json.dumps(summary | {"complete": False}))
+    assert resumed(tmp_path).summary["iterations"] == summary["iterations"]
 
 
 def test_an_error_that_cannot_be_told_is_no_end(monkeypatch):
@@ -126,19 +109,15 @@ def test_an_image_error_of_none_is_said_to_be_no_perfect_fit(tmp_path, monkeypat
     always = property(lambda self: True, lambda *_: None)
     monkeypatch.setattr(Evaluator, "unresolved", always, raising=False)
     settings = [*TINY, "target.spp=64", "budget.iterations=2", "evaluation.spp=2"]
-    assert main(["run", *settings, f"hydra.run.dir={tmp_path}"]) == 0
-    (note,) = record(tmp_path)[1]["notes"]
+    (note,) = ran(tmp_path, *settings).summary["notes"]
     assert "no perfect fit" in note and "the 2 paths a pixel of an evaluation" in note
 
 
 def test_a_run_with_clean_targets_does_not(tmp_path):
-    folder = tmp_path / "run"
-    settings = [*TINY, "target.spp=64", "budget.iterations=2"]
-    assert main(["run", *settings, "budget.converged=true", f"hydra.run.dir={folder}"]) == 0
-    manifest, summary = record(folder)
-    assert summary["iterations"] == 2
-    assert summary["notes"] == []
-    assert set(manifest["targets"]) == {"noise", "pixel_rms", "image_rmse", "parameter_rmse"}
+    run = ran(tmp_path, *TINY, "target.spp=64", "budget.iterations=2", "budget.converged=true")
+    assert run.summary["iterations"] == 2
+    assert run.summary["notes"] == []
+    assert set(run.manifest["targets"]) == {"noise", "pixel_rms", "image_rmse", "parameter_rmse"}
 
 
 def test_one_setting_says_how_clean_targets_are():

@@ -7,21 +7,16 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from xml_for_tests import camera, paths
 
 import isas_cli
 from isas_cli.runtime import images
 
-_SCENE = """<scene version="3.0.0">
-<integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>
-<sensor type="perspective">
-<transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
-<film type="hdrfilm"><integer name="width" value="32"/><integer name="height" value="32"/></film>
-</sensor>
-<emitter type="constant"/>
+_SCENE = f"""<scene version="3.0.0">{paths("{depth}")}{camera(width=32)}<emitter type="constant"/>
 <shape type="rectangle" id="back">
 <transform name="to_world"><scale value="3"/><translate z="-2"/></transform>
 <bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf></shape>
-<shape type="{shape}" id="ball">{material}</shape></scene>"""
+<shape type="{{shape}}" id="ball">{{material}}</shape></scene>"""
 _GREY = '<bsdf type="diffuse"><rgb name="reflectance" value="{0}"/></bsdf>'
 _MASK = '<bsdf type="mask">{0}' + _GREY.format(0.05) + "</bsdf>"
 _BLEND = '<bsdf type="blendbsdf">{0}' + _GREY.format(0.1) + '<bsdf type="conductor"/></bsdf>'

@@ -98,23 +98,6 @@ def test_first_steps_follow_the_published_update():
     assert np.allclose(as_numpy(stepper.values[TEXTURE]).reshape(-1), x, atol=1e-5)
 
 
-def test_non_finite_gradients_are_counted_and_never_reach_the_moments():
-    p, rng = problem({TEXTURE: 0.5}), np.random.default_rng(3)
-    stepper = Stepper(p.unknowns, settings())
-    clean = gradients(p, rng)
-    broken = np.array(flat(clean[TEXTURE]))
-    broken[[0, 5]] = np.nan, np.inf
-    for _ in range(3):
-        stepper.step({TEXTURE: unflat(clean[TEXTURE], mi.Float(broken))}, 0.0)
-    assert int(stepper.nonfinite[0]) == 6
-    arrays, _ = stepper.export()
-    assert all(np.all(np.isfinite(a)) for a in arrays.values())
-    value = arrays[f"value/{TEXTURE}"].reshape(-1)
-    assert np.all(value[[0, 5]] == 0.5), "entries without a usable gradient stay where they are"
-    stepper.step(clean, 0.0)  # and are not lost for good
-    assert np.all(as_numpy(stepper.values[TEXTURE]).reshape(-1)[[0, 5]] != 0.5)
-
-
 def test_values_stay_inside_their_range():
     p = problem({ROUGHNESS: 0.5})
     for sign, end in ((1.0, 0.03), (-1.0, 1.0)):

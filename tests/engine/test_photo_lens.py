@@ -8,16 +8,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from problems_for_tests import built, configured
+from runs_for_tests import QUIET
 from shapes_for_tests import covered
 
 import isas_cli
 from isas_cli import losses
-from isas_cli.config.compose import compose, translate
 from isas_cli.config.schema import PhotosConfig
-from isas_cli.engine import experiment
-from isas_cli.engine.choices import Choices
-from isas_cli.engine.display import Display
-from isas_cli.engine.experiment import Phases
 from isas_cli.estimators.silhouettes import Settings
 from isas_cli.rendering import rays
 from isas_cli.rendering.contours import Contours
@@ -29,8 +26,7 @@ from isas_cli.scene.photos import building
 from isas_cli.scene.photos.camera import Camera
 from isas_cli.scene.photos.lens import Lens
 
-QUIET = ["scene=photos", "evaluation.count=2", "frames.views=0", "frames.snapshots=0"]
-QUIET += ["report=false", "estimator.batch=4096"]
+SMALL = ["scene=photos", "evaluation.count=2", *QUIET, "estimator.batch=4096"]
 ALL = "photos.lens=[focal,centre,radial]"
 POSED = "photos.pose=true", "photos.background=black"
 
@@ -46,10 +42,7 @@ def taken(tmp_path_factory) -> list[str]:
 
 
 def problem(*settings: str):
-    cfg = compose(translate([*QUIET, *settings]))
-    typed, _ = experiment.checked(cfg)
-    with Display(typed.budget) as display:
-        return experiment.built(typed, Phases(display), [Choices.of(cfg)])
+    return built(*SMALL, *settings)
 
 
 def seen(views, sensors, axes: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -165,7 +158,7 @@ def test_what_a_lens_trades_with_is_said(taken, settings, told):
 def test_the_export_has_the_lens(taken, tmp_path):
     """As Mitsuba's own camera has it, but for the distortion, which is said."""
     made = problem(*taken, ALL)
-    scene = experiment.checked(compose(translate([*QUIET, *taken, ALL])))[0].scene
+    scene = configured(*SMALL, *taken, ALL)[1].scene
     arrays = {unknown.key: unknown.start for unknown in made.unknowns}
     arrays["lens"] = np.float32([[5.0, 2.0, -3.0, 0.0]])
     path, told = export.write(scene, arrays, tmp_path / "flat")
@@ -262,7 +255,7 @@ def test_focal_length_and_size_are_told_by_perspective(tmp_path):
     box.photographed(tmp_path, 8, "alpha", focals=1 / 1.1)
     corners = box.turned_mesh(tmp_path / "box.obj", 6, 1.08)
     run = isas_cli.run(
-        *QUIET[:-1],
+        *SMALL[:-1],
         *(f"photos.path={tmp_path}", f"photos.mesh={tmp_path / 'box.obj'}", "photos.lens=[focal]"),
         *(f"photos.environment={tmp_path / 'white.png'}", *POSED, "estimator.batch=2048"),
         *("estimator.edges=4096", "budget.iterations=300", f"hydra.run.dir={tmp_path / 'run'}"),
@@ -282,7 +275,7 @@ def test_a_lens_is_found(tmp_path, capsys):
     box.photographed(tmp_path, 8, "alpha", lens=LENS, focals=1 / 1.05)
     box.turned_mesh(tmp_path / "box.obj", 0, 1)
     run = isas_cli.run(
-        *QUIET[:-1],
+        *SMALL[:-1],
         *(f"photos.path={tmp_path}", f"photos.mesh={tmp_path / 'box.obj'}", ALL),
         *(f"photos.environment={tmp_path / 'white.png'}", "photos.background=black"),
         *("estimator.batch=16384", "budget.iterations=300", f"hydra.run.dir={tmp_path / 'run'}"),

@@ -1,23 +1,19 @@
 """Poses and shapes from pictures that nothing of isas has made, with texture unknown."""
 
-import json
-
 import _drawn_box as drawn_box
 import numpy as np
 import pytest
 import trimesh
+from runs_for_tests import QUIET, ran
 
 from isas_cli import records
 from isas_cli.cli.app import main
 from isas_cli.scene.shape_error import Sampled, apart
 
-QUICK = ["frames.views=0", "frames.snapshots=0", "report=false", "evaluation.count=2"]
-
 
 def run(folder, *settings: str) -> records.Run:
-    words = ["run", "scene=photos", f"photos.path={folder}", f"hydra.run.dir={folder / 'run'}"]
-    assert main([*words, *QUICK, *settings]) == 0
-    return records.load(folder / "run")
+    words = ["scene=photos", f"photos.path={folder}", "evaluation.count=2", *QUIET]
+    return ran(folder / "run", *words, *settings)
 
 
 @pytest.mark.parametrize("outline", ["alpha", "masks"])
@@ -35,8 +31,7 @@ def test_a_pose_by_its_outline(tmp_path, outline):
     degrees, size, shift = drawn_box.off(found.parameters(), corners)
     print(f"{degrees:.3f} degrees, {size:.2%}, {shift:.4f}")
     assert degrees < 0.5 and abs(size) < 0.01 and shift < 0.01
-    summary = json.loads((tmp_path / "run/summary.json").read_text())
-    outlines = "value/outlines/apart"
+    outlines, summary = "value/outlines/apart", found.summary
     assert summary["final"][outlines] < 0.1 * summary["start"][outlines]
 
 

@@ -12,15 +12,11 @@ import photo_sets
 import pytest
 import trimesh
 from photo_sets import FOCAL, SIZE, Files, look_at
+from problems_for_tests import built, configured
 from scipy.spatial.transform import Rotation
 
 import isas_cli
-from isas_cli.config.compose import compose, translate
 from isas_cli.config.schema import PhotosConfig
-from isas_cli.engine import experiment
-from isas_cli.engine.choices import Choices
-from isas_cli.engine.display import Display
-from isas_cli.engine.experiment import Phases
 from isas_cli.estimators import two_path
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.losses import L2
@@ -107,10 +103,7 @@ def photographed(tmp_path_factory) -> list[str]:
 
 
 def problem(*settings: str):
-    cfg = compose(translate([*SMALL, *settings]))
-    typed, _ = experiment.checked(cfg)
-    with Display(typed.budget) as display:
-        return experiment.built(typed, Phases(display), [Choices.of(cfg)])
+    return built(*SMALL, *settings)
 
 
 @pytest.mark.slow
@@ -471,7 +464,7 @@ def test_photos_belong_to_photographs():
         (["scene=photos"], "give photos.path=DIR"),
     ):
         with pytest.raises(InputError, match=told):
-            experiment.checked(compose(translate(settings)))
+            configured(*settings)
 
 
 def test_a_mesh_elsewhere_is_told(photographed, tmp_path):
@@ -537,4 +530,3 @@ def test_the_chessboards_held_out_views(chessboard):
     page = (chessboard.folder / "report.html").read_text()
     assert "Views held out" in page and "left08.png" in page
     assert (chessboard.folder / "plots/held_out.png").is_file()
-    assert json.dumps(summary)

@@ -11,11 +11,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from runs_for_tests import ran
 from samplers_for_tests import pixel_samplers
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
 from isas_cli import losses, records
-from isas_cli.cli.app import main
 from isas_cli.config.compose import compose, instantiate
 from isas_cli.config.schema import OptimizerConfig
 from isas_cli.engine import profiling
@@ -228,23 +228,14 @@ def test_an_overwritten_run_takes_its_profile_with_it(tmp_path):
 def test_the_command_prints_it_and_the_record_stays_the_same(tmp_path, capfd):
     """profile=true adds a file and a table; the run's values are the same, to the rounding that
     the threads' order leaves."""
-    common = [
-        "run",
-        "scene=pottery",
-        "size=tiny",
-        "sampler=gradient",
-        "target.spp=4",
-        "frames.views=0",
-    ]
+    common = ["scene=pottery", "size=tiny", "sampler=gradient", "target.spp=4", "frames.views=0"]
     common += ["budget.iterations=10", "estimator.batch=256", "evaluation.count=3"]
     common += ["effects=full", "report=false"]
     runs = []
     for wanted in ("false", "true"):
-        folder = tmp_path / wanted
-        assert main([*common, f"profile={wanted}", f"hydra.run.dir={folder}"]) == 0
-        told = capfd.readouterr().err
-        assert ("stage 1" in told) == (folder / profiling.FILE).exists() == (wanted == "true")
-        runs.append(records.load(folder))
+        runs.append(ran(tmp_path / wanted, *common, f"profile={wanted}"))
+        told, file = capfd.readouterr().err, tmp_path / wanted / profiling.FILE
+        assert ("stage 1" in told) == file.exists() == (wanted == "true")
     plain, measured = runs
     assert "profile" in measured.summary["seconds_unbilled"]
     assert set(measured.summary["seconds_by_phase"]) == {"step", "stage1"}, "not billed"

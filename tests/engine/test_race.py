@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import drjit as dr
 import numpy as np
 import pytest
 import yaml
+from problems_for_tests import configured
+from processes import begun
 from scenes_for_tests import TEXTURE, problem
 
 from isas_cli import records
@@ -19,8 +18,6 @@ from isas_cli.cli import app, compare
 from isas_cli.cli.race import _contestants, _values
 from isas_cli.config.compose import compose
 from isas_cli.engine import race
-from isas_cli.engine.choices import Choices
-from isas_cli.engine.experiment import checked
 from isas_cli.engine.loop import Hooks, Loop
 from isas_cli.engine.workshop import Workshop
 from isas_cli.runtime.errors import NumericalError
@@ -35,7 +32,7 @@ SETTINGS = ["scene=dodoco", "estimator.batch=256", "evaluation.pixels=64", "budg
 @pytest.fixture
 def no_page(monkeypatch):
     """Comparisons have tests of their own."""
-    monkeypatch.setattr(compare, "main", lambda folders, output, baseline: 0)
+    monkeypatch.setattr(compare, "main", lambda *_: 0)
 
 
 @pytest.fixture
@@ -46,12 +43,16 @@ def one_thread(fixed_order):
     dr.set_thread_count(count)
 
 
+def raced(folder: Path, *arguments: str) -> int:
+    return app.main(["race", *SMALL, *arguments, f"hydra.run.dir={folder}"])
+
+
 def loops(workshop: Workshop, *chosen: tuple[str, int]) -> list[Loop]:
     """Rehearsed loops of these samplers and seeds."""
     made = []
     for sampler, seed in chosen:
-        cfg = compose([*SETTINGS, f"sampler={sampler}", f"seed={seed}"])
-        made.append(workshop.loop(Choices.of(cfg), *checked(cfg)))
+        chosen = f"sampler={sampler}", f"seed={seed}"
+        made.append(workshop.loop(*configured(*SETTINGS, *chosen)))
         made[-1].rehearse()
     return made
 
@@ -89,8 +90,7 @@ def test_equal_settings_share_and_different_ones_do_not():
     workshop = Workshop(p)
 
     def made(*changes: str) -> Loop:
-        cfg = compose([*SETTINGS, *changes])
-        return workshop.loop(Choices.of(cfg), *checked(cfg))
+        return workshop.loop(*configured(*SETTINGS, *changes))
 
     a, b = made("sampler=ours", "seed=1"), made("sampler=ours", "seed=2", "optimizer.lr=0.5")
     assert a.sampler is b.sampler and a.estimator is b.estimator
@@ -112,18 +112,13 @@ def test_a_turn_is_about_a_slice_long_and_the_order_rotates(monkeypatch, tmp_pat
         return result
 
     monkeypatch.setattr(Loop, "advance", advance)
-    arguments = ["race", *SMALL, "samplers=[uniform,gradient]", "budget.iterations=12"]
-    assert (
-        app.main([*arguments, "slice=1e-6", "report=false", f"hydra.run.dir={tmp_path / 'r'}"]) == 0
-    )
+    both = "samplers=[uniform,gradient]", "report=false"
+    assert raced(tmp_path / "r", *both, "budget.iterations=12", "slice=1e-6") == 0
     names = [name for name, _ in turns]
     assert names[:6] == ["Uniform", "Gradient", "Gradient", "Uniform", "Uniform", "Gradient"]
     assert all(names.count(name) == 12 for name in set(names)), "one iteration a turn"
     turns.clear()
-    arguments = ["race", *SMALL, "samplers=[uniform,gradient]", "budget.iterations=400"]
-    assert (
-        app.main([*arguments, "slice=0.03", "report=false", f"hydra.run.dir={tmp_path / 's'}"]) == 0
-    )
+    assert raced(tmp_path / "s", *both, "budget.iterations=400", "slice=0.03") == 0
     ends = {name: number for number, (name, _) in enumerate(turns)}  # the last may be shorter
     full = [seconds for number, (name, seconds) in enumerate(turns) if number != ends[name]]
     assert len(full) > 2 and all(seconds >= 0.03 for seconds in full)
@@ -140,8 +135,8 @@ def test_a_race_leaves_ordinary_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("isas_cli.report.write", written)
     folder = tmp_path / "a race"
     contestants = "contestants=[{sampler:uniform,optimizer.lr:0.05},{sampler:ours}]"
-    arguments = ["race", *SMALL, contestants, "seed=[3,4]", "budget.iterations=5"]
-    assert app.main([*arguments, f"hydra.run.dir={folder}"]) == 0
+    arguments = contestants, "seed=[3,4]", "budget.iterations=5"
+    assert raced(folder, *arguments) == 0
     out = capsys.readouterr().out.strip().splitlines()[-1]
     page = Path(out.removeprefix("report: "))
     assert page.is_file() and folder in page.parents
@@ -159,7 +154,7 @@ def test_a_race_leaves_ordinary_runs(tmp_path, monkeypatch, capsys):
         assert (run.folder / "checkpoint" / "state.npz").is_file()
     hashes = {records.load(folder / p["folder"]).manifest["target_hash"] for p in planned}
     assert len(hashes) == 1
-    assert app.main([*arguments, f"hydra.run.dir={folder}"]) == 2
+    assert raced(folder, *arguments) == 2
     assert "already holds a run" in capsys.readouterr().err
 
 
@@ -172,8 +167,8 @@ def test_one_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeypatch, 
         original(self, nonfinite, touched)
 
     monkeypatch.setattr(Loop, "_check", check)
-    arguments = ["race", *SMALL, "samplers=[relevant,uniform]", "budget.iterations=6"]
-    assert app.main([*arguments, "report=false", f"hydra.run.dir={tmp_path}"]) == 3
+    both = "samplers=[relevant,uniform]", "report=false"
+    assert raced(tmp_path, *both, "budget.iterations=6") == 3
     assert "relevant seed 1: made up" in capsys.readouterr().err
     assert records.load(tmp_path / "relevant/seed1").summary["status"] == "numerical failure"
     assert records.load(tmp_path / "uniform/seed1").summary["status"] == "done"
@@ -181,32 +176,28 @@ def test_one_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeypatch, 
 
 def test_an_interrupted_race_goes_on(tmp_path, capsys, no_page):
     folder = tmp_path / "race"
-    command = [sys.executable, "-m", "isas_cli", "race", *SMALL, "samplers=[uniform,gradient]"]
-    command += ["budget.iterations=4000", "evaluation.count=60", "slice=0.05", "report=false"]
-    command.append(f"hydra.run.dir={folder}")
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    until = time.monotonic() + 100
-    histories = [folder / name / "seed1/history.csv" for name in ("uniform", "gradient")]
-    while not all(h.exists() and len(h.read_text().splitlines()) > 3 for h in histories):
-        assert time.monotonic() < until and process.poll() is None, process.communicate()
-        time.sleep(0.02)
+    command = ["race", *SMALL, "samplers=[uniform,gradient]", "report=false", "slice=0.05"]
+    command += ["budget.iterations=4000", "evaluation.count=60", f"hydra.run.dir={folder}"]
+    process, found = begun(tmp_path, *command, rows=3, runs=2)
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=100)
     assert process.returncode == 130, errors
-    ends = [records.load(h.parent).summary for h in histories]
+    runs = [folder / name / "seed1" for name in ("uniform", "gradient")]
+    assert set(runs) == set(found)
+    ends = [records.load(each).summary for each in runs]
     assert [end["status"] for end in ends] == ["interrupted"] * 2
     assert all(0 < end["iterations"] < 4000 for end in ends)
     more = max(end["iterations"] for end in ends) + 5
     assert app.main(["race", f"resume={folder}", f"budget.iterations={more}"]) == 0
-    for history in histories:
-        run = records.load(history.parent)
+    for each in runs:
+        run = records.load(each)
         assert run.summary["status"] == "done" and run.summary["iterations"] == more
         assert run.manifest["resumed"][0]["command"][1:3] == ["race", f"resume={folder}"]
     # Killed between its manifest and its first checkpoint: it has no step yet, and begins.
     for name in ("history.csv", "summary.json", "checkpoint/state.npz"):
-        (histories[0].parent / name).unlink()
+        (runs[0] / name).unlink()
     assert app.main(["race", f"resume={folder}", f"budget.iterations={more}"]) == 0
-    assert records.load(histories[0].parent).summary["iterations"] == more
+    assert records.load(runs[0]).summary["iterations"] == more
     capsys.readouterr()
     assert app.main(["race", f"resume={folder}"]) == 2
     assert "spent" in capsys.readouterr().err
@@ -235,13 +226,9 @@ def test_an_interrupted_race_goes_on(tmp_path, capsys, no_page):
         (["samplers=[ours]", "hydra.run.dir="], "hydra.run.dir is empty"),
     ],
 )
-def test_bad_races_are_one_line_and_leave_nothing(arguments, words, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_bad_races_are_one_line_and_leave_nothing(arguments, words, refused):
     scene = [] if arguments and arguments[0].startswith("resume") else ["scene=dodoco"]
-    assert app.main(["race", *scene, *arguments]) == 2
-    error = capsys.readouterr().err.strip()
-    assert words in error and "\n" not in error
-    assert not any(tmp_path.iterdir())
+    refused(["race", *scene, *arguments], words)
 
 
 def test_contestants_are_read_as_hydra_writes_or_as_json():
@@ -255,15 +242,7 @@ def test_contestants_of_other_scenes_race_in_one_process(tmp_path, no_page):
     """Scenes with other materials: each pass must leave nothing behind that stops the other's."""
     contestants = "contestants=[{size:tiny},{scene:jumpydumpy}]"
     contestants = contestants.replace("}", ",sampler:relevant}")
-    arguments = [
-        "race",
-        *SMALL,
-        contestants,
-        "budget.iterations=3",
-        "report=false",
-        f"hydra.run.dir={tmp_path}",
-    ]
-    assert app.main(arguments) == 0
+    assert raced(tmp_path, contestants, "budget.iterations=3", "report=false") == 0
     planned = yaml.safe_load((tmp_path / "race.yaml").read_text())["entries"]
     runs = [records.load(tmp_path / plan["folder"]) for plan in planned]
     assert {run.summary["scene"] for run in runs} == {"dodoco", "jumpydumpy"}

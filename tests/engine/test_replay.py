@@ -5,20 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from xml_for_tests import camera, paths
 
 from isas_cli import records
 from isas_cli.cli.app import main
 from isas_cli.runtime import images
 
-SCENE = """<scene version="3.0.0">
-  <integrator type="path"><integer name="max_depth" value="3"/></integrator>
-  <sensor type="perspective" id="camera">
-    <float name="fov" value="20"/>
-    <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
-    <film type="hdrfilm">
-      <integer name="width" value="16"/><integer name="height" value="16"/>
-    </film>
-  </sensor>
+SCENE = f"""<scene version="3.0.0">{paths(3)}{camera(fov=20)}
   <emitter type="constant" id="sky"><rgb name="radiance" value="1"/></emitter>
   <shape type="rectangle" id="wall"><bsdf type="diffuse">
     <texture type="bitmap" name="reflectance">

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import begun, isas
+from runs_for_tests import ran, resumed
 
 from isas_cli import records
 from isas_cli.cli import app
+from isas_cli.engine import resumption
 from isas_cli.records import manifest
 from isas_cli.runtime.errors import InputError
 
@@ -24,37 +27,21 @@ TINY = [
     *("frames.spp=2", "frames.snapshots=2", "evaluation.pixels=512"),
 ]
 SMALL = ["scene=pottery", *TINY]
+DODOCO = [
+    *("scene=dodoco", "size=tiny", "estimator.batch=512", "frames.views=0"),
+    *("evaluation.pixels=64", "sampler=uniform", "effects=full"),
+]
 # The command with checkpoints every few iterations instead of every few seconds.
-PROGRAM = (
+OFTEN = [
+    *(sys.executable, "-c"),
     "import sys\n"
     "from isas_cli.cli import app\n"
     "from isas_cli.runtime import backend\n"
     "backend.start()\n"
     "from isas_cli.engine import recorder\n"
     "recorder._CHECKPOINT_SECONDS, recorder._CHECKPOINT_SHARE = 0.05, 1.0\n"
-    "sys.exit(app.main(sys.argv[1:]))\n"
-)
-
-
-def start(*arguments: str) -> subprocess.Popen:
-    command = [sys.executable, "-c", PROGRAM, *arguments]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def finish(process: subprocess.Popen) -> str:
-    _, errors = process.communicate(timeout=120)
-    return errors
-
-
-def stop_after(folder: Path, rows: int, process: subprocess.Popen, number: int) -> None:
-    """Send the signal once the history has so many rows."""
-    until = time.monotonic() + 100
-    history = folder / "history.csv"
-    while not history.exists() or len(history.read_text().splitlines()) <= rows:
-        assert time.monotonic() < until and process.poll() is None, finish(process)
-        time.sleep(0.01)
-    process.send_signal(number)
-    finish(process)
+    "sys.exit(app.main(sys.argv[1:]))\n",
+]
 
 
 @pytest.mark.parametrize(
@@ -88,20 +75,18 @@ def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(
 ):
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     common = ["run", *chosen, *TINY, "budget.iterations=300", "report=false"]
-    first = start(*common, f"hydra.run.dir={whole}")
-    finish(first)
-    assert first.returncode == 0
-    broken = start(*common, f"hydra.run.dir={cut}")
-    stop_after(cut, 12, broken, number)
+    assert isas(tmp_path, *common, f"hydra.run.dir={whole}", by=OFTEN).returncode == 0
+    broken, _ = begun(tmp_path, *common, f"hydra.run.dir={cut}", rows=12, below="cut", by=OFTEN)
+    broken.send_signal(number)
+    broken.communicate(timeout=120)
     assert broken.returncode == (130 if number == signal.SIGINT else -signal.SIGKILL)
     _, state = records.load_checkpoint(cut)
     assert 0 < state["iteration"] < 300, "stopped in the middle"
     rows = (cut / "history.csv").read_text()
     assert app.main(["run", f"resume={cut}", "budget.iterations=1"]) == 2
     assert (cut / "history.csv").read_text() == rows, "a smaller budget costs no row"
-    again = start("run", f"resume={cut}")
-    errors = finish(again)
-    assert again.returncode == 0, errors
+    again = isas(tmp_path, "run", f"resume={cut}", by=OFTEN)
+    assert again.returncode == 0, again.stderr
     (a, of_whole), (b, of_cut) = records.load_checkpoint(whole), records.load_checkpoint(cut)
     assert a.keys() == b.keys() and any(name.startswith("second/") for name in a)
     for name in a:
@@ -124,42 +109,30 @@ def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("finished") / "run"
-    settings = ["scene=dodoco", "size=tiny", "estimator.batch=512", "frames.views=0"]
-    settings += ["evaluation.pixels=64", "budget.iterations=4", f"hydra.run.dir={folder}"]
-    settings += ["sampler=uniform", "effects=full", "optimizer.schedule=exponential"]
-    assert app.main(["run", *settings]) == 0
+    ran(folder, *DODOCO, "budget.iterations=4", "optimizer.schedule=exponential")
     return folder
 
 
-def refused(capsys, *arguments: str) -> str:
-    capsys.readouterr()
-    assert app.main(["run", *arguments]) == 2
-    error = capsys.readouterr().err.strip()
-    assert "\n" not in error and error.startswith("isas: ")
-    return error
-
-
-def test_what_cannot_be_continued_is_one_line(finished, capsys, tmp_path):
-    assert "no such run folder" in refused(capsys, f"resume={tmp_path / 'none'}")
-    assert "holds no run" in refused(capsys, f"resume={tmp_path}")
-    assert "resume is empty" in refused(capsys, "resume=")
-    spent = refused(capsys, f"resume={finished}")
+def test_what_cannot_be_continued_is_one_line(finished, refused, tmp_path):
+    assert "no such run folder" in refused(["run", f"resume={tmp_path / 'none'}"])
+    assert "holds no run" in refused(["run", f"resume={tmp_path}"])
+    assert "resume is empty" in refused(["run", "resume="])
+    spent = refused(["run", f"resume={finished}"])
     assert "iterations=4" in spent and "spent" in spent and "budget.iterations=8" in spent
-    assert "one value" in refused(capsys, f"resume={finished}", "~budget.iterations")
-    assert "one value" in refused(capsys, f"resume={finished}", "budget.iterations=8,9")
-    wrong = refused(capsys, f"resume={finished}", "budget.seconds=abc")
+    assert "one value" in refused(["run", f"resume={finished}", "~budget.iterations"])
+    assert "one value" in refused(["run", f"resume={finished}", "budget.iterations=8,9"])
+    wrong = refused(["run", f"resume={finished}", "budget.seconds=abc"])
     assert wrong.startswith("isas: budget.seconds=abc: ") and "config.yaml" not in wrong
-    changed = refused(capsys, f"resume={finished}", "optimizer.lr=0.1")
+    changed = refused(["run", f"resume={finished}", "optimizer.lr=0.1"])
     assert "optimizer.lr=0.1" in changed and "budget.seconds" in changed
-    assert "one folder" in refused(capsys, f"resume={finished}", f"resume={finished}")
-    assert "above 0" in refused(capsys, f"resume={finished}", "budget.iterations=-1")
+    assert "one folder" in refused(["run", f"resume={finished}", f"resume={finished}"])
+    assert "above 0" in refused(["run", f"resume={finished}", "budget.iterations=-1"])
 
 
 def test_a_larger_budget_goes_on_where_the_run_ended(finished, capsys):
     before = records.load(finished)
     spent = before.summary["seconds_billed"]
-    assert app.main(["run", f"resume={finished}", "budget.iterations=9"]) == 0
-    after = records.load(finished)
+    after = resumed(finished, "budget.iterations=9")
     assert after.config["budget"]["iterations"] == 9, "a second continuation goes on from here"
     assert after.summary["iterations"] == 9 and after.summary["seconds_billed"] > spent
     assert after.history["iteration"].tolist()[: len(before.history)] == (
@@ -173,28 +146,54 @@ def test_a_larger_budget_goes_on_where_the_run_ended(finished, capsys):
     assert after.manifest["resumed"][0]["earlier_budget"] == "iterations=4"
 
 
+def test_what_was_made_of_an_earlier_end_is_told_and_its_error_goes(finished, tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(finished, folder)
+    (folder / "error.txt").write_text("of an earlier attempt")
+    (folder / "result").mkdir()
+    (folder / "result/scene.xml").touch()
+    notes = resumed(folder, "budget.iterations=20").summary["notes"]
+    assert not (folder / "error.txt").exists()
+    assert "made before this run went on, and not anew: result/scene.xml" in notes
+
+
+def test_a_result_is_put_into_a_scene_that_has_changed_with_a_word(finished, tmp_path, capsys):
+    folder = tmp_path / "copy"
+    shutil.copytree(finished, folder)
+    assert app.main(["export", str(folder)]) == 0
+    assert "warning" not in capsys.readouterr().err
+    content = json.loads((folder / "manifest.json").read_text())
+    (folder / "manifest.json").write_text(json.dumps(content | {"scene_hash": "0" * 32}))
+    assert app.main(["export", str(folder)]) == 0
+    assert f"warning: {folder}: its scene has changed since the run" in capsys.readouterr().err
+
+
+def test_a_run_goes_on_by_the_variant_that_it_took_by_itself(finished):
+    """Also where a card works by now."""
+    run = records.load(finished)
+    assert run.config["variant"] == "auto"
+    cfg, _ = resumption.configuration(finished, run, {})
+    took = run.manifest["variant"]
+    assert cfg.variant == (took if took.startswith("llvm") else "auto")
+    other = dataclasses.replace(run, manifest=run.manifest | {"variant": "cuda_ad_rgb"})
+    assert resumption.configuration(finished, other, {})[0].variant == "auto"
+
+
 def test_a_larger_budget_warns_of_widths_of_blurs_too(tmp_path):
     settings = ["scene=shadows", "size=tiny", "estimator.batch=512", "estimator.spp=2"]
-    settings += ["frames.views=0", "report=false"]
-    assert app.main(["run", *settings, "budget.iterations=2", f"hydra.run.dir={tmp_path}"]) == 0
-    assert app.main(["run", f"resume={tmp_path}", "budget.iterations=4"]) == 0
-    (warning,) = [w for w in records.load(tmp_path).summary["warnings"] if "iterations=2" in w]
+    ran(tmp_path, *settings, "frames.views=0", "report=false", "budget.iterations=2")
+    warnings = resumed(tmp_path, "budget.iterations=4").summary["warnings"]
+    (warning,) = [w for w in warnings if "iterations=2" in w]
     assert "the learning rate and the blurs' widths followed another schedule" in warning
 
 
 def test_where_rates_fall_by_steps_a_larger_budget_changes_nothing_before(tmp_path):
-    settings = ["scene=dodoco", "size=tiny", "estimator.batch=512", "frames.views=0"]
-    settings += ["evaluation.pixels=64", "sampler=uniform", "effects=full", "report=false"]
-    ends = []
-    for name, budgets in (("in two", (4, 9)), ("at once", (9,))):
-        folder = tmp_path / name
-        begun = ["run", *settings, f"budget.iterations={budgets[0]}", f"hydra.run.dir={folder}"]
-        assert app.main(begun) == 0
-        for budget in budgets[1:]:
-            assert app.main(["run", f"resume={folder}", f"budget.iterations={budget}"]) == 0
-        summary = records.load(folder).summary
-        assert not [text for text in summary["warnings"] if "schedule" in text]
-        ends.append(summary["final"]["parameter_rmse"])
+    ran(tmp_path / "in two", *DODOCO, "report=false", "budget.iterations=4")
+    in_two = resumed(tmp_path / "in two", "budget.iterations=9")
+    at_once = ran(tmp_path / "at once", *DODOCO, "report=false", "budget.iterations=9")
+    for run in (in_two, at_once):
+        assert not [text for text in run.summary["warnings"] if "schedule" in text]
+    ends = [run.summary["final"]["parameter_rmse"] for run in (in_two, at_once)]
     assert ends[0] == pytest.approx(ends[1], rel=1e-4)
 
 
@@ -204,13 +203,11 @@ def test_a_run_killed_while_its_pictures_were_made_is_completed(finished, tmp_pa
     summary = json.loads((folder / "summary.json").read_text())
     (folder / "summary.json").write_text(json.dumps({**summary, "complete": False}))
     (folder / "report.html").unlink()
-    assert app.main(["run", f"resume={folder}"]) == 0
-    after = records.load(folder)
+    after = resumed(folder)
     assert after.complete and (folder / "report.html").is_file()
     assert after.summary["iterations"] == summary["iterations"]
     (folder / "summary.json").unlink()
-    assert app.main(["run", f"resume={folder}"]) == 0
-    assert records.load(folder).complete
+    assert resumed(folder).complete
 
 
 def test_two_processes_cannot_write_one_record(finished):
@@ -241,28 +238,24 @@ def test_two_processes_cannot_write_one_record(finished):
     (finished / "summary.json").write_text(text)
 
 
-def test_a_changed_scene_and_a_living_process_are_refused(finished, capsys):
+def test_a_changed_scene_and_a_living_process_are_refused(finished, refused):
     path = finished / "manifest.json"
     text = path.read_text()
     content = json.loads(text)
     try:
         path.write_text(json.dumps({**content, "resumed": [], "scene_hash": "0" * 32}))
-        error = refused(capsys, f"resume={finished}", "budget.iterations=50")
+        error = refused(["run", f"resume={finished}", "budget.iterations=50"])
         assert "scene has changed" in error and "new run" in error
         other = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
         alive = {**content, "resumed": [], **manifest.process(), "pid": other.pid}
         path.write_text(json.dumps(alive))
-        assert "still being written" in refused(capsys, f"resume={finished}")
+        assert "still being written" in refused(["run", f"resume={finished}"])
         other.kill()
         other.wait()
-        assert "spent" in refused(capsys, f"resume={finished}"), "its process has gone"
+        assert "spent" in refused(["run", f"resume={finished}"]), "its process has gone"
     finally:
         path.write_text(text)
 
 
-def test_a_process_number_that_went_to_another_does_not_count():
-    """The process with that number began after the run that noted it."""
-    noted = {**manifest.process(), "pid": os.getppid(), "started": "2001-01-01T00:00:00+00:00"}
-    assert not manifest.alive(noted)
-    assert manifest.alive({**noted, **manifest.process(), "pid": os.getppid()})
+def test_a_process_of_which_nothing_is_known_does_not_count():
     assert not manifest.alive({**manifest.process(), "host": "elsewhere", "pid": os.getppid()})

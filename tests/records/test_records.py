@@ -221,13 +221,16 @@ def test_a_folder_that_holds_a_run_is_refused_unless_it_may_be_overwritten(tmp_p
     first.evaluation(ROW)
     first.frame("target_v00", np.ones((2, 2, 3)), ["R", "G", "B"], {})
     first.checkpoint({}, {})
-    (tmp_path / "frames" / "mine.txt").write_text("keep")
+    first.mesh("result_a.ply", b"mine")
+    mine = ["frames/mine.exr", "frames/mine.txt", "meshes/jar.ply"]
+    for name in mine:
+        (tmp_path / name).write_text("keep")
     with pytest.raises(InputError, match="already holds a run"):
         records.RunWriter(tmp_path)
     assert (tmp_path / "history.csv").exists()
     records.RunWriter(tmp_path, overwrite=True)
     left = [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()]
-    assert sorted(left) == [".lock", "frames/mine.txt"]
+    assert sorted(left) == [".lock", *mine]
 
 
 def test_a_folder_that_cannot_be_written_is_one_line_with_the_way_out(tmp_path):

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import sys
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from ...config import paths
 from ...records import files, load_checkpoint
+from ...records.reader import read_json
 from ...runtime import interrupt
 from ...runtime.errors import InputError, IsasError
 from .. import one
@@ -44,6 +46,17 @@ class Job:
     overrides: list[str]
     folder: Path
     cfg: DictConfig
+    # Its stamp when it was planned.
+    before: int | None = field(init=False, default=None, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "before", self.stamp())
+
+    @property
+    def anew(self) -> bool:
+        """Whether what is there is to be replaced: not what this very job, queued once more after
+        its worker was lost, has begun itself."""
+        return bool(self.cfg.overwrite) and self.stamp() == self.before
 
     def found(self) -> str:
         """What the folder holds: one of the names above. OTHER is a run with other settings."""
@@ -54,16 +67,31 @@ class Job:
         summary = read_summary(self.folder) or {}
         status = summary.get("status")
         if status == "done" and summary.get("complete", True):
-            return DONE
+            return DONE if self._here() else OTHER
         # "done" without the rest of its record: killed while its pictures were made. What failed
         # otherwise than by its numbers, such as on a full disk, goes on as well.
         stopped = status != "numerical failure"
         checkpoint = (self.folder / "checkpoint" / "state.npz").exists()
         return UNFINISHED if stopped and checkpoint else FAILED
 
+    def _here(self) -> bool:
+        """Whether the run that is there was made of files that the same names mean here."""
+        return not paths.elsewhere(self.cfg, self._manifest().get("folder"))
+
+    def _manifest(self) -> dict[str, Any]:
+        try:
+            return read_json(self.folder / "manifest.json")
+        except InputError:
+            return {}
+
+    def doubt(self) -> str:
+        """What speaks against taking the run that is there for done, as words to be appended."""
+        newer = paths.newer(self.cfg, self._manifest().get("started", ""))
+        return f"; but newer than that is {newer}: overwrite=true does it again" if newer else ""
+
     def skipped(self) -> Outcome | None:
         """The outcome of a job that needs not be done again; else None."""
-        if self.cfg.overwrite or self.found() != DONE:
+        if self.anew or self.found() != DONE:
             return None
         return outcome(self.label, self.folder, "skipped")
 
@@ -78,10 +106,10 @@ class Job:
         cfg = self.cfg.copy()
         cfg.threads = cfg.threads or threads or 0
         found = self.found()
-        if found == UNFINISHED and not cfg.overwrite:
-            _refuse_if_alive(self.folder)
+        if found == UNFINISHED and not self.anew:
             try:
-                changes = {"threads": cfg.threads} if cfg.threads else {}
+                # Also 0: as many as there are, whatever share of them a launcher gave before.
+                changes = {"threads": cfg.threads}
                 return Report(experiment.resume(self.folder, changes), resumed=True)
             except InputError as error:
                 if _has_checkpoint(self.folder):  # nothing that was computed is thrown away
@@ -143,14 +171,6 @@ def _has_checkpoint(folder: Path) -> bool:
     except InputError:
         return False
     return True
-
-
-def _refuse_if_alive(folder: Path) -> None:
-    from ...records.manifest import alive
-
-    with contextlib.suppress(OSError, ValueError):
-        if alive(json.loads((folder / "manifest.json").read_text(encoding="utf-8"))):
-            raise InputError(f"{folder} is still being written: its process has not ended")
 
 
 def supervise(

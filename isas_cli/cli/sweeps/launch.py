@@ -76,7 +76,7 @@ class Sweep:
             self.stamps.setdefault(job.folder, job.stamp())
             skipped = None if job.folder in self.settled else job.skipped()
             if skipped:
-                say(f"{job.label}: skipped: done in {shown(job.folder)}")
+                say(f"{job.label}: skipped: done in {shown(job.folder)}{job.doubt()}")
                 self.settled[job.folder] = skipped
             elif job.folder not in self.settled:
                 todo[job.folder] = job

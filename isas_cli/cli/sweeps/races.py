@@ -20,6 +20,7 @@ from ...config.schema import register
 from ...engine import race as engine
 from ...engine import resumption
 from ...engine.race import Entry
+from ...records.reader import read_json
 from ...runtime import backend, interrupt
 from ...runtime.errors import InputError, IsasError
 from .. import one, race
@@ -54,8 +55,15 @@ class Race(Job):
         ended = not self.changes and all(_ended(entry.folder) for entry in self.plan.entries)
         with contextlib.suppress(InputError):  # ``go`` says what is wrong
             if ended or not race.unfinished(self.folder, self.changes):
+                if not self._here():
+                    return OTHER
                 return DONE if (self.folder / _COMPARISON / "report.html").exists() else UNFINISHED
         return UNFINISHED
+
+    def _manifest(self) -> dict[str, Any]:
+        with contextlib.suppress(InputError):
+            return read_json(self.plan.entries[0].folder / "manifest.json")
+        return {}
 
     def stamp(self) -> int | None:
         return max((stamp(entry.folder) or 0 for entry in self.plan.entries), default=0) or None
@@ -66,9 +74,9 @@ class Race(Job):
 
         leave_trace(self.folder, "")
         threads = self.cfg.threads or threads or 0
-        changes = {**self.changes, **({"threads": threads} if threads else {})}
+        changes = {**self.changes, "threads": threads}
         found, left = self.found(), None
-        if found == UNFINISHED and not self.cfg.overwrite:
+        if found == UNFINISHED and not self.anew:
             left = race.unfinished(self.folder, changes)
             # Seconds of two machines cannot be compared.
             here = backend.start(self.cfg.variant, threads).device
@@ -197,10 +205,12 @@ def resume(root: Path, own: dict[str, str], overrides: list[str]) -> int:
     home, listed = race.read_yaml(root / FILE, "races", "arguments")
     launcher = [each for each in overrides if each.startswith(_LAUNCHER)]
     changes = resumption.parse([each for each in overrides if each not in launcher])
-    if "slice" in own:
-        for each in listed:
-            kept = [o for o in each["arguments"] if not o.startswith("slice=")]
-            each["arguments"] = [*kept, f"slice={own['slice']}"]
+    # What is replaced was replaced when they began.
+    dropped = ("overwrite=", *(["slice="] if "slice" in own else []))
+    more = [f"slice={own['slice']}"] if "slice" in own else []
+    for each in listed:
+        kept = [o for o in each["arguments"] if not o.startswith(dropped)]
+        each["arguments"] = [*kept, *more]
     jobs = [_job(root, each, changes, home) for each in listed]
     return _held(root, jobs, launcher, lambda: None)
 
