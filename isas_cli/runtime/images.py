@@ -90,14 +90,19 @@ def read(path: str | Path, finite: bool = True, linear: bool | None = None) -> n
 
 def read_mask(path: str | Path, turned: bool = True) -> np.ndarray:
     """Reads a mask: (H, W) float32 in [0, 1], the stored values, never decoded from sRGB; of a file
-    of whole numbers that holds 0 and one other alone, as programs write what is true and labels,
-    the other is white. As much as a pixel is transparent, it is black: programs that cut objects
-    out leave masks whose colour is white all over.
+    of whole numbers that holds black and one other colour alone, as programs write what is true and
+    labels, the other is white. As much as a pixel is transparent, it is black: programs that cut
+    objects out leave masks whose colour is white all over.
 
     Raises InputError for what `load` refuses, for values outside [0, 1] and for a picture whose
     channels differ (a photograph given as a mask, most likely).
     """
     pixels, *_ = _read_colours(Path(path), turned)
+    shown = (pixels > 0).any(axis=-1)
+    if counted(path) and 0 < shown.sum() < shown.size:
+        lit = pixels[shown]
+        if (lit == lit[0]).all():  # one colour beside black, of a palette of labels
+            pixels = shown[..., None].astype(np.float32)
     if not (pixels == pixels[..., :1]).all():
         raise InputError(
             f"{path}: a mask has to be grey, but this picture's channels differ: save it with "

@@ -75,8 +75,11 @@ def to_linear(said: Said, decode: Callable | None) -> tuple[Callable | None, str
     if said.lost:
         return decode, said.name
     if said.icc is not None:
-        # Light beyond 1 has no place in a profile.
-        return (decode, None) if decode is None else _by_profile(said, decode)
+        if decode is None:  # light beyond 1 has no place in a profile
+            named = said.name.lower()
+            ours = "linear" in named and any(each in named for each in ("srgb", "709"))
+            return decode, None if ours else said.name
+        return _by_profile(said, decode)
     config, space = oiio.ColorConfig.default_colorconfig(), said.space
     found = decode
     if space is not None and space not in _AS_SRGB and not config.equivalent(space, _SRGB):

@@ -10,36 +10,46 @@ import numpy as np
 
 from ..runtime import backend, images
 from ..runtime.errors import InputError
-from .photos import building
+from .photos import building, finding
 from .photos.camera import Camera
 
 _DEPTH = 8
+# In place of an axis of the world that is up.
+CAMERA = "camera"
 # Samples of one rendering: Dr.Jit counts the lanes of a kernel in 32 bits, and all need memory.
 _AT_ONCE = 2**24
 
 
 def views(
-    scene: mi.Scene, cameras: list[Camera], lights: list[Path | None], up: str, spp: int
+    scene: mi.Scene,
+    cameras: list[Camera],
+    lights: list[Path | None],
+    up: str,
+    turn: float,
+    spp: int,
 ) -> Iterator[np.ndarray]:
     """What each camera sees, ``(H, W, 3)``, linear, black where no surface is: under the
-    environment in the file of the same place in ``lights``, whose up is the world's axis ``up``, in
-    place of all lights of the ``scene``; or under these, where it is None. Raises InputError for a
-    scene with media."""
+    environment in the file of the same place in ``lights``, in place of all lights of the
+    ``scene``; or under these, where it is None. ``up``, ``turn``: see ``building.upright``; up may
+    also be ``CAMERA``: the environment stands to the view's camera as Stanford-ORB's do, what lies
+    straight ahead in its middle. Raises InputError for a scene with media."""
     shapes = scene.shapes()
     if any(shape.is_medium_transition() for shape in shapes):
         raise InputError("the scene has a medium: isas relight renders surfaces alone")
     middle = np.array(scene.bbox().center()).ravel()
     last, lit = object(), {}
     for number, (camera, light) in enumerate(zip(cameras, lights)):
-        if light != last:
-            last, lit = light, _lit(scene, shapes, light, up)
+        if light != last or up == CAMERA:
+            world = building.facing(camera) if up == CAMERA else building.upright(up, turn)
+            last, lit = light, _lit(scene, shapes, light, world)
         with backend.loading():
             made = mi.load_dict(lit | {"camera": building.sensor(camera, middle)}, optimize=False)
         yield _rendered(made, spp, number)
 
 
-def _lit(scene: mi.Scene, shapes: list, light: Path | None, up: str) -> dict:
-    """All but the camera, as ``mitsuba.load_dict`` takes it."""
+def _lit(scene: mi.Scene, shapes: list, light: Path | None, world) -> dict:
+    """All but the camera, as ``mitsuba.load_dict`` takes it; ``world``: what ``light`` is turned
+    by."""
     kept = [shape for shape in shapes if light is None or not shape.is_emitter()]
     if light is None:
         # Those of surfaces come with these.
@@ -47,7 +57,7 @@ def _lit(scene: mi.Scene, shapes: list, light: Path | None, up: str) -> dict:
         emitters = [each for each in scene.emitters() if not mi.has_flag(each.flags(), surface)]
     else:
         with backend.loading():
-            emitters = [mi.load_dict(building.light(light, up))]
+            emitters = [mi.load_dict(building.light(light, world))]
     return {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": _DEPTH, "hide_emitters": True},
@@ -79,7 +89,11 @@ def cut(camera: Camera, width: int | None) -> Camera:
 
 def write(folder: Path, name: str, image: np.ndarray) -> None:
     """Put the rendering of a view into ``folder``, as EXR. Raises InputError."""
-    path = (folder / name).with_suffix(".exr")
+    # A view may be called by a whole path, and by a name without an ending that has a dot.
+    parts = [part for part in Path(name).parts if part not in ("..", Path(name).anchor)]
+    path = folder.joinpath(*parts)
+    plain = path.with_suffix("") if path.suffix.lower() in finding.PICTURES else path
+    path = plain.with_name(f"{plain.name}.exr")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -270,6 +270,8 @@ def test_masks_of_0_and_one_other_value_are_black_and_white(tmp_path, kind):
     assert np.array_equal(images.read_mask(write(tmp_path / "b.png", true * 0, ("Y",))), [[0, 0]])
     label = true * 2
     assert np.array_equal(images.read_mask(write(tmp_path / "c.png", label, ("Y",))), [[0, 1]])
+    palette = true * np.array([128, 0, 0], kind)  # as of video segmentation
+    assert np.array_equal(images.read_mask(write(tmp_path / "e.png", palette)), [[0, 1]])
     # Of several labels nothing says which are white.
     several = np.concatenate([label, true], axis=1)
     dark = images.read_mask(write(tmp_path / "d.png", several, ("Y",)))

@@ -9,8 +9,9 @@ import numpy as np
 import photo_sets
 import pytest
 import trimesh
+from runs_for_tests import ran
+from xml_for_tests import camera, paths
 
-from isas_cli import records
 from isas_cli.cli.app import main
 from isas_cli.config import schema
 from isas_cli.config.compose import compose, translate
@@ -27,15 +28,10 @@ from isas_cli.unknowns.unknowns import Unknowns
 
 pytestmark = pytest.mark.usefixtures("two_threads")
 
-SCENE = """<scene version="3.0.0">
-  <integrator type="path"><integer name="max_depth" value="3"/></integrator>
+SCENE = f"""<scene version="3.0.0">{paths(3)}{camera("0,1,4", 16, 12, fov=40)}
   <emitter type="envmap" id="sky"><string name="filename" value="sky.exr"/></emitter>
   <emitter type="point"><point name="position" x="1" y="2" z="3"/>
     <rgb name="intensity" value="2, 1, 1"/></emitter>
-  <sensor type="perspective"><float name="fov" value="40"/>
-    <transform name="to_world"><lookat origin="0,1,4" target="0,0,0" up="0,1,0"/></transform>
-    <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="12"/>
-    </film></sensor>
   <bsdf type="twosided" id="paint"><bsdf type="principled">
     <texture type="bitmap" name="base_color"><string name="filename" value="paint.png"/></texture>
     <float name="roughness" value="0.4"/></bsdf></bsdf>
@@ -251,13 +247,12 @@ def test_the_command_writes_what_a_run_found(tmp_path, capsys):
     folder = tmp_path / "run"
     settings = ["scene=materials_joint", "size=tiny", "sampler=uniform", "budget.iterations=2"]
     settings += ["target.spp=1", "estimator.batch=64", "evaluation.pixels=64", "frames.views=0"]
-    assert main(["run", *settings, "report=false", f"hydra.run.dir={folder}"]) == 0
+    ends = ran(folder, *settings, "report=false").parameters()
     assert main(["export", str(folder)]) == 0
     path = folder / "result" / "scene.xml"
     out = capsys.readouterr().out
     assert f"result: {path}\nglTF: {path.with_suffix('.glb')}\nscene.glb leaves out: " in out
     _, loaded, unknowns = described("materials_joint")
-    ends = records.load(folder).parameters()
     assert not any(np.array_equal(ends[each.key], each.start) for each in unknowns)
     unknowns.write(unknowns.values_of(ends))
     same(path, loaded)
@@ -317,22 +312,17 @@ def test_photographs_are_exported_with_their_cameras_where_they_were_found(tmp_p
         assert dr.norm(dr.cross(got.o - wanted.o, wanted.d))[0] < 5e-4
 
 
-def test_what_cannot_be_exported_is_one_line(folder, tmp_path, capsys):
+def test_what_cannot_be_exported_is_one_line(folder, tmp_path, refused):
     arrays = {ROUGH: np.array([0.25], np.float32)}
     with pytest.raises(InputError, match="the scene's own files are: take another --output"):
         export.write(scene(folder / "scene.xml", arrays), arrays, folder)
     (folder / "file").write_text("")
     with pytest.raises(InputError, match="the result cannot be written"):
         export.write(scene(folder / "scene.xml", arrays), arrays, folder / "file" / "result")
-    assert main(["export", str(tmp_path / "nowhere")]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and "nowhere" in told
+    refused(["export", str(tmp_path / "nowhere")], "nowhere")
 
 
 # Of each, what is found and how the file's material, light or texture says it.
-CAMERA = """<sensor type="perspective"><transform name="to_world">
-    <lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform><film type="hdrfilm">
-    <integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>"""
 BALL = """<scene version="{version}"><integrator type="{how}"><integer name="max_depth" value="3"/>
   </integrator>{camera}{light}<shape type="sphere" id="ball">{bsdf}</shape>{more}</scene>"""
 SKY_ALONE = '<emitter type="constant" id="sky"><float name="radiance" value="1"/></emitter>'
@@ -412,7 +402,7 @@ def test_each_plugin_is_told_in_its_own_words(folder, rng, name):
     parts = {
         "version": "3.0.0",
         "how": "path",
-        "camera": CAMERA,
+        "camera": camera(width=8),
         "light": SKY_ALONE,
         "bsdf": "",
         "more": "",

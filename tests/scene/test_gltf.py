@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import trimesh
+from xml_for_tests import camera, paths
 
 from isas_cli.config.schema import SceneConfig, UnknownConfig
 from isas_cli.runtime import images
@@ -18,16 +19,12 @@ from isas_cli.unknowns.parameters import held
 
 pytestmark = pytest.mark.usefixtures("two_threads")
 
-SCENE = """<scene version="3.0.0">
-  <integrator type="path"><integer name="max_depth" value="2"/></integrator>
+BOX = '<rfilter type="box"/>'
+SCENE = f"""<scene version="3.0.0">{paths(2)}{camera("0,2.5,5", 48, 32, fov=50, film=BOX)}
   <emitter type="constant" id="sky"/>
   <emitter type="point" id="lamp"><point name="position" x="1" y="4" z="3"/>
     <rgb name="intensity" value="30, 25, 20"/></emitter>
-  <sensor type="perspective"><float name="fov" value="50"/>
-    <transform name="to_world"><lookat origin="0,2.5,5" target="0,0,0" up="0,1,0"/></transform>
-    <film type="hdrfilm"><integer name="width" value="48"/><integer name="height" value="32"/>
-      <rfilter type="box"/></film></sensor>
-  {inside}
+  {{inside}}
 </scene>"""
 CABINET = """
   <bsdf type="twosided" id="paint"><bsdf type="principled">

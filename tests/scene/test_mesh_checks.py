@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from isas_cli.scenes import library, meshes
 from scipy.spatial import Delaunay
+from xml_for_tests import camera
 
 from isas_cli.cli.app import main
 from isas_cli.runtime.errors import InputError
@@ -112,11 +113,8 @@ HALF = UV * [0.5, 1]
 BITMAP = """<texture type="bitmap" name="{name}"><string name="filename" value="picture.png"/>
   {more}</texture>"""
 PLAIN = '<bsdf type="diffuse"/>'
-SCENE = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>
-  <sensor type="perspective"><transform name="to_world"><lookat origin="0,0,4" target="0,0,0"
-    up="0,1,0"/></transform><film type="hdrfilm"><integer name="width" value="8"/>
-    <integer name="height" value="8"/></film></sensor>
-  {shapes}</scene>"""
+SCENE = f"""<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>
+  {camera(width=8)}{{shapes}}</scene>"""
 
 
 def paint(more: str = "", name: str = "reflectance") -> str:

@@ -5,16 +5,12 @@ import sys
 
 import numpy as np
 import pytest
+from problems_for_tests import built, configured
 
 import isas_cli
 from isas_cli import losses
 from isas_cli.cli.app import main
-from isas_cli.config.compose import compose, translate
 from isas_cli.config.schema import ExternalConfig
-from isas_cli.engine import experiment
-from isas_cli.engine.choices import Choices
-from isas_cli.engine.display import Display
-from isas_cli.engine.experiment import Phases
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime import images
@@ -73,14 +69,11 @@ def words(monkeypatch):
 
 
 def problem(*settings):
-    cfg = compose(translate([*FEW, *settings]))
-    typed, budget = experiment.checked(cfg)
-    with Display(budget) as display:
-        return experiment.built(typed, Phases(display), [Choices.of(cfg)]), Choices.of(cfg)
+    return built(*FEW, *settings)
 
 
 def test_its_pictures_come_through_pixel_by_pixel(words):
-    made, _ = problem(*words, "external.noisy=false")
+    made = problem(*words, "external.noisy=false")
     made.unknowns.write(made.unknowns.truths())
     truth = {"x": np.array(0.7), "y": np.array([0.6])}
     for view in (0, 1):
@@ -90,7 +83,7 @@ def test_its_pictures_come_through_pixel_by_pixel(words):
 
 
 def test_targets_are_as_clean_as_asked(words):
-    made, _ = problem(*words[:-2], words[-1], "target.noise=0.02")
+    made = problem(*words[:-2], words[-1], "target.noise=0.02")
     bright = np.array(made.targets).mean()
     assert np.sqrt(made.variance.mean()) / bright == pytest.approx(0.02, rel=0.5)
     truth = plain({"x": 0.7, "y": 0.6}, 0, 0) - 0.2 * np.random.default_rng([7, 0]).normal()
@@ -99,7 +92,7 @@ def test_targets_are_as_clean_as_asked(words):
 
 def test_targets_go_on_where_they_were_stopped(words, monkeypatch, tmp_path):
     monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
-    whole, _ = problem(*words[:-2], words[-1], "target.noise=0.02")
+    whole = problem(*words[:-2], words[-1], "target.noise=0.02")
     seeds = []
 
     def counted(self, view, seed, stop=5, plain=outside.Outside.picture):
@@ -115,7 +108,7 @@ def test_targets_go_on_where_they_were_stopped(words, monkeypatch, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         problem(*again)
     before = len(seeds)
-    made, _ = problem(*again)
+    made = problem(*again)
     assert np.array_equal(np.array(made.targets), np.array(whole.targets))
     once = [seed for seed in seeds[:before] if seed]
     assert not {*once[:-1]} & {*seeds[before:]}, "what was rendered is not rendered again"
@@ -124,8 +117,9 @@ def test_targets_go_on_where_they_were_stopped(words, monkeypatch, tmp_path):
 @pytest.mark.parametrize("smooth", ["image", "loss"])
 def test_the_gradient_of_its_blurred_pictures_has_no_bias(words, smooth):
     """Against sums over the blur, with noise in the pictures, where the target is not met."""
-    made, choices = problem(*words, f"estimator.smooth={smooth}")
-    estimator = choices.estimator.on(made, losses.L2())
+    words = [*FEW, *words, f"estimator.smooth={smooth}"]
+    made = built(*words)
+    estimator = configured(*words)[0].estimator.on(made, losses.L2())
     values, drawn = made.unknowns.starts(), PixelDistribution.uniform(Tiles.over(made.views))
     rows = []
     for number in range(400):

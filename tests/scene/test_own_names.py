@@ -1,6 +1,5 @@
 """Scenes of users' own: names, versions and paths that mean the same to every process."""
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+from processes import isas
 
 from isas_cli import records
 from isas_cli.runtime import images
@@ -131,12 +131,6 @@ def test_a_file_of_mitsuba_2_is_one_of_mitsuba_3(folder, version):
     text = text.replace(f'="3"/>{CAMERA}', f'="3"/></integrator>{CAMERA}')
     scene, integrator, _ = load(folder / "it.xml", text.replace("3.0.0", version))
     assert integrator.max_depth == 3 and "paint.data" in mi.traverse(scene)
-
-
-def isas(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
-    environment = {**os.environ, "PYTHONPATH": str(Path(records.__file__).parents[2])}
-    command = [sys.executable, "-m", "isas_cli", *arguments]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
 
 
 def test_a_run_goes_on_in_another_process_from_another_folder(folder):

@@ -1,15 +1,19 @@
 """Cameras of every format: where they see known points, and what is refused."""
 
+import dataclasses
 import json
+import re
 
 import mitsuba as mi
 import numpy as np
 import photo_sets
 import pytest
 from photo_sets import CENTRE, FOCAL, POSES, SIZE, Files
+from PIL import Image
 
+from isas_cli.config.photographs import PhotosConfig
 from isas_cli.runtime.errors import InputError
-from isas_cli.scene.photos import building, reading
+from isas_cli.scene.photos import building, photographs, reading
 from isas_cli.scene.photos.camera import Camera
 from isas_cli.scene.photos.lens import Lens
 
@@ -69,17 +73,19 @@ def test_mitsubas_rays_go_through_the_points(cameras):
         assert (np.einsum("nk,nk->n", way, direction) > 0).all()
 
 
-def test_a_lens_is_browns():
-    """The figures of OpenCV's formula, written out for one point."""
-    camera = lens()
-    x, y = 0.3, -0.2
+def browns(x, y, k, p1, p2):
+    """OpenCV's formula, written out."""
     r2 = x * x + y * y
-    radial = 1 + 0.1 * r2 - 0.05 * r2**2 + 0.02 * r2**3 + 0.01 * r2**4
-    wanted = [
-        x * radial + 2 * 0.003 * x * y + 0.002 * (r2 + 2 * x * x),
-        y * radial + 0.003 * (r2 + 2 * y * y) + 2 * 0.002 * x * y,
-    ]
-    np.testing.assert_allclose(camera.distort(np.array([x, y])), wanted, rtol=1e-12)
+    radial = 1 + k[0] * r2 + k[1] * r2**2 + k[2] * r2**3 + k[3] * r2**4
+    return (
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+    )
+
+
+def test_a_lens_is_browns():
+    wanted = browns(0.3, -0.2, (0.1, -0.05, 0.02, 0.01), 0.003, 0.002)
+    np.testing.assert_allclose(lens().distort(np.array([0.3, -0.2])), wanted, rtol=1e-12)
 
 
 def lens(radial=(0.1, -0.05, 0.02, 0.01), tangential=(0.003, 0.002), **more) -> Camera:
@@ -202,6 +208,71 @@ def test_an_unknown_model_of_colmap(tmp_path):
     told = "cameras.txt:2: camera model EQUIRECTANGULAR; valid: SIMPLE_PINHOLE.*image_undistorter"
     with pytest.raises(InputError, match=told):
         reading.read(str(tmp_path))
+
+
+def test_resized_pictures_of_a_file_without_sizes(tmp_path):
+    """K is of the pictures as they were; half of it is not seen, and `photos.scale` says so."""
+    photo_sets.neus(Files(tmp_path, POSES))
+    for path in (tmp_path / "image").glob("*.png"):
+        with Image.open(path) as picture:
+            picture.resize((SIZE[0] // 2, SIZE[1] // 2)).save(path)
+    asked = PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.5])
+    assert any("principal point more than a quarter" in w for w in photographs.load(asked).warnings)
+    taken = photographs.load(dataclasses.replace(asked, scale=0.5))
+    assert not any("principal point" in w for w in taken.warnings)
+    camera = taken.shown[0].camera
+    assert (camera.width, camera.fx) == (SIZE[0] // 2, pytest.approx(FOCAL / 2))
+    assert (camera.cx, camera.cy) == pytest.approx((CENTRE[0] / 2, CENTRE[1] / 2))
+
+
+def test_pictures_that_are_not_in_the_folder_given(tmp_path, monkeypatch):
+    photo_sets.transforms(Files(tmp_path, POSES))
+    asked = PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.5], images="small")
+    small = tmp_path / "small"
+    small.mkdir()
+    with pytest.raises(InputError, match="none of the pictures is there, first view_0.exr"):
+        photographs.load(asked)
+    (tmp_path / "view_1.exr").rename(small / "view_1.exr")
+    elsewhere = tmp_path / "cwd"
+    (elsewhere / "small").mkdir(parents=True)  # of another set
+    monkeypatch.chdir(elsewhere)
+    taken = photographs.load(asked)
+    assert taken.shown[1].camera.image == small / "view_1.exr"
+    assert any("2 of 3 pictures are not in" in note for note in taken.capture.notes)
+
+
+def test_what_does_not_fit_into_memory_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    photo_sets.transforms(Files(tmp_path, POSES))
+    monkeypatch.setattr(photographs.memory, "available", lambda: 40_000.0)
+    asked = PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.5])
+    with pytest.raises(InputError, match=r"3 views need .*photos.width=(\d+) makes") as error:
+        photographs.load(asked)
+    width = int(re.search(r"width=(\d+)", str(error.value))[1])
+    assert photographs.load(dataclasses.replace(asked, width=width)).shown[0].camera.width == width
+
+
+def test_cameras_json_of_another_program_gives_way(tmp_path):
+    photo_sets.transforms(Files(tmp_path, POSES))
+    (tmp_path / "cameras.json").write_text('[{"id": 0, "img_name": "a", "rotation": []}]')
+    assert reading.read(str(tmp_path)).cameras[0].described.endswith("transforms.json")
+
+
+def test_distortion_of_nerfstudio_in_one_list(tmp_path):
+    numbers = {"k1": 0.1, "k2": -0.05, "p1": 0.003, "p2": 0.002}
+    listed = [0.1, -0.05, 0.0, 0.0, 0.003, 0.002]
+    lenses = []
+    for name, more in (("one", numbers), ("other", {"distortion_params": listed})):
+        (tmp_path / name).mkdir()
+        photo_sets.transforms(Files(tmp_path / name, POSES), **more)
+        lenses.append(reading.read(str(tmp_path / name)).cameras[0].lens)
+    assert lenses[0] == lenses[1]
+
+
+def test_meshroom_s_cameras_are_refused_with_the_way_out(tmp_path):
+    photo_sets.transforms(Files(tmp_path, POSES))
+    (tmp_path / "sfm.json").write_text("{}")
+    with pytest.raises(InputError, match="aliceVision_exportColmap"):
+        reading.read(str(tmp_path), cameras="sfm.json")
 
 
 def test_no_cameras(tmp_path):

@@ -250,6 +250,20 @@ def test_of_models_alike_the_first_by_number_is_taken(tmp_path):
     assert note.startswith("sparse/9 is taken of sparse/9 (3 images), sparse/10 (3 images)")
 
 
+def test_a_binary_model_without_points(tmp_path):
+    pycolmap = pytest.importorskip("pycolmap")
+    model(tmp_path)
+    place = tmp_path / "sparse/0"
+    wanted = ours(tmp_path)
+    pycolmap.Reconstruction(str(place)).write_binary(str(place))
+    for name in ("cameras.txt", "images.txt", "points3D.txt", "points3D.bin"):
+        (place / name).unlink()
+    found = ours(tmp_path)
+    assert found.keys() == wanted.keys()
+    for name in found:
+        np.testing.assert_allclose(found[name], wanted[name], atol=1e-6)
+
+
 def test_messages_name_the_users_files(tmp_path):
     pycolmap = pytest.importorskip("pycolmap")
     model(tmp_path)

@@ -7,6 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from PIL import Image
 
 from isas_cli.config.schema import PhotosConfig, UnknownConfig
 from isas_cli.scene.photos import brightness, building, photographs
@@ -124,6 +125,22 @@ def test_specs_of_ones_own_are_not_held(tmp_path):
     views = Views.of([box.SIZE] * 6)
     assert building.of_views(taken, views)["told"] is not None
     assert building.of_views(taken, views, ["exposure"])["told"] is None
+
+
+@pytest.mark.parametrize("cast", [1.0, 1.3])
+def test_another_white_balance_is_told(tmp_path, cast):
+    box.photographed(tmp_path, 6, "alpha", scale=2)
+    for path in sorted(tmp_path.rglob("*.png"))[:2]:
+        picture = np.array(Image.open(path))
+        picture[..., 0] = np.clip(picture[..., 0] * cast ** (1 / 2.2), 0, 255)
+        picture[..., 2] = picture[..., 2] / cast ** (1 / 2.2)
+        Image.fromarray(picture).save(path)
+    box.turned_mesh(tmp_path / "box.obj", 0, 1)
+    taken = photographs.load(PhotosConfig(str(tmp_path), mesh=str(tmp_path / "box.obj")))
+    found = brightness.tinted(taken.shown, taken.surface)
+    assert (found is not None) == (cast > 1)
+    if found is not None:
+        assert cast * 0.9 < found[0] < cast * 1.1
 
 
 def test_few_views_do_not_check_each_other(tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from runs_for_tests import ran
 from test_photo_outline import FOCAL, HEIGHT, RADIUS, WIDTH, ball, covered, pose  # noqa: F401
 
 from isas_cli.cli.app import main
@@ -286,11 +287,9 @@ def test_a_mesh_and_a_hull_are_one_too_many():
 def test_one_command_finds_shape_colour_and_light(ball, tmp_path):  # noqa: F811
     around(ball)
     out = tmp_path / "run"
-    words = ["run", "scene=photos", f"photos.path={ball}", "photos.texture=32", "photos.voxels=16"]
+    words = ["scene=photos", f"photos.path={ball}", "photos.texture=32", "photos.voxels=16"]
     words += ["budget.iterations=60", "frames.views=1", "frames.snapshots=0", "report=false"]
-    words += ["estimator.batch=2048", "evaluation.count=2", f"hydra.run.dir={out}"]
-    assert main(words) == 0
-    summary = json.loads((out / "summary.json").read_text())
+    summary = ran(out, *words, "estimator.batch=2048", "evaluation.count=2").summary
     assert summary["final"]["image_rmse"] < 0.5 * summary["start"]["image_rmse"]
     found = trimesh.load(out / "meshes/result_object.vertices.ply", process=False)
     radius = np.linalg.norm(found.vertices, axis=1)

@@ -96,6 +96,13 @@ def test_a_folder_that_fits_nothing_is_told(tmp_path, taken):
         taken(masks="object_masks")
 
 
+def test_a_folder_below_that_of_masks_is_told_as_well(tmp_path, taken):
+    for name in ("person", "background"):
+        mask(tmp_path / f"masks/{name}/0.png")
+    told = [line for line in taken().warnings if "looks like masks" in line]
+    assert len(told) == 2 and "person" in told[1]
+
+
 def test_some_without(tmp_path, taken):
     for number in range(2):
         mask(tmp_path / f"masks/{number:03d}.png")

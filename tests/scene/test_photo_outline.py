@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from runs_for_tests import QUIET, ran
 
-from isas_cli.cli.app import main
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
@@ -107,16 +107,14 @@ def test_what_it_may_be_is_said(background):
 
 
 def run(ball, *settings: str) -> dict:
-    mesh, out = ball / "small.obj", ball / "run"
+    mesh = ball / "small.obj"
     trimesh.creation.icosphere(subdivisions=3, radius=0.8 * RADIUS).export(mesh)
     Image.new("RGB", (16, 8), (255, 255, 255)).save(ball / "white.png")
-    words = ["run", "scene=photos", f"photos.path={ball}", f"photos.mesh={mesh}"]
+    words = ["scene=photos", f"photos.path={ball}", f"photos.mesh={mesh}"]
     words += [f"photos.environment={ball / 'white.png'}", "estimator=silhouettes", "sampler=ours"]
     words += ["scene.unknowns={object.vertices: {}, object.bsdf.brdf_0.base_color.value: {}}"]
-    words += ["frames.views=0", "frames.snapshots=0", "report=false", "evaluation.count=1"]
-    words += ["estimator.batch=4096", f"hydra.run.dir={out}", "overwrite=true"]
-    assert main([*words, *settings]) == 0
-    return json.loads((out / "summary.json").read_text())
+    words += ["evaluation.count=1", "estimator.batch=4096", "overwrite=true", *QUIET]
+    return ran(ball / "run", *words, *settings).summary
 
 
 def test_a_shape_grows_into_its_outline(ball):

@@ -9,7 +9,7 @@ import pytest
 from photo_sets import CENTRE, FOCAL, POSES, SIZE, Files, llff, neus
 from PIL import Image
 from scipy.spatial.transform import Rotation
-from test_photo_cameras import POINTS, expected
+from test_photo_cameras import POINTS, browns, expected
 
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime.errors import InputError
@@ -115,6 +115,13 @@ def test_metashapes_active_component_counts(tmp_path):
     )
 
 
+def from_first() -> np.ndarray:
+    """Where the first camera sees POINTS, before a lens bends it."""
+    homogeneous = np.column_stack([POINTS, np.ones(len(POINTS))]).T
+    x, y, z = (np.linalg.inv(POSES[0]) @ homogeneous)[:3]
+    return np.stack([x / z, y / z])
+
+
 def test_metashapes_lens(tmp_path):
     """By the manual's formulas, written out: P1 and P2 the other way round, B1 and B2."""
     k1, k2, k3, k4, p1, p2, b1, b2 = 0.1, -0.05, 0.02, 0.01, 0.003, 0.002, 1.5, 0.7
@@ -122,16 +129,11 @@ def test_metashapes_lens(tmp_path):
     for kind in ("frame", "fisheye"):
         metashape(tmp_path, "".join(f"<{n}>{x}</{n}>" for n, x in names.items()), kind)
         (camera, *_) = reading.read(str(tmp_path)).cameras
-        homogeneous = np.column_stack([POINTS, np.ones(len(POINTS))]).T
-        x, y, z = (np.linalg.inv(POSES[0]) @ homogeneous)[:3]
-        x, y = x / z, y / z
+        x, y = from_first()
         if kind == "fisheye":
             r = np.hypot(x, y)
             x, y = x * np.arctan(r) / r, y * np.arctan(r) / r
-        r2 = x * x + y * y
-        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3 + k4 * r2**4
-        bent_x = x * radial + p1 * (r2 + 2 * x * x) + 2 * p2 * x * y
-        bent_y = y * radial + p2 * (r2 + 2 * y * y) + 2 * p1 * x * y
+        bent_x, bent_y = browns(x, y, (k1, k2, k3, k4), p2, p1)
         u = SIZE[0] / 2 + 3.5 + bent_x * FOCAL + bent_x * b1 + bent_y * b2
         v = SIZE[1] / 2 - 4 + bent_y * FOCAL
         np.testing.assert_allclose(camera.project(POINTS)[0], np.stack([u, v], 1), atol=1e-9)
@@ -172,7 +174,8 @@ def test_polycam(tmp_path, kind):
     polycam(tmp_path, kind)
     capture = agree(tmp_path)
     assert capture.cameras[0].name == f"keyframes/{kind}images/view_0.png"
-    assert bool(capture.notes) == (kind == "")
+    told = "poses as the phone had them" if kind == "" else "black along their borders"
+    assert told in " ".join(capture.notes)
     assert agree(tmp_path, cameras="keyframes").kind == "Polycam"
     for named in (f"keyframes/{kind}cameras", f"keyframes/{kind}cameras/view_1.json"):
         assert agree(tmp_path, cameras=named).kind == "Polycam"
@@ -185,11 +188,12 @@ def test_polycams_mesh_is_in_a_world_of_its_own(tmp_path):
     raw = [np.linalg.inv(turn) @ pose for pose in POSES]
     polycam(tmp_path, poses=raw)
     photo_sets.write(tmp_path / "mesh_info.json", {"alignmentTransform": turn.T.ravel().tolist()})
-    (note,) = agree(tmp_path).notes
+    border, note = agree(tmp_path).notes
+    assert "black along their borders" in border
     assert "alignmentTransform applied" in note and "photos.world=file" in note
     stay = reading.read(str(tmp_path), world="file")
     np.testing.assert_allclose(stay.cameras[0].to_world, raw[0], atol=1e-9)
-    assert not stay.notes
+    assert stay.notes == [border]
     photo_sets.write(tmp_path / "mesh_info.json", {"alignmentTransform": [1, 2]})
     refused(tmp_path, "mesh_info.json: alignmentTransform: no 16 numbers")
 
@@ -266,14 +270,8 @@ def test_realitycaptures_tangential_lens(tmp_path):
         numbers = f"{k1} {k2} {k3} {last} {t1} {t2}"
         xmp(tmp_path, DistortionModel=model, DistortionCoeficients=numbers)
         (camera, *_) = reading.read(str(tmp_path)).cameras
-        homogeneous = np.column_stack([POINTS, np.ones(len(POINTS))]).T
-        x, y, z = (np.linalg.inv(POSES[0]) @ homogeneous)[:3]
-        x, y = x / z, y / z
-        r2 = x * x + y * y
-        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3 + last * r2**4
-        bent_x = x * radial + t1 * (r2 + 2 * x * x) + 2 * t2 * x * y
-        bent_y = y * radial + t2 * (r2 + 2 * y * y) + 2 * t1 * x * y
-        wanted = np.stack([bent_x * FOCAL + CENTRE[0], bent_y * FOCAL + CENTRE[1]], 1)
+        x, y = browns(*from_first(), (k1, k2, k3, last), t2, t1)
+        wanted = np.stack([x * FOCAL + CENTRE[0], y * FOCAL + CENTRE[1]], 1)
         np.testing.assert_allclose(camera.project(POINTS)[0], wanted, atol=1e-9)
     # The model without it has none, whatever else the file holds.
     xmp(tmp_path, DistortionModel="brown3", DistortionCoeficients="0.1 0 0 0 0 0")

@@ -1,11 +1,11 @@
 """scene=file: a user's own Mitsuba XML, with rendered targets and with pictures."""
 
-from pathlib import Path
-
 import mitsuba as mi
 import numpy as np
 import pandas
 import pytest
+from runs_for_tests import ran
+from xml_for_tests import camera
 
 from isas_cli import records
 from isas_cli.cli.app import main
@@ -16,15 +16,8 @@ from isas_cli.scene import scene_file
 KEY = "paint.brdf_0.base_color.data"
 FEW = ["scene=file", "frames.spp=4", "target.spp=16", "estimator.batch=2048"]
 
-SENSORS = """
-  <sensor type="perspective"><float name="fov" value="45"/>
-    <transform name="to_world"><lookat origin="0.5,2,2.5" target="0,0,0" up="0,1,0"/></transform>
-    <film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="16"/>
-      <rfilter type="gaussian"/></film></sensor>
-  <sensor type="perspective"><float name="fov" value="40"/>
-    <transform name="to_world"><lookat origin="-1.5,2,1.5" target="0,0,0" up="0,1,0"/></transform>
-    <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="20"/>
-    </film></sensor>"""
+SENSORS = camera("0.5,2,2.5", 24, 16, fov=45, film='<rfilter type="gaussian"/>')
+SENSORS += camera("-1.5,2,1.5", 16, 20, fov=40)
 EMITTER = '<emitter type="constant"><rgb name="radiance" value="0.8"/></emitter>'
 
 
@@ -115,7 +108,7 @@ def test_an_object_is_moved_to_where_the_file_has_it(folder, capsys):
     ],
 )
 def test_what_sampler_and_scene_cannot_do_is_said_before_targets(
-    folder, capsys, monkeypatch, settings, words
+    folder, refused, monkeypatch, settings, words
 ):
     def slow(*arguments):
         raise AssertionError("targets are rendered")
@@ -124,17 +117,12 @@ def test_what_sampler_and_scene_cannot_do_is_said_before_targets(
     given = [f"scene.poses={POSE}", unknowns("ball.x", "0.5", BLUR), *settings]
     if not settings[0].startswith("sampler="):
         given.append("sampler=plateau")
-    assert run(*PLATEAU[1:], *given) == 2
-    error = capsys.readouterr().err
-    assert words in error and error.count("\n") == 1, error
-    assert not (folder / "r").exists()
+    refused(["run", *FEW, *PLATEAU[1:], *given], words)
 
 
-def test_a_slip_in_the_name_of_a_pose_is_told_as_one(folder, capsys):
-    assert run(*PLATEAU, f"scene.poses={POSE}", unknowns("bal.x", "0.5")) == 2
-    assert (
-        "'bal.x' is no differentiable parameter; did you mean 'ball.x'" in capsys.readouterr().err
-    )
+def test_a_slip_in_the_name_of_a_pose_is_told_as_one(folder, refused):
+    told = "'bal.x' is no differentiable parameter; did you mean 'ball.x'"
+    refused(["run", *FEW, *PLATEAU, f"scene.poses={POSE}", unknowns("bal.x", "0.5")], told)
 
 
 @pytest.mark.parametrize(
@@ -179,17 +167,14 @@ def test_a_slip_in_the_name_of_a_pose_is_told_as_one(folder, capsys):
         (POSE, ', "blur": {"start": 0.3, "end": 0.1, "hold": 0.5, "until": 0.5}', "blur.until=0.5"),
     ],
 )
-def test_poses_that_make_no_sense_are_refused(folder, capsys, pose, blur, words):
-    assert run(*PLATEAU, f"scene.poses={pose}", unknowns("ball.x", "0.5", blur)) == 2
-    error = capsys.readouterr().err
-    assert words in error and error.count("\n") == 1, error
-    assert not (folder / "r").exists()
+def test_poses_that_make_no_sense_are_refused(folder, refused, pose, blur, words):
+    given = f"scene.poses={pose}", unknowns("ball.x", "0.5", blur)
+    refused(["run", *FEW, *PLATEAU, *given], words)
 
 
-def test_the_files_values_are_the_truth_and_are_recovered(folder, capsys):
+def test_the_files_values_are_the_truth_and_are_recovered(folder):
     arguments = ("scene.path=own/scene.xml", unknowns(), "budget.iterations=60")
-    assert run(*arguments, *PLAIN, "hydra.run.dir=r") == 0, capsys.readouterr().err
-    recorded = records.load(folder / "r")
+    recorded = ran(folder / "r", *FEW, *arguments, *PLAIN)
     assert recorded.keys == [KEY]
     error = recorded.history["parameter_rmse"].to_numpy()
     assert error[-1] < 0.5 * error[0]
@@ -199,12 +184,12 @@ def test_the_files_values_are_the_truth_and_are_recovered(folder, capsys):
     assert np.allclose(truth, floor, atol=1e-3)
 
 
-def test_pictures_as_targets(folder, capsys):
+def test_pictures_as_targets(folder):
     """Targets rendered with one seed and saved as EXR and PNG: the truth matches them, up to the
     noise of the target and the steps of 8 bits, and a run has no parameter error."""
     first = ("scene.path=own/scene.xml", unknowns(), "target.spp=256", "budget.iterations=1")
-    assert run(*first, *PLAIN, "hydra.run.dir=rendered") == 0, capsys.readouterr().err
-    frames = folder / "rendered" / "frames"
+    rendered = ran(folder / "rendered", *FEW, *first, *PLAIN)
+    frames = rendered.folder / "frames"
     images.write_exr("a.exr", images.read(frames / "target_v00.exr"), ["R", "G", "B"], {})
     images.write_png("b.png", images.to_display(images.read(frames / "target_v01.exr")))
     images.write_png("white.png", np.full((16, 24, 1), 255, np.uint8))
@@ -213,24 +198,29 @@ def test_pictures_as_targets(folder, capsys):
     images.write_png("half.png", half)
 
     given = ("scene.path=own/scene.xml", "scene.targets=[a.exr,b.png]", "estimator.batch=2048")
-    arguments = ["run", "scene=file", *given, "frames.spp=4", "evaluation.spp=256"]
+    arguments = ["scene=file", *given, "frames.spp=4", "evaluation.spp=256"]
     arguments += ['scene.unknowns={"%s": {}}' % KEY, "optimizer.lr=1e-6", "budget.iterations=1"]
-    assert main([*arguments, *PLAIN, "hydra.run.dir=at_truth"]) == 0, capsys.readouterr().err
-    recorded = records.load(folder / "at_truth")
+    recorded = ran(folder / "at_truth", *arguments, *PLAIN)
     assert recorded.keys == []
     assert "parameter_rmse" not in recorded.summary["final"]
     # 8 bits: a step is at most 1/255 · 2.4 · 1.055 ≈ 0.01, its error a third of half of it.
     assert recorded.history["image_rmse"].iloc[0] < 0.01
-    assert recorded.history["image_rmse"].iloc[0] < 0.1 * _start_error(folder)
+    start = rendered.history["image_rmse"].iloc[0]
+    assert recorded.history["image_rmse"].iloc[0] < 0.1 * start
     assert main(["report", "at_truth"]) == 0
 
-    masked = ["scene.masks=[white.png,half.png]", "hydra.run.dir=masked"]
-    assert main([*arguments, *masked]) == 0, capsys.readouterr().err
-    assert records.load(folder / "masked").summary["status"] == "done"
-
-
-def _start_error(folder: Path) -> float:
-    return float(records.load(folder / "rendered").history["image_rmse"].iloc[0])
+    arguments.append("scene.masks=[white.png,half.png]")
+    masked = ran(folder / "masked", *arguments)
+    assert masked.summary["status"] == "done"
+    # What is masked out has no error, whatever the target has there.
+    error = images.read("masked/frames/error_v01.exr")
+    assert (error[:, 8:] == 0).all() and error[:, :8].max() > 0
+    spoilt = images.to_display(images.read(frames / "target_v01.exr"))
+    spoilt[:, 8:] = 255
+    images.write_png("b.png", spoilt)
+    again = ran(folder / "spoilt", *arguments)
+    both = [each.history["image_rmse"] for each in (masked, again)]
+    np.testing.assert_allclose(*both, rtol=1e-6)
 
 
 def test_keys_do_not_change_from_load_to_load(folder):
@@ -342,32 +332,21 @@ BAD_FILES = {
 }
 
 
-def refused(capsys, *arguments: str, parts: list[str]) -> None:
-    before = sorted(Path.cwd().iterdir())
-    assert run(*arguments) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith("isas: ") and captured.err.count("\n") == 1, captured.err
-    for part in parts:
-        assert part in captured.err
-    assert sorted(Path.cwd().iterdir()) == before
-
-
 @pytest.mark.parametrize("name", BAD_FILES)
-def test_bad_files_are_refused_in_one_line(folder, capfd, name):
+def test_bad_files_are_refused_in_one_line(folder, refused, name):
     text, parts = BAD_FILES[name]
     (folder / "own" / "bad.xml").write_text(text)
-    refused(capfd, "scene.path=own/bad.xml", unknowns(), parts=parts)
+    refused(["run", *FEW, "scene.path=own/bad.xml", unknowns()], *parts)
 
 
-def test_a_scene_of_python_is_told_how_to_become_xml(folder, capfd):
+def test_a_scene_of_python_is_told_how_to_become_xml(folder, refused):
     (folder / "own" / "it.py").write_text("scene = {}")
-    refused(capfd, "scene.path=own/it.py", unknowns(), parts=["own/it.py", "parser.write_file"])
+    refused(["run", *FEW, "scene.path=own/it.py", unknowns()], "own/it.py", "parser.write_file")
 
 
-def test_files_that_are_not_there_are_refused(folder, capfd):
-    refused(capfd, "scene.path=nowhere.xml", unknowns(), parts=["nowhere.xml"])
-    refused(capfd, "scene.path=own", unknowns(), parts=["scene.path=own"])
+def test_files_that_are_not_there_are_refused(folder, refused):
+    refused(["run", *FEW, "scene.path=nowhere.xml", unknowns()], "nowhere.xml")
+    refused(["run", *FEW, "scene.path=own", unknowns()], "scene.path=own")
 
 
 BAD_UNKNOWNS = {
@@ -392,9 +371,9 @@ BAD_UNKNOWNS = {
 
 
 @pytest.mark.parametrize("name", BAD_UNKNOWNS)
-def test_bad_unknowns_are_refused_in_one_line(folder, capfd, name):
+def test_bad_unknowns_are_refused_in_one_line(folder, refused, name):
     given, parts = BAD_UNKNOWNS[name]
-    refused(capfd, *filter(None, ["scene.path=own/scene.xml", given]), parts=parts)
+    refused(["run", *FEW, *filter(None, ["scene.path=own/scene.xml", given])], *parts)
 
 
 @pytest.mark.parametrize(
@@ -409,7 +388,7 @@ def test_bad_unknowns_are_refused_in_one_line(folder, capfd, name):
         ("a.png,b.png", "black.png,black2.png", ["every pixel"]),
     ],
 )
-def test_bad_targets_are_refused_in_one_line(folder, capfd, targets, masks, parts):
+def test_bad_targets_are_refused_in_one_line(folder, refused, targets, masks, parts):
     for name, shape, value in (
         ("a.png", (16, 24, 3), 99),
         ("b.png", (20, 16, 3), 99),
@@ -419,4 +398,4 @@ def test_bad_targets_are_refused_in_one_line(folder, capfd, targets, masks, part
         images.write_png(name, np.full(shape, value, np.uint8))
     given = ["scene.path=own/scene.xml", unknowns(), f"scene.targets=[{targets}]"]
     given += [f"scene.masks=[{masks}]"] if masks else []
-    refused(capfd, *given, "target.spp=null", parts=parts)
+    refused(["run", *FEW, *given, "target.spp=null"], *parts)

@@ -3,6 +3,7 @@
 import mitsuba as mi
 import numpy as np
 import pytest
+from xml_for_tests import camera
 
 from isas_cli.config.schema import SceneConfig, UnknownConfig
 from isas_cli.engine import assemble
@@ -10,14 +11,11 @@ from isas_cli.runtime import backend
 
 INTEGRATOR = """<integrator type="{kind}"><integer name="max_depth" value="{depth}"/>
   <boolean name="hide_emitters" value="{hidden}"/></integrator>"""
-XML = """<scene version="3.0.0">{integrator}
-  <sensor type="perspective"><transform name="to_world">
-    <lookat origin="0,1,4" target="0,0,0" up="0,1,0"/></transform><film type="hdrfilm">
-    <integer name="width" value="12"/><integer name="height" value="10"/>
-    <string name="pixel_format" value="rgb"/></film></sensor>
+RGB = '<string name="pixel_format" value="rgb"/>'
+XML = f"""<scene version="3.0.0">{{integrator}}{camera("0,1,4", 12, 10, film=RGB)}
   <emitter type="constant"/>
   <shape type="rectangle"><transform name="to_world"><scale value="2"/><rotate x="1" angle="-90"/>
-    <translate y="-1"/></transform><bsdf type="diffuse"/></shape>{more}</scene>"""
+    <translate y="-1"/></transform><bsdf type="diffuse"/></shape>{{more}}</scene>"""
 GAP = """<shape type="rectangle"><transform name="to_world"><translate z="1"/></transform>
   <bsdf type="mask"><float name="opacity" value="0.4"/><bsdf type="diffuse"/></bsdf></shape>"""
 FOG = """<shape type="sphere"><bsdf type="null"/><medium type="homogeneous" name="interior">

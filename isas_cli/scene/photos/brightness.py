@@ -24,6 +24,7 @@ _SHARED, _IN_CELL = 50, 8
 # Of a normal number's deviations, over their median; how many of these the views must lie apart,
 # and by which factor at least; what of all pairs exposures must account for.
 _NORMAL, _SURE, _APART, _TOLD = 1.4826, 3.0, 1.25, 0.9
+_TINTED = 1.1  # the same of a colour beside green
 # Places seen from the side, at a smaller cosine, are taken for others, and those that look away are
 # hidden; exposures are known to this share at best, and at worst where they are said to be told.
 _ASLANT, _NEAR, _VAGUE = 0.2, 0.01, 0.2
@@ -46,8 +47,12 @@ def apart(
     photographs: list[Photograph], surface: Surface, channel: int | None = None
 ) -> Apart | None:
     """How unlike views are exposed, in a ``channel`` or all; None where no pairs connect them."""
-    logs = shown(photographs, surface, channel)
-    count = len(photographs)
+    return _apart(shown(photographs, surface, channel))
+
+
+def _apart(logs: np.ndarray) -> Apart | None:
+    """The same of what ``shown`` tells, or of differences of such."""
+    count = len(logs)
     chosen = np.unique(np.linspace(0, count - 1, min(_MOST, count)).round().astype(int))
     pairs, found, deviation = [], [], []
     for a, b in ((a, int(b)) for a in range(count) for b in chosen):
@@ -103,6 +108,23 @@ def unlike(photographs: list[Photograph], surface: Surface) -> tuple[float, str,
     if factor < max(np.log(_APART), _SURE * found.deviation):
         return None
     return float(np.exp(factor)), *(photographs[each].camera.name for each in (high, low))
+
+
+def tinted(photographs: list[Photograph], surface: Surface) -> tuple[float, str, str] | None:
+    """How many times as red or blue, beside green, the object is in one view as in another, and
+    their names; None where that is alike, or nothing is sure."""
+    red, green, blue = (shown(photographs, surface, channel) for channel in range(3))
+    casts = [each for each in (_apart(red - green), _apart(blue - green)) if each is not None]
+    worst: tuple[float, str, str] | None = None
+    for found in (each for each in casts if each.share >= _TOLD):
+        low, high = int(found.exposures.argmin()), int(found.exposures.argmax())
+        factor = float(found.exposures[high] - found.exposures[low])
+        if factor >= max(np.log(_TINTED), _SURE * found.deviation) and (
+            worst is None or factor > np.log(worst[0])
+        ):
+            names = (photographs[each].camera.name for each in (high, low))
+            worst = float(np.exp(factor)), *names
+    return worst
 
 
 def told(

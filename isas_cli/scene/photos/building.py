@@ -304,19 +304,34 @@ def pixels(photographs: Photographs) -> np.ndarray:
 
 def _sky(settings: PhotosConfig) -> dict[str, Any]:
     if settings.environment is not None:
-        return light(Path(settings.environment), settings.up)
-    return _environment(np.full((settings.sky, 2 * settings.sky, 3), _LIGHT), settings.up)
+        return light(Path(settings.environment), upright(settings.up, settings.turn))
+    pixels = np.full((settings.sky, 2 * settings.sky, 3), _LIGHT)
+    return _environment(pixels, upright(settings.up, 0.0))
 
 
-def light(file: Path, up: str) -> dict[str, Any]:
-    """The environment in a picture file, whose up is the world's axis ``up``."""
-    return _environment(np.maximum(images.read(file), 0), up)
+def light(file: Path, world: mi.ScalarTransform4f) -> dict[str, Any]:
+    """The environment in a picture file, turned by ``world``."""
+    return _environment(np.maximum(images.read(file), 0), world)
 
 
-def _environment(pixels: np.ndarray, up: str) -> dict[str, Any]:
+def upright(up: str, turn: float) -> mi.ScalarTransform4f:
+    """What turns an environment whose up is the world's axis ``up``, and then by ``turn`` degrees
+    about that axis, counter-clockwise as seen from its tip."""
     axis, angle = _TURNS[up]
+    tip = [float(name == up[-1]) * (-1 if up[0] == "-" else 1) for name in "xyz"]
+    return mi.ScalarTransform4f().rotate(tip, turn) @ mi.ScalarTransform4f().rotate(axis, angle)
+
+
+def facing(camera: Camera) -> mi.ScalarTransform4f:
+    """What turns an environment so that its middle lies straight ahead of a camera."""
+    turned = np.eye(4)
+    turned[:3, :3] = straightened(camera)[:3, :3] @ np.diag([-1.0, -1.0, 1.0])
+    return mi.ScalarTransform4f(turned)
+
+
+def _environment(pixels: np.ndarray, world: mi.ScalarTransform4f) -> dict[str, Any]:
     return {
         "type": "envmap",
         "bitmap": mi.Bitmap(np.ascontiguousarray(pixels, np.float32)),
-        "to_world": mi.ScalarTransform4f().rotate(axis, angle),
+        "to_world": world,
     }

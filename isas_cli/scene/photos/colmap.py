@@ -59,6 +59,9 @@ class _Model:
         return ((where, line.split()) for where, line in self.numbered(name) if line)
 
 
+_IMAGES, _POINTS = "images.bin", "points3D.bin"
+
+
 def claims(file: Path) -> bool:
     return file.name in ("cameras.txt", "cameras.bin")
 
@@ -81,11 +84,37 @@ def read(file: Path, asked: Asked) -> Capture:
         ) from None
     with tempfile.TemporaryDirectory() as folder:
         try:
-            pycolmap.Reconstruction(str(file.parent)).write_text(folder)
+            pycolmap.Reconstruction(str(_with_points(file.parent, folder))).write_text(folder)
         except (RuntimeError, ValueError, IndexError, OSError) as error:
             told = " ".join(str(error).split())
             raise InputError(f"{file}: pycolmap cannot read the model: {told}") from error
         return _read(_Model(Path(folder), file.parent, binary=True), asked)
+
+
+def _with_points(model: Path, made: str) -> Path:
+    """A binary model's folder, or where it lacks its points, without which pycolmap reads none, one
+    below ``made`` that has none of them."""
+    if (model / _POINTS).is_file():
+        return model
+    folder = Path(made) / "model"
+    folder.mkdir()
+    for file in model.glob("*.bin"):
+        if file.name == _IMAGES:  # must not name points that are not there
+            (folder / _IMAGES).write_bytes(_unobserved(file.read_bytes()))
+        else:
+            (folder / file.name).symlink_to(file.resolve())
+    (folder / _POINTS).write_bytes(bytes(8))  # how many there are
+    return folder
+
+
+def _unobserved(content: bytes) -> bytes:
+    """An images.bin without what its images have found of points."""
+    count, at, kept = int.from_bytes(content[:8], "little"), 8, [content[:8]]
+    for _ in range(count):
+        end = content.index(b"\0", at + 64) + 1  # number, pose and camera, then the name
+        kept += [content[at:end], bytes(8)]
+        at = end + 8 + 24 * int.from_bytes(content[end : end + 8], "little")
+    return b"".join(kept)
 
 
 def _read(model: _Model, asked: Asked) -> Capture:

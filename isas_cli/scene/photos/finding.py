@@ -24,7 +24,7 @@ PICTURES = (*PLAIN, *heif.ENDINGS, *raw.ENDINGS)
 NONE = "none"
 _MASKS = ("masks", "mask")
 # What folders of masks have in their names.
-_TELLING = ("mask", "matte", "segment", "silhouette")
+_TELLING = ("mask", "matte", "matting", "alpha", "foreground", "segment", "silhouette")
 # Folders of pictures → of masks.
 _INSTEAD = (("images", "masks"), ("image", "mask"), ("rgb", "mask"), ("rgb", "masks"))
 # Names of a mask, of a picture's {name} and its {stem}; the second kind also beside the picture.
@@ -42,14 +42,17 @@ class Sources:
     those of the cameras' file, or None; ``given``: whether masks are looked for in ``masks`` alone,
     which without it are none; ``skip``: whether views whose picture is missing are left out;
     ``turned``: whether pictures without a size in the cameras' file have that after turning;
-    ``missing``: names of the pictures that were missing."""
+    ``scale``: how large they are of what the cameras are of; ``missing``: names of the pictures
+    that were missing; ``elsewhere``: of those that are not in ``images``."""
 
     images: Path | None = None
     masks: Path | None = None
     given: bool = False
     skip: bool = False
     turned: bool = False
+    scale: float = 1.0
     missing: list[str] = field(default_factory=list)
+    elsewhere: dict[str, None] = field(default_factory=dict)  # in their order
 
 
 class Missing(InputError):
@@ -69,6 +72,7 @@ def looking(settings: PhotosConfig, root: Path) -> Iterator[Sources]:
         settings.masks is not None,
         settings.missing == "skip",
         settings.orientation == "turned",
+        float(settings.scale) if isinstance(settings.scale, (int, float)) else 1.0,
     )
     before = _SOURCES.set(found)
     try:
@@ -81,11 +85,11 @@ def _folder(settings: PhotosConfig, name: str, root: Path) -> Path | None:
     value = getattr(settings, name)
     if value is None or (name == "masks" and value == NONE):
         return None
-    for folder in (Path(value), root / value):
+    for folder in (root / value, Path(value)):
         if folder.is_dir():
             return folder
     none = "; photos.masks=none for no masks at all" if name == "masks" else ""
-    raise InputError(f"photos.{name}={value}: no such folder, neither here nor in {root}{none}")
+    raise InputError(f"photos.{name}={value}: no such folder, neither in {root} nor here{none}")
 
 
 def picture(folder: Path, name: str, where: str) -> Path:
@@ -94,7 +98,10 @@ def picture(folder: Path, name: str, where: str) -> Path:
     sources = _SOURCES.get(_AS_IT_IS)
     found = _file(folder, name, where)
     if sources.images is not None:
-        found = _below(sources.images, name) or found
+        within = _below(sources.images, name)
+        if within is None and found is not None:
+            sources.elsewhere[name.removeprefix("./")] = None
+        found = within or found
     if found is not None:
         return found
     if sources.skip:
@@ -153,8 +160,11 @@ def missed(name: str) -> bool:
 
 
 def size(image: Path) -> tuple[int, int]:
-    """Width and height of a picture, pixels, as cameras without a size of their own have it."""
-    return images.size(image, _SOURCES.get(_AS_IT_IS).turned)
+    """Width and height, pixels, that cameras without a size of their own are of: a picture's, or
+    where it was resized what that was before."""
+    sources = _SOURCES.get(_AS_IT_IS)
+    width, height = images.size(image, sources.turned)
+    return round(width / sources.scale), round(height / sources.scale)
 
 
 def _file(folder: Path, name: Any, where: str) -> Path | None:
@@ -298,7 +308,8 @@ class _Search:
         told = []
         for depth in ("*", "*/*"):
             for folder in sorted(self._root.glob(depth)):
-                if not any(word in folder.name.lower() for word in _TELLING):
+                below = str(folder.relative_to(self._root)).lower()
+                if not any(word in below for word in _TELLING):
                     continue
                 if any(each == folder or each.is_relative_to(folder) for each in used):
                     continue

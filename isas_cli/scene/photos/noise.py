@@ -54,11 +54,13 @@ def of_two(first: "Photograph", second: "Photograph") -> float | None:
     """The same of two photographs of one camera, in units of radiance: what moves between them
     counts little. None where no pixel counts in both, or the cameras are not the same."""
     a, b = first.camera, second.camera
+    if not np.array_equal(a.to_world, b.to_world):  # before all that is dear
+        return None
     same = (a.fx, a.fy, a.cx, a.cy) == (b.fx, b.fy, b.cx, b.cy)
     if first.image.shape != second.image.shape or not same:
         return None
     both = (first.mask > 0) & (second.mask > 0)
-    if not np.array_equal(a.to_world, b.to_world) or not both.any():
+    if not both.any():
         return None
     apart = first.image[both] / a.exposure - second.image[both] / b.exposure
     deviations = _NORMAL * np.median(np.abs(apart), axis=0)

@@ -23,12 +23,23 @@ from scipy.spatial.transform import Rotation
 
 from ...runtime.errors import InputError
 from . import lens
-from .base import Asked, Capture, exposure, load_json, matrix, number, numbers, whole
+from .base import (
+    Asked,
+    Capture,
+    exposure,
+    load_json,
+    matrix,
+    number,
+    numbers,
+    read_text,
+    whole,
+)
 from .camera import Camera
 from .finding import listed_mask, picture, present
 
 NAME = "cameras.json"
 _MOST_CORNERS = 100_000
+_TELLING = ("views", "camera_matrix", "rvecs", "extrinsic_parameters")
 _LENGTHS = (4, 5, 8, 12, 14)
 # OpenCV's and ROS' words for ours.
 _SAME = {
@@ -48,6 +59,13 @@ def claims(file: Path) -> bool:
 
 def find(folder: Path) -> Path | None:
     return folder / NAME if (folder / NAME).is_file() else None
+
+
+def foreign(file: Path) -> bool:
+    """Whether it is another program's of that name, as Gaussian splatting's: beside it lie, as a
+    rule, the cameras that this was made from."""
+    text = read_text(file)
+    return file.name == NAME and not any(f'"{word}"' in text for word in _TELLING)
 
 
 def read(file: Path, asked: Asked) -> Capture:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...config.photographs import PhotosConfig
-from ...runtime import images
+from ...runtime import images, memory
 from ...runtime.errors import InputError
 from ...scenes.meshes import Surface
 from . import (
@@ -30,6 +30,9 @@ from .camera import Camera
 from .importing import Photograph
 
 _NAMED = 5  # of pictures that are missing
+# Of memory, a pixel: its colour, its mask and what the object fills of it. And how many times what
+# is advised leaves free, for targets and all else.
+_BYTES, _SPARE = 20, 4
 
 
 @dataclass
@@ -75,6 +78,7 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     with finding.looking(settings, root) as sources:
         capture = reading.read(settings.path, settings.test, settings.cameras, settings.world)
     _check(capture, sources)
+    capture.notes += _elsewhere(capture, sources)
     capture.cameras = reading.without(capture.cameras, settings.without)
     capture.cameras, told = finding.masked(capture.cameras, root, sources)
     over, more = turns.turned(capture.cameras, capture, settings.orientation)
@@ -91,6 +95,7 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
         settings = replace(settings, start="hull", background=importing.BLACK)
     elif described or not shapeless:
         parts = shape.parts(settings, capture)
+    _fit(capture.cameras, settings)
     made = [
         [importing.load(camera, settings, camera.name in over) for camera in part]
         for part in (shown, held)
@@ -103,6 +108,7 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
             f"{len(cut['faces'])} triangles; photos.mesh=FILE takes a mesh instead"
         )
     told += [*_left_out(sources), *more, *_doubts([*made[0], *made[1]]), *doubts]
+    told += _off_middle(capture.cameras)
     told += [] if parts is None else material.check(settings, parts)
     found = Photographs(*made, capture, parts, settings, told, colour)
     told += outlines.doubts(found.all, found.surface, settings.mesh is None)
@@ -131,6 +137,56 @@ def _check(capture: Capture, sources: finding.Sources) -> None:
                 f"{camera.image} is the picture of two views, {other} and {camera.name}: give a "
                 "photos.images in which each has its own"
             )
+
+
+def _elsewhere(capture: Capture, sources: finding.Sources) -> list[str]:
+    """What is said of pictures that are not in ``photos.images``. Raises InputError where none
+    is."""
+    if not sources.elsewhere:
+        return []
+    first = next(iter(sources.elsewhere))
+    if len(sources.elsewhere) >= len(capture.cameras):
+        raise InputError(
+            f"photos.images={sources.images}: none of the pictures is there, first {first}: those "
+            "that the cameras' file names are read without it"
+        )
+    return [
+        f"{len(sources.elsewhere)} of {len(capture.cameras)} pictures are not in "
+        f"{sources.images}, first {first}: read from where the cameras' file has them"
+    ]
+
+
+def _fit(cameras: list[Camera], settings: PhotosConfig) -> None:
+    """Raises InputError where all views do not go into memory."""
+    sizes = [images.size(camera.image) for camera in cameras]
+    pixels, widest = sum(w * h for w, h in sizes), max(w for w, _ in sizes)
+    share = min(1.0, (settings.width or widest) / widest)
+    free = memory.available()
+    if pixels * share**2 * _BYTES > free:
+        fits = int(widest * (free / _SPARE / pixels / _BYTES) ** 0.5)
+        raise InputError(
+            f"photos.path={settings.path}: {len(cameras)} views need "
+            f"{memory.gib(pixels * share**2 * _BYTES)} of memory, and {memory.gib(free)} are free: "
+            f"photos.width={fits} makes them smaller"
+        )
+
+
+def _off_middle(cameras: list[Camera]) -> list[str]:
+    """Of views whose principal point is far off the middle of their pictures."""
+    off = [
+        c
+        for c in cameras
+        if abs(c.cx - c.width / 2) > c.width / 4 or abs(c.cy - c.height / 2) > c.height / 4
+    ]
+    if not off:
+        return []
+    first = off[0]
+    return [
+        f"{len(off)} views have their principal point more than a quarter of the picture off its "
+        f"middle, first {first.name}: ({first.cx:.4g}, {first.cy:.4g}) of {first.width} × "
+        f"{first.height} pixels. Where pictures were resized after calibration and their file "
+        "tells no size, photos.scale says by how much"
+    ]
 
 
 def _left_out(sources: finding.Sources) -> list[str]:

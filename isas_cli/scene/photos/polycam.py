@@ -55,6 +55,11 @@ def read(file: Path, asked: Asked) -> Capture:
             f"{folder}: poses as the phone had them: Polycam has no {_PAIRS[0][0]} here, which are "
             "exacter, and its pictures are not free of distortion"
         )
+    else:
+        notes.append(
+            f"{pictures}: what Polycam's corrected pictures have of black along their borders is "
+            "no part of the scene: where the object reaches it, masks are to leave it out"
+        )
     info = next((p / "mesh_info.json" for p in folder.parents if _beside(p, asked.root)), None)
     alignment = None if info is None else load_json(info).get(_ALIGNMENT)
     if alignment is not None and asked.world == "mesh":

@@ -15,6 +15,7 @@ from .camera import Camera
 
 # Sets that come with isas, by name.
 OWN = ("chessboard", "head")
+_MESHROOM = (".sfm", ".abc", "sfm.json", "sfm_data.json", "sfm_data.bin")
 # In place of names, the views that the files hold out.
 GIVEN = "given"
 # In the order in which a folder is asked: what people write themselves first.
@@ -68,8 +69,10 @@ def read(path: str, test=None, cameras: str | None = None, world: str = "mesh") 
 def _found(folder: Path, where: str):
     """The format of a folder, and the file that says so. ``where``: for messages."""
     # The first alone: others may ask which of their files is meant.
-    every = ((module, module.find(folder)) for module in _FORMATS)
-    found = next((each for each in every if each[1] is not None), None)
+    every = ((module, file) for module in _FORMATS if (file := module.find(folder)) is not None)
+    found = next(every, None)
+    if found is not None and found[0] is ours and ours.foreign(found[1]):
+        found = next(every, found)
     if found is None:
         raise InputError(
             f"{where}: no cameras there: looked for {ours.NAME}, "
@@ -90,6 +93,11 @@ def _named_file(folder: Path, cameras: str):
     # Any other JSON may be of nerfstudio's form.
     asked = sorted(_FORMATS, key=lambda module: module is transforms)
     module = next((module for module in asked if module.claims(place)), None)
+    if place.suffix in _MESHROOM or place.name in _MESHROOM:
+        raise InputError(
+            f"photos.cameras={cameras}: Meshroom's and OpenMVG's cameras are not read: export them "
+            "to COLMAP (aliceVision_exportColmap, openMVG_main_openMVG2Colmap)"
+        )
     if module is None:
         raise InputError(f"photos.cameras={cameras}: is of no format of cameras that isas reads")
     return module, place

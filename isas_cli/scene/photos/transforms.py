@@ -25,7 +25,7 @@ import numpy as np
 
 from ...runtime.errors import InputError
 from . import models
-from .base import Asked, Capture, exposure, load_json, matrix, number, whole
+from .base import Asked, Capture, exposure, load_json, matrix, number, numbers, whole
 from .camera import Camera
 from .finding import listed_mask, missed, picture, present, size
 from .lens import Lens
@@ -34,6 +34,8 @@ NAMES = ("transforms.json", "transforms_train.json")
 TEST = "transforms_test.json"
 # nerfstudio's other name for a lens without a word on which.
 _PERSPECTIVE = "PERSPECTIVE"
+# Of nerfstudio, instead: in this order.
+_LISTED, _IN_LIST = "distortion_params", ("k1", "k2", "k3", "k4", "p1", "p2")
 _NUMBERS = tuple(f"k{n}" for n in range(1, 7)) + ("p1", "p2")
 # Of instant-ngp: these make a picture something else than a lens does, or move the camera.
 _THETA, _OTHERS = "ftheta_p0", ("latlong", "equirectangular", "orthographic")
@@ -208,6 +210,8 @@ def _lens(both: dict, where: str) -> Lens:
         )
     names = {*_NUMBERS, *models.PARAMETERS[model].split()} - {"f", "fx", "fy", "cx", "cy"}
     values = {n: number(both[n], f"{where}: {n}") for n in names if both.get(n) is not None}
+    if (listed := both.get(_LISTED)) is not None:
+        values |= dict(zip(_IN_LIST, numbers(listed, len(_IN_LIST), f"{where}: {_LISTED}")))
     if model == "OPENCV" and (values.get("k5") or values.get("k6")):
         model = "FULL_OPENCV"
     return models.lens(model, values)
