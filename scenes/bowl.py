@@ -53,14 +53,7 @@ def build(views: int, resolution: int, texture: int) -> dict[str, Any]:
         "sky": library.environment("hdri/city.exr"),
         "bowl": meshes.shape("bowl", turn(profile(), 160), material),
         "plinth": plinth(0.72),
-        **spiral(
-            views,
-            resolution,
-            target=(0.0, 0.28, 0.0),
-            distance=3.2,
-            field_of_view=25.0,
-            elevations=(8.0, 55.0),
-        ),
+        **spiral(views, resolution, (0.0, 0.28, 0.0), 3.2, 25.0, (8.0, 55.0)),
     }
 
 

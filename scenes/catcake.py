@@ -60,14 +60,7 @@ def build(views: int, resolution: int, texture: int) -> dict[str, Any]:
             _painted(bake(jar, texture, paint)),
         ),
         "plinth": plinth(0.95),
-        **spiral(
-            views,
-            resolution,
-            target=(0.0, 0.42, 0.0),
-            distance=4.2,
-            field_of_view=25.0,
-            elevations=(5.0, 45.0),
-        ),
+        **spiral(views, resolution, (0.0, 0.42, 0.0), 4.2, 25.0, (5.0, 45.0)),
     }
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 from .cameras import perspective
+from .stage import matt
 
 WHITE, RED, GREEN = [0.73, 0.71, 0.68], [0.57, 0.05, 0.05], [0.12, 0.42, 0.10]
 LAMP_COLOUR = [1.0, 0.85, 0.6]
@@ -39,7 +40,7 @@ def cornell_box(resolution: int) -> dict[str, Any]:
         "lamp": {
             "type": "rectangle",
             "to_world": to().translate([0, 1.995, 0]).rotate([1, 0, 0], 90).scale([LAMP, LAMP, 1]),
-            "bsdf": _matt([0.0, 0.0, 0.0]),
+            "bsdf": matt([0.0, 0.0, 0.0]),
             "emitter": {
                 "type": "area",
                 "radiance": {"type": "rgb", "value": [RADIANCE * c for c in LAMP_COLOUR]},
@@ -50,13 +51,4 @@ def cornell_box(resolution: int) -> dict[str, Any]:
 
 
 def _wall(to_world, colour: list[float]) -> dict[str, Any]:
-    return {"type": "rectangle", "to_world": to_world, "bsdf": _matt(colour)}
-
-
-def _matt(colour: list[float]) -> dict[str, Any]:
-    return {
-        "type": "principled",
-        "base_color": {"type": "rgb", "value": colour},
-        "roughness": 1.0,
-        "specular": 0.0,
-    }
+    return {"type": "rectangle", "to_world": to_world, "bsdf": matt(colour)}

@@ -40,12 +40,5 @@ def build(views: int, resolution: int, texture: int) -> dict[str, Any]:
         # The mesh is open, and its rear faces would be black.
         "figure": meshes.shape("figure", figure, {"type": "twosided", "bsdf": material}),
         "plinth": plinth(0.5),
-        **spiral(
-            views,
-            resolution,
-            target=(0.0, 0.5, 0.0),
-            distance=3.2,
-            field_of_view=21.0,
-            elevations=(2.0, 45.0),
-        ),
+        **spiral(views, resolution, (0.0, 0.5, 0.0), 3.2, 21.0, (2.0, 45.0)),
     }

@@ -54,14 +54,7 @@ def build(views: int, resolution: int, texture: int) -> dict[str, Any]:
         "mars": _globe("textures/mars.png", MARS_X, RADIUS + 0.01, texture, height),
         "shell": {"type": "sphere", "to_world": shell, "bsdf": {"type": "thindielectric"}},
         "plinth": plinth(1.0),
-        **spiral(
-            views,
-            resolution,
-            target=(0.0, 0.40, 0.0),
-            distance=5.0,
-            field_of_view=22.5,
-            elevations=(5.0, 40.0),
-        ),
+        **spiral(views, resolution, (0.0, 0.40, 0.0), 5.0, 22.5, (5.0, 40.0)),
     }
 
 

@@ -45,12 +45,5 @@ def build(views: int, resolution: int, texture: int) -> dict[str, Any]:
         "sky": library.environment("hdri/sunrise.exr"),
         "figure": meshes.shape("figure", figure, material),
         "plinth": plinth(0.4),
-        **spiral(
-            views,
-            resolution,
-            target=(0.0, 0.5, 0.0),
-            distance=3.0,
-            field_of_view=23.5,
-            elevations=(2.0, 45.0),
-        ),
+        **spiral(views, resolution, (0.0, 0.5, 0.0), 3.0, 23.5, (2.0, 45.0)),
     }

@@ -47,12 +47,5 @@ def build(views: int, resolution: int, texture: int) -> dict[str, Any]:
         "sky": library.environment("hdri/city.exr"),
         "jar": meshes.shape("jar", jar, jar_material),
         "plinth": plinth(0.42, at=(AXIS_X, 0.0)),
-        **spiral(
-            views,
-            resolution,
-            target=(0.0, 0.54, 0.0),
-            distance=3.0,
-            field_of_view=27.0,
-            elevations=(4.0, 55.0),
-        ),
+        **spiral(views, resolution, (0.0, 0.54, 0.0), 3.0, 27.0, (4.0, 55.0)),
     }

@@ -128,3 +128,22 @@ def isas(tmp_path, monkeypatch, capfd):
         return status, captured.out, captured.err
 
     return call
+
+
+@pytest.fixture
+def refused(isas, capfd):
+    """Calls the command, which is to answer in one line with all ``parts`` and to leave nothing in
+    the folder: arguments → that line."""
+
+    def call(arguments: list[str], *parts: str) -> str:
+        capfd.readouterr()
+        before = sorted(os.listdir())
+        status, out, err = isas(*arguments)
+        assert (status, out) == (2, ""), err
+        assert err.startswith("isas: ") and err.count("\n") == 1, err
+        for part in parts:
+            assert part in err
+        assert sorted(os.listdir()) == before
+        return err
+
+    return call

@@ -91,6 +91,31 @@ def test_the_report_never_renders():
         assert imported(path) <= {"runtime", "config", "records"}, path
 
 
+FILE = ["scene=file", "scene.path=a.xml", 'scene.unknowns={"a.b": {"start": 0.3}}']
+TYPED = "from isas_cli.cli.app import main; main({})".format
+# What does without which modules: it answers at once, or runs where no renderer is.
+UNIMPORTED = {
+    "import isas_cli.runtime.backend, isas_cli.cli.doctor": "mitsuba drjit numpy",
+    "import isas_cli.cli.watch": "mitsuba drjit OpenImageIO",
+    "import isas_cli.report": "mitsuba drjit matplotlib.pyplot",
+    "import isas_cli.report.compare": "mitsuba drjit",
+    "import isas_cli.report.compare.page": "mitsuba drjit matplotlib.pyplot",
+    TYPED(["run", "--help"]): "mitsuba drjit",
+    TYPED(["run", "scene=potery"]): "mitsuba drjit",
+    TYPED(["run", *FILE, "sampler=uniform", "sampler.flor=1"]): "mitsuba drjit",
+}
+
+
+@pytest.mark.parametrize("code", UNIMPORTED)
+def test_modules_stay_unimported(code, tmp_path):
+    (tmp_path / "a.xml").write_text('<scene version="3.0.0"/>')
+    code += f"\nimport sys; print({{*sys.modules}} & {{*{UNIMPORTED[code].split()}}})"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.stdout.splitlines()[-1:] == ["set()"], done.stdout + done.stderr
+
+
 PAGES = sorted(
     path
     for folder in ("*.md", "docs/*.md", "configs/*.md", "scenes/*.md", "isas_cli/*.md")

@@ -6,26 +6,23 @@ import dataclasses
 import hashlib
 import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..estimators.estimator import Estimator
 from ..rendering import coverage
 from ..rendering.integrators import Paths
 from ..runtime import backend
 from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
+from ..scene.problem import Problem
 from ..unknowns import cameras
 from . import rules
 from .probe import Cut, Lights, Probe, Share
 from .settings import Effects
 from .structure import UNLIMITED, clear, longest, statements
-
-if TYPE_CHECKING:
-    from ..estimators.estimator import Estimator
-    from ..scene.problem import Problem
 
 # Depths that are compared, and numbers of light samples (residual, derivative) with the directions
 # that each is picked from. The last is left out where one path gives both, by as many.
@@ -35,7 +32,7 @@ _LIGHTS = (((1, 1), 1), ((1, 1), _PICKED), ((4, 4), _PICKED), ((4, 1), _PICKED))
 # A budget of so many seconds can pay for a probe, which takes at most this share of it and at most
 # so many seconds.
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
-_FORMAT = 21
+_FORMAT = 22
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ class Plan:
     work: float = 0.0
     seconds: float = 0.0
 
-    def on(self, problem: "Problem", finish: bool = False) -> "Problem":
+    def on(self, problem: Problem, finish: bool = False) -> Problem:
         """``problem``, its paths as planned; with all effects where it is the ``finish``."""
         whole = problem.integrator
         paths = self._finish(whole.paths) if finish else self.paths
@@ -65,7 +62,7 @@ class Plan:
             problem = _cut_to(problem, paths)
         return problem if self.views is None else problem.only(self.views)
 
-    def staged(self, problem: "Problem") -> bool:
+    def staged(self, problem: Problem) -> bool:
         """Whether the last part of the budget differs from the first."""
         return self.finish > 0 and self._finish(problem.integrator.paths) != self.paths
 
@@ -100,9 +97,9 @@ def _finite(depth: int) -> int | None:
 
 
 def decide(
-    problem: "Problem",
+    problem: Problem,
     settings: Effects,
-    estimator: "Estimator",
+    estimator: Estimator,
     loss,
     seconds: float | None = None,
     earlier: dict | None = None,
@@ -181,7 +178,7 @@ def decide(
     return dataclasses.replace(plan, statements=told)
 
 
-def _as_set(problem: "Problem", settings: Effects) -> Paths:
+def _as_set(problem: Problem, settings: Effects) -> Paths:
     """All that the scene has, but for what is set; light samples are picked. Raises InputError for
     what it cannot have."""
     whole = problem.integrator
@@ -221,7 +218,7 @@ def _as_set(problem: "Problem", settings: Effects) -> Paths:
     return paths
 
 
-def _unmet(problem: "Problem", paths: Paths) -> str | None:
+def _unmet(problem: Problem, paths: Paths) -> str | None:
     """The key of an unknown that ``paths`` do not meet."""
     # One entry that is met is enough, and none must be overlooked.
     lost = _lost(problem, paths, np.nextafter(1, 0))[0]
@@ -231,7 +228,7 @@ def _unmet(problem: "Problem", paths: Paths) -> str | None:
     return unmet
 
 
-def _cut_to(problem: "Problem", paths: Paths) -> "Problem":
+def _cut_to(problem: Problem, paths: Paths) -> Problem:
     return dataclasses.replace(problem, integrator=problem.integrator.cut(paths))
 
 
@@ -244,7 +241,7 @@ def _at_most(whole: int, asked: int | None, name: str, what: str) -> int:
     return whole if asked is None else asked
 
 
-def _chosen(problem: "Problem", settings: Effects, found: Plan) -> tuple[Plan, dict[str, str]]:
+def _chosen(problem: Problem, settings: Effects, found: Plan) -> tuple[Plan, dict[str, str]]:
     """``found`` with paths as set and else as measured, and why."""
     paths, why = found.paths, {}
     if settings.max_depth is not None:
@@ -277,7 +274,7 @@ def _chosen(problem: "Problem", settings: Effects, found: Plan) -> tuple[Plan, d
 
 
 def _lost(
-    problem: "Problem", paths: Paths, enough: float, seconds: float | None = None
+    problem: Problem, paths: Paths, enough: float, seconds: float | None = None
 ) -> tuple[dict[str, float], float]:
     """By key: of the entries that a view sees, the share that none of ``paths`` meets, no more
     exactly than whether it is above ``enough``; seconds spent. See ``coverage.missed``."""
@@ -292,7 +289,7 @@ def _lost(
 
 
 def _probed(
-    problem: "Problem", settings: Effects, loss, allowed: float, described: str, plan: Plan
+    problem: Problem, settings: Effects, loss, allowed: float, described: str, plan: Plan
 ) -> Plan:
     """``plan`` with what a probe of at most ``allowed`` seconds finds; from the cache where
     possible."""
@@ -332,7 +329,7 @@ def _cut(row: dict) -> Cut:
     return Cut(**row | {"image": image, "gradient": gradient})
 
 
-def _measured(problem: "Problem", settings: Effects, probe: Probe, plan: Plan) -> Plan:
+def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> Plan:
     """What pays most first: a short budget ends before the rest. The derivative's depth from the
     shortest up to one that does; the paths' own from the longest down to one that does not."""
     paths, cuts, derivatives, samples, caustics = plan.paths, [], [], [], None

@@ -34,6 +34,8 @@ _LANES = 1 << 13
 # kinds as are usual), by estimates of the gradient between these numbers.
 _SECONDS, _PARTS = 0.25, 9
 _LEAST_BATCHES, _MOST_BATCHES = 8, 64
+# A ratio of noises is known well enough from fewer, where there is no time for more.
+_FEWEST_FIXED = 4
 # For each view, and for one that shows no unknown by so many; but no more for all in one look, and
 # then in no more than half of the time that is left.
 _PATHS_A_VIEW, _MOST_PATHS = (1 << 12, 1 << 16), 1 << 20
@@ -226,8 +228,10 @@ class Probe:
                 # Of the warm-up only the last estimate compiled nothing.
                 part = min(_SECONDS, self.allowed / _PARTS)
                 wanted = max(_LEAST_BATCHES, min(_MOST_BATCHES, int(part / seconds[-1])))
-                if self.seconds + wanted * seconds[-1] > self.allowed:
+                left = (self.allowed - self.seconds) / seconds[-1]
+                if left < (_FEWEST_FIXED if fixed else wanted):
                     return None
+                wanted = int(min(wanted, left))
                 seconds = []
             seconds.append(spent)
             images.append(float(dr.mean(dr.mean(radiance[0]))[0]))
@@ -243,21 +247,15 @@ class Probe:
     def _estimate(self, kernel, paths: Paths, earlier, batch: int, fixed: bool):
         """One gradient, left in the unknowns' leaves; both paths' radiances, and seconds."""
         p = self.problem
-        seeds = [
-            dr.opaque(mi.UInt32, streams.seed(self.seed, _FAR + number, purpose))
-            for purpose, number in (
-                ("draw", 0 if fixed else batch),
-                ("primal", batch),
-                ("adjoint", batch),
-            )
-        ]
+        seeds = rays.seeds(self.seed, _FAR + (0 if fixed else batch), "draw")
+        seeds += rays.seeds(self.seed, _FAR + batch, "primal", "adjoint")
         p.unknowns.attach(self.values)
         own = [dr.opaque(mi.UInt32, depth) for depth in (paths.depth, paths.derivative)]
         own.append(dr.opaque(mi.Bool, paths.caustics))
         sync()
         begun = time.perf_counter()
-        arguments = (p.scene, p.sensors, p.views, p.unknowns.leaves, self.pixels, p.targets)
-        radiance = kernel(*arguments, p.mask, earlier, own, seeds, p.share)
+        arguments = self.pixels, p.targets, p.mask, earlier, own, seeds, p.share
+        radiance = kernel(*p.traced, *arguments)
         sync()
         return radiance, time.perf_counter() - begun
 
@@ -292,9 +290,7 @@ class Probe:
                         seen.append(shown)
                         if not of_targets:
                             shown = shown - earlier[len(found)] + target
-                        residual = loss.derivative(shown, target)
-                        if mask is not None:
-                            residual *= dr.gather(mi.Float, mask, pixel)
+                        residual = rays.masked(loss.derivative(shown, target), mask, pixel)
                         part = share / (probability * lanes * len(radiances))
                         found.append(residual * other * part)
                     return found

@@ -7,20 +7,16 @@ evidence, for the record. What a scene does not call for is not simulated.
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
 
 import mitsuba as mi
 
 from ..rendering.light import shapes_with
-
-if TYPE_CHECKING:
-    from ..scene.problem import Problem
-
+from ..scene.problem import Problem
 
 UNLIMITED = 2**32 - 1  # what Mitsuba makes of max_depth=-1
 
 
-def statements(problem: "Problem", derivatives: str) -> dict[str, str]:
+def statements(problem: Problem, derivatives: str) -> dict[str, str]:
     """Effect → what is done about it, and why, in the order in which a reader asks.
 
     ``derivatives``: how the estimator gets them, in words."""
@@ -76,7 +72,7 @@ def _scatterings(depth: int) -> str:
     return f"of up to {depth} edges: light scatters {times}"
 
 
-def clear(problem: "Problem") -> list[str]:
+def clear(problem: Problem) -> list[str]:
     """The shapes that mirror, bend or pass light in one direction alone, where paths are long
     enough for light to come by way of them to a surface that scatters."""
     integrator = problem.integrator
@@ -85,7 +81,7 @@ def clear(problem: "Problem") -> list[str]:
     return shapes_with(problem.scene, "Delta")
 
 
-def _caustics(problem: "Problem") -> str:
+def _caustics(problem: Problem) -> str:
     if not clear(problem):
         return "not met: by way of no mirror and no clear glass"
     done = "simulated" if problem.integrator.paths.caustics else "left out"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -11,12 +9,9 @@ import numpy as np
 from ..rendering import rays
 from ..rendering.kernels import recorded
 from ..rendering.pixels import PixelDistribution
-from ..runtime import streams
+from ..scene.problem import Problem
 from ..unknowns.parameters import as_numpy
 from ..unknowns.unknowns import Unknown
-
-if TYPE_CHECKING:
-    from ..scene.problem import Problem
 
 # Of the range, or of the number where that has no end, to each side; and the least of it.
 _STEP, _LEAST = 0.01, 1e-3
@@ -35,7 +30,7 @@ class Aside:
     derivative is not linear. Entries k cost two paths a pixel each, and one for all.
     """
 
-    def __init__(self, problem: "Problem", loss, batch: int, freeze: bool):
+    def __init__(self, problem: Problem, loss, batch: int, freeze: bool):
         self.problem, self.batch = problem, batch
         self.unknowns = [u for u in problem.unknowns if u.kind.aside]
         integrator = problem.integrator
@@ -43,17 +38,15 @@ class Aside:
         def shown(scene, sensors, views, leaves, distribution, targets, mask, seeds):
             """Radiance of a path of each drawn pixel, and what ∂ℒ/∂I it makes over p N."""
             with dr.suspend_grad():
-                view, column, row, probability = distribution.draw(batch, seeds[0])
-                pixel = views.index(view, column, row)
-                dr.eval(view, column, row, pixel, probability)
+                *place, probability = distribution.draw(batch, seeds[0])
+                pixel = views.index(*place)
+                dr.eval(*place, pixel, probability)
                 stream = rays.stream(seeds[1], batch)
-                ray, weight = rays.spawn(sensors, views, view, column, row, stream)
-                radiance = integrator.primal(scene, stream, ray)[0] * weight
+                radiance = rays.radiance(integrator, scene, sensors, views, place, stream)
                 dr.eval(radiance)
                 target = dr.gather(mi.Color3f, targets, pixel)
                 residual = loss.derivative(radiance, target) / (probability * batch)
-                if mask is not None:
-                    residual *= dr.gather(mi.Float, mask, pixel)
+                residual = rays.masked(residual, mask, pixel)
                 dr.eval(residual)
             return radiance, residual
 
@@ -113,11 +106,8 @@ class Aside:
 
     def _render(self, distribution, seed: int, iteration: int, purpose: str):
         p = self.problem
-        seeds = [
-            dr.opaque(mi.UInt32, streams.seed(seed, iteration, each)) for each in ("draw", purpose)
-        ]
-        where = p.scene, p.sensors, p.views, p.unknowns.leaves
-        return self._shown(*where, distribution, p.targets, p.mask, seeds)
+        seeds = rays.seeds(seed, iteration, "draw", purpose)
+        return self._shown(*p.traced, distribution, p.targets, p.mask, seeds)
 
 
 def _sides(unknown: Unknown, place: float) -> tuple[float, float]:

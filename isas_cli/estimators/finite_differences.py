@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from ..runtime import streams
 from ..runtime.errors import InputError
+from ..scene.problem import Problem
 from ..unknowns import smoothing
 from ..unknowns.blur import Blur
 from .estimator import Comparing, Gradients
 from .renderings import Renderings
-
-if TYPE_CHECKING:
-    from ..scene.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -33,10 +31,10 @@ class Settings(Comparing):
         if not 0 < self.step < math.inf:
             raise InputError(f"estimator.step={self.step}: must be a finite number above 0")
 
-    def made(self, problem: "Problem", loss) -> "FiniteDifferences":
+    def made(self, problem: Problem, loss) -> "FiniteDifferences":
         return FiniteDifferences(problem, loss, self.batch, self.step, self.freeze, self.spp)
 
-    def derivatives(self, problem: "Problem") -> str:
+    def derivatives(self, problem: Problem) -> str:
         return "none taken: difference quotients of the loss of plain renderings"
 
 
@@ -51,7 +49,7 @@ class FiniteDifferences(Gradients):
     """
 
     def __init__(
-        self, problem: "Problem", loss, batch: int, step: float, freeze: bool = True, spp: int = 1
+        self, problem: Problem, loss, batch: int, step: float, freeze: bool = True, spp: int = 1
     ):
         self.problem, self.batch, self.spp = problem, batch, spp
         self.blur = Blur(problem, "estimator=finite_differences")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
@@ -12,12 +11,10 @@ import numpy as np
 from ..rendering import rays
 from ..rendering.kernels import recorded
 from ..runtime.errors import InputError
+from ..scene.problem import Problem
 from ..unknowns.blur import Blur
+from ..unknowns.poses import Pose
 from ..unknowns.smoothing import Pair
-
-if TYPE_CHECKING:
-    from ..scene.problem import Problem
-    from ..unknowns.poses import Pose
 
 _MOST_LANES = 1 << 28  # a few gigabytes
 
@@ -26,7 +23,7 @@ _MOST_LANES = 1 << 28  # a few gigabytes
 class _Local:
     """One unknown with a ``reach``: a pose's parts, at ``first`` and after among all entries."""
 
-    pose: "Pose"
+    pose: Pose
     first: int
     middles: np.ndarray  # (parts, 3), in the world, of the parts as they were loaded
     reach: float
@@ -56,7 +53,7 @@ class Locality:
     middle. Too short a reach is a bias, too long a one is noise. It costs parts × ``batch`` lanes.
     """
 
-    def __init__(self, problem: "Problem", blur: Blur, batch: int, freeze: bool = True):
+    def __init__(self, problem: Problem, blur: Blur, batch: int, freeze: bool = True):
         self.problem, self.blur = problem, blur
         self._items = list(_items(problem, blur, batch))
         self._kernels = [
@@ -78,7 +75,7 @@ class Locality:
         return found
 
 
-def _items(problem: "Problem", blur: Blur, batch: int):
+def _items(problem: Problem, blur: Blur, batch: int):
     first = 0
     for unknown in problem.unknowns:
         if unknown.blur.reach is not None:

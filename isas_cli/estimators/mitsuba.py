@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..rendering import convex, undone
+from ..rendering import convex, rays, undone
 from ..rendering.own_film import OwnFilm
 from ..rendering.projective import projective
 from ..rendering.volume import only_emits
 from ..runtime import streams
 from ..runtime.errors import InputError
+from ..scene.problem import Problem
 from ..unknowns import smoothing
 from ..unknowns.blur import Blur
 from ..unknowns.parameters import owner
 from .estimator import Estimator, Gradients, choice
-
-if TYPE_CHECKING:
-    from ..scene.problem import Problem
 
 # What ``silhouettes`` says to the projective integrator.
 SILHOUETTES = {
@@ -49,10 +47,10 @@ class Settings(Estimator):
         super().__post_init__()
         choice("silhouettes", self.silhouettes, SILHOUETTES)
 
-    def made(self, problem: "Problem", loss) -> "WholeImages":
+    def made(self, problem: Problem, loss) -> "WholeImages":
         return WholeImages(problem, loss, self.batch, silhouettes=self.silhouettes)
 
-    def derivatives(self, problem: "Problem") -> str:
+    def derivatives(self, problem: Problem) -> str:
         if problem.unknowns.moving:
             how = _silhouettes(problem, self.silhouettes)
             return f"Mitsuba's prb_projective on whole images, silhouettes: {how}"
@@ -89,7 +87,7 @@ class WholeImages(Gradients):
 
     def __init__(
         self,
-        problem: "Problem",
+        problem: Problem,
         loss,
         batch: int,
         smooth: str | None = None,
@@ -197,14 +195,12 @@ class WholeImages(Gradients):
         pixel = dr.arange(mi.UInt32, width * height)
         target = dr.gather(mi.Color3f, p.targets, first + pixel)
         adjoint = self.loss.derivative(dr.unravel(mi.Color3f, image.array), target) * p.share
-        if p.mask is not None:
-            adjoint *= dr.gather(mi.Float, p.mask, first + pixel)
-        adjoint = dr.ravel(adjoint)
+        adjoint = dr.ravel(rays.masked(adjoint, p.mask, first + pixel))
         dr.eval(adjoint)
         return adjoint
 
 
-def _check_sensors(problem: "Problem") -> None:
+def _check_sensors(problem: Problem) -> None:
     """Raises InputError for cameras whose silhouettes Mitsuba cannot sample."""
     for number, sensor in enumerate(problem.scene.sensors() if problem.unknowns.moving else ()):
         if sensor.class_name() != "PerspectiveCamera":
@@ -215,7 +211,7 @@ def _check_sensors(problem: "Problem") -> None:
             )
 
 
-def _check_shapes(problem: "Problem") -> None:
+def _check_shapes(problem: Problem) -> None:
     """Raises InputError for poses that move anything but shapes."""
     unknowns = problem.unknowns
     for name in unknowns.moving:
@@ -228,7 +224,7 @@ def _check_shapes(problem: "Problem") -> None:
                 )
 
 
-def _warn(problem: "Problem") -> None:
+def _warn(problem: Problem) -> None:
     """Of unknowns by which Mitsuba's derivative is wrong (benchmarks/derivatives.md)."""
     lobes = problem.integrator.lobes
     wrong = {*(lobes.keys if lobes else problem.integrator.misses)}
@@ -244,7 +240,7 @@ def _warn(problem: "Problem") -> None:
         problem.warnings.append(told)
 
 
-def _undone(problem: "Problem") -> str:
+def _undone(problem: Problem) -> str:
     """That Mitsuba has no derivative by any unknown, and who has."""
     told = (
         f"scene.unknowns: Mitsuba does not differentiate by {undone.named(problem.unknowns.keys)}: "
@@ -255,7 +251,7 @@ def _undone(problem: "Problem") -> str:
     return f"{told}, without {undone.named_causes(problem.integrator)} in the scene"
 
 
-def _integrator(problem: "Problem", silhouettes: str) -> mi.Integrator:
+def _integrator(problem: Problem, silhouettes: str) -> mi.Integrator:
     own = problem.integrator
     if only_emits(own.mitsuba):
         raise InputError(
@@ -272,6 +268,6 @@ def _integrator(problem: "Problem", silhouettes: str) -> mi.Integrator:
     return projective(own, **SILHOUETTES[_silhouettes(problem, silhouettes)])
 
 
-def _silhouettes(problem: "Problem", asked: str) -> str:
+def _silhouettes(problem: Problem, asked: str) -> str:
     """How those are sampled that are seen by way of other surfaces, where there are any."""
     return "direct" if convex.alone(problem) else asked

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -11,14 +11,12 @@ from ..config.schema import MOST_LANES
 from ..runtime import streams
 from ..runtime.errors import InputError
 from ..samplers.sampler import Blurred, Sampler
+from ..scene.problem import Problem
 from ..unknowns import smoothing
 from ..unknowns.blur import Blur
 from .estimator import Comparing, Gradients, at_least_one, choice
 from .mitsuba import SILHOUETTES, WholeImages
 from .renderings import Renderings
-
-if TYPE_CHECKING:
-    from ..scene.problem import Problem
 
 SCHEMES = {"joint": smoothing.joint, "separate": smoothing.separate}
 
@@ -101,18 +99,18 @@ class Settings(Comparing):
                 "either rendering"
             )
 
-    def blurred_on(self, problem: "Problem", sampler: Sampler) -> Blurred | None:
+    def blurred_on(self, problem: Problem, sampler: Sampler) -> Blurred | None:
         if "blur" not in sampler.needs:
             return None
         return Blurred(Blur(problem, "estimator=plateau"), self.smooth)
 
-    def made(self, problem: "Problem", loss) -> Gradients:
+    def made(self, problem: Problem, loss) -> Gradients:
         if self.gradient == "renderer":
             return WholeImages(problem, loss, self.batch, self.smooth, self.pairs, self.silhouettes)
         settings = self.smooth, self.scheme, self.pairs, self.common, self.freeze, self.spp
         return Plateau(problem, loss, self.batch, *settings, self.residual, self.residual_spp)
 
-    def derivatives(self, problem: "Problem") -> str:
+    def derivatives(self, problem: Problem) -> str:
         if self.gradient == "renderer":
             return "Mitsuba's, of whole images at blurred values (PRDPT Eq. 8)"
         return "none taken: plain renderings, weighted by the blur's derivative (PRDPT Eq. 9)"
@@ -160,7 +158,7 @@ class Plateau(Gradients):
 
     def __init__(
         self,
-        problem: "Problem",
+        problem: Problem,
         loss,
         batch: int,
         smooth: str = "image",

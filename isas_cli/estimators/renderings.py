@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
@@ -12,12 +11,10 @@ import numpy as np
 from ..rendering import rays
 from ..rendering.kernels import recorded
 from ..rendering.pixels import PixelDistribution
+from ..scene.problem import Problem
 from ..unknowns.blur import Blur
 from ..unknowns.smoothing import Pair
 from .locality import Locality
-
-if TYPE_CHECKING:
-    from ..scene.problem import Problem
 
 
 class Renderings:
@@ -37,7 +34,7 @@ class Renderings:
 
     def __init__(
         self,
-        problem: "Problem",
+        problem: Problem,
         loss,
         batch: int,
         blur: Blur,
@@ -119,9 +116,7 @@ class Renderings:
         p = self.problem
         self.blur.write(θ)
         seed = dr.opaque(mi.UInt32, int(seed))
-        place = drawn[:3]
-        scene = p.scene, p.sensors, p.views, p.unknowns.leaves
-        return self._trace[count, spp](*scene, place, seed)
+        return self._trace[count, spp](*p.traced, drawn[:3], seed)
 
 
 def _draw_kernel(batch: int):
@@ -146,9 +141,7 @@ def _trace_kernel(integrator, batch: int, count: int, spp: int):
                 drawn = dr.tile(lane, paths)
                 place = [dr.gather(mi.UInt32, which, drawn) for which in place]
             stream = rays.stream(seed, batch * paths)
-            ray, weight = rays.spawn(sensors, views, *place, stream)
-            radiance, _ = integrator.primal(scene, stream, ray)
-            radiance *= weight
+            radiance = rays.radiance(integrator, scene, sensors, views, place, stream)
             dr.eval(radiance)
             if paths == 1:
                 return [radiance]
@@ -169,8 +162,7 @@ def _apart(integrator, batch: int, count: int, spp: int):
         found = []
         for number in range(count * spp):
             stream = rays.stream(seed + number * 0x9E3779B9, batch)
-            ray, weight = rays.spawn(sensors, views, *place, stream)
-            found.append(integrator.primal(scene, stream, ray)[0] * weight)
+            found.append(rays.radiance(integrator, scene, sensors, views, place, stream))
         parts = [found[first : first + spp] for first in range(0, len(found), spp)]
         means = [sum(part[1:], start=part[0]) / spp for part in parts]
         dr.eval(means)
@@ -220,9 +212,7 @@ def _terms(
     """Of every drawn pixel: their sum estimates Σ_j w_j ``values``_j / (3 Σ w), without those that
     are not finite, one of which would spoil a whole step; they are counted in ``lost``. Evaluates.
     """
-    if mask is not None:
-        values *= dr.gather(mi.Float, mask, pixel)
-    terms = dr.sum(values) * share / (probability * batch)
+    terms = dr.sum(rays.masked(values, mask, pixel)) * share / (probability * batch)
     whole = dr.isfinite(terms)
     terms, bad = dr.select(whole, terms, 0), ~whole
     dr.eval(terms, bad)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..rendering import rays
 from ..rendering.border import Border
 from ..rendering.contours import Contours
 from ..rendering.light import shapes_with
@@ -19,16 +20,12 @@ from ..rendering.reflections import Reflections
 from ..rendering.shadows import Shadows
 from ..rendering.silhouettes import Silhouettes
 from ..rendering.standing import meshes_of, others, triangles
-from ..runtime import streams
 from ..runtime.errors import InputError
+from ..scene.problem import Problem
 from ..scene.topology import Topology
 from ..unknowns import parameters
 from .estimator import Estimator, Gradients, at_least_one
 from .two_path import TwoPath
-
-if TYPE_CHECKING:
-    from ..scene.problem import Problem
-
 
 _CONTOUR = "edge", "edge_residual"
 _EDGE = "edge", "edge_step", "edge_residual"
@@ -76,7 +73,7 @@ class Settings(Estimator):
         if self.reflections < 0:
             raise InputError(f"estimator.reflections must be 0 or more, not {self.reflections}")
 
-    def differentiated(self, problem: "Problem") -> "Problem":
+    def differentiated(self, problem: Problem) -> Problem:
         if "media" in problem.integrator.simulates:
             raise InputError(
                 "estimator=silhouettes: what moves is followed by Mitsuba's projective integrators,"
@@ -84,10 +81,19 @@ class Settings(Estimator):
             )
         return replace(problem, integrator=Attached(problem.integrator))
 
-    def made(self, problem: "Problem", loss) -> "ByShape":
+    def made(self, problem: Problem, loss) -> "ByShape":
+        lamps = {shape.id() for shape in problem.scene.shapes() if shape.is_emitter()}
+        if moving := sorted(lamps & problem.unknowns.moved):
+            told = (
+                f"estimator=silhouettes follows {', '.join(moving)}, which shines, by its own "
+                "outline: what its light does on others as it moves has no derivative; "
+                "sampler=plateau follows both"
+            )
+            if told not in problem.warnings:
+                problem.warnings.append(told)
         return ByShape(problem, loss, self)
 
-    def shadowed(self, problem: "Problem") -> int:
+    def shadowed(self, problem: Problem) -> int:
         """Samples of the edges of shadows a step."""
         if problem.integrator.max_depth < 2:
             return 0
@@ -96,7 +102,7 @@ class Settings(Estimator):
         skies = 0 if problem.scene.environment() is None else 1
         return self.edges if len(problem.scene.emitters()) > skies else 0
 
-    def reflected(self, problem: "Problem") -> int:
+    def reflected(self, problem: Problem) -> int:
         """Samples a step of silhouettes that other surfaces show."""
         if self.reflections and problem.integrator.max_depth < 3:
             raise InputError(
@@ -106,7 +112,7 @@ class Settings(Estimator):
             )
         return self.reflections
 
-    def derivatives(self, problem: "Problem") -> str:
+    def derivatives(self, problem: Problem) -> str:
         count = self.shadowed(problem)
         told = f"{Attached.derivatives}, and {count or 'none'} a step of the edges of shadows"
         if self.reflected(problem):
@@ -142,7 +148,7 @@ class ByShape(Gradients):
     not known yet, and a step costs no light path.
     """
 
-    def __init__(self, problem: "Problem", loss, chosen: Settings):
+    def __init__(self, problem: Problem, loss, chosen: Settings):
         """``problem.integrator``: an ``Attached``. Raises InputError for what moves and is no mesh
         of smooth normals."""
         self.problem, self.freeze = problem, chosen.freeze
@@ -236,9 +242,7 @@ class ByShape(Gradients):
             if isinstance(border, PictureEdges):
                 border.narrow(spent / self.undrawn if self.undrawn else 1.0)
             place = iteration * len(self.borders) + number
-            seeds = [
-                dr.opaque(mi.UInt32, streams.seed(seed, place, purpose)) for purpose in purposes
-            ]
+            seeds = rays.seeds(seed, place, *purposes)
             if not self.freeze:  # the backward pass has cleared the way to the leaves
                 unknowns.attach(values)
             positions = self._still.get(key)
@@ -249,7 +253,7 @@ class ByShape(Gradients):
         return total
 
 
-def _geometry_alone(problem: "Problem", cameras: bool) -> float:
+def _geometry_alone(problem: Problem, cameras: bool) -> float:
     """The share of the budget up to which nothing moves but shapes and poses, and, where outlines
     tell them, ``cameras``."""
     others = [u for u in problem.unknowns if not u.kind.moves_geometry]
@@ -257,7 +261,7 @@ def _geometry_alone(problem: "Problem", cameras: bool) -> float:
     return min((share for u in others for share in u.during[:1]), default=0.0)
 
 
-def _meshes(problem: "Problem") -> dict[str, dict[int, Topology]]:
+def _meshes(problem: Problem) -> dict[str, dict[int, Topology]]:
     """Of what moves, the key of its vertices' positions, and how its triangles hang together, by
     the number of vertices."""
     params, found = mi.traverse(problem.scene), {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -14,14 +14,12 @@ from ..rendering.kernels import recorded
 from ..rendering.pixels import PixelDistribution
 from ..runtime import streams
 from ..runtime.errors import InputError
+from ..scene.problem import Problem
 from ..unknowns import cameras, exposure, smoothing
 from ..unknowns.blur import Blur
 from ..unknowns.exposure import Exposure
 from .aside import Aside
 from .estimator import Estimator, Gradients
-
-if TYPE_CHECKING:
-    from ..scene.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -46,7 +44,7 @@ class Settings(Estimator):
     def whole(self) -> bool:
         return self.blurred
 
-    def differentiated(self, problem: "Problem") -> "Problem":
+    def differentiated(self, problem: Problem) -> Problem:
         if self.derivative_sampling:
             return derivative_sampling.sampled(problem)
         integrator = problem.integrator
@@ -55,10 +53,10 @@ class Settings(Estimator):
         one_way = integrator.cut(replace(integrator.paths, crossed=False))
         return replace(problem, integrator=one_way)
 
-    def made(self, problem: "Problem", loss) -> "TwoPath":
+    def made(self, problem: Problem, loss) -> "TwoPath":
         return TwoPath(problem, loss, self.batch, self.freeze, blurred=self.blurred)
 
-    def derivatives(self, problem: "Problem") -> str:
+    def derivatives(self, problem: Problem) -> str:
         return problem.integrator.derivatives
 
 
@@ -93,7 +91,7 @@ class TwoPath(Gradients):
     """
 
     def __init__(
-        self, problem: "Problem", loss, batch: int, freeze: bool = True, along=None, blurred=False
+        self, problem: Problem, loss, batch: int, freeze: bool = True, along=None, blurred=False
     ):
         """``along(integrator, scene, streams, rays, adjoints)``: what is done along both paths, for
         measurements; None for the integrator's ``pair``. ``blurred``: as in ``Settings``.
@@ -144,8 +142,7 @@ class TwoPath(Gradients):
                     shown.extend(radiances)
                     for radiance, weight in zip(radiances, weights):
                         residual = loss.derivative(radiance * weight, target)
-                        if mask is not None:
-                            residual *= dr.gather(mi.Float, mask, pixel)
+                        residual = rays.masked(residual, mask, pixel)
                         residuals.append(residual)
                         missed.append(~dr.all(dr.isfinite(residual)))
                     # With the next kernel: counted in one of its own, the paths would be traced
@@ -222,24 +219,10 @@ class TwoPath(Gradients):
     def accumulate(self, distribution: PixelDistribution, seed: int, iteration: int) -> None:
         """Add what paths carry to the gradients of the unknowns' leaves (``Unknowns.attach``
         first)."""
-        p = self.problem
-        seeds = [
-            dr.opaque(mi.UInt32, streams.seed(seed, iteration, purpose))
-            for purpose in ("draw", "primal", "adjoint", "exposure", "pose")
-        ]
-        self._kernel(
-            p.scene,
-            p.sensors,
-            p.views,
-            p.unknowns.leaves,
-            distribution,
-            p.targets,
-            p.mask,
-            seeds,
-            p.share,
-            self._lost,
-            self._jitter(seed, iteration),
-        )
+        p, purposes = self.problem, ("draw", "primal", "adjoint", "exposure", "pose")
+        given = distribution, p.targets, p.mask, rays.seeds(seed, iteration, *purposes)
+        jitter = self._jitter(seed, iteration)
+        self._kernel(*p.traced, *given, p.share, self._lost, jitter)
 
     def _jitter(self, seed: int, iteration: int) -> list[tuple[mi.Float, mi.Float, mi.Int]]:
         """Offsets of the cameras, of each kind of numbers independent ones."""
@@ -256,9 +239,6 @@ def _half_difference(integrator, scene, sensors, views, place, seed, offsets: di
         stream = rays.stream(seed, dr.width(place[0]))
         moved = {field: getattr(views, field) + at * sign for field, at in offsets.items()}
         there = replace(views, **moved)
-        ray, weight = rays.spawn(sensors, there, *place, stream)
-        radiance, _ = integrator.primal(scene, stream, ray)
-        radiance *= weight
-        dr.eval(radiance)
-        sides.append(radiance)
+        sides.append(rays.radiance(integrator, scene, sensors, there, place, stream))
+        dr.eval(sides[-1])
     return (sides[0] - sides[1]) / 2

@@ -23,6 +23,8 @@ from ..unknowns.parameters import flat, unflat
 from ..unknowns.unknowns import Unknowns
 from .priors import OnUnknowns, Prior, Smoothness, check_factors
 
+_ROUGH = {*ROUGHNESSES, "alpha_u", "alpha_v"}
+
 
 @dataclass(frozen=True)
 class Materials(Prior):
@@ -44,7 +46,9 @@ class Materials(Prior):
             raise InputError(f"prior.expected={self.expected}: a roughness, in [0, 1]")
 
     def on(self, unknowns: Unknowns) -> "OnMaterials":
-        rough = [u.key for u in unknowns if roughness_of(u.key) or set(ROUGHNESSES) & u.kind.words]
+        # A texture may be called what it is not: by what reads it, where something does.
+        named = {u.key: u.kind.words or {roughness_of(u.key)} for u in unknowns}
+        rough = [key for key, words in named.items() if _ROUGH & words]
         metal = [u.key for u in unknowns if "metallic" in u.kind.words]
         wide = any(u.kind.axes for u in unknowns)
         if not (rough or metal or wide):

@@ -83,15 +83,13 @@ def residual(
 ) -> mi.Color3f:  # fmt: skip
     """∂ℒ/∂I of the pixels that are crossed, from ``paths`` paths through each, times the brightness
     of their views: steps of radiance are brighter by it in I. Traced."""
-    radiance, (view, column, row) = mi.Color3f(0), (crossing.view, crossing.column, crossing.row)
+    radiance, place = mi.Color3f(0), (crossing.view, crossing.column, crossing.row)
     for _ in range(paths):
-        ray, weight = rays.spawn(sensors, films, view, column, row, stream)
-        radiance += integrator.primal(scene, stream, ray)[0] * weight
+        radiance += rays.radiance(integrator, scene, sensors, films, place, stream)
     target = dr.gather(mi.Color3f, targets, crossing.pixel)
     adjoint = loss.derivative(radiance / paths, target) * share
-    if mask is not None:
-        adjoint *= dr.gather(mi.Float, mask, crossing.pixel)
-    adjoint *= films.brightness(view)
+    adjoint = rays.masked(adjoint, mask, crossing.pixel)
+    adjoint *= films.brightness(crossing.view)
     return dr.select(crossing.valid, adjoint, 0)
 
 

@@ -247,16 +247,18 @@ class Pass:
 
     def __init__(self, problem: Problem, lanes: int):
         self.problem = problem
-        self._kernel = recorded(_kernel(problem.integrator, lanes), problem)
+        self._kernel = recorded(spread(problem.integrator, lanes), problem)
 
     def __call__(self, first: int, stride: float, seed: int, signed: bool) -> None:
         p = self.problem
         opaque = dr.opaque(mi.UInt32, first), dr.opaque(mi.Float64, stride)
         drawn = dr.opaque(mi.UInt32, seed), dr.opaque(mi.Bool, signed)
-        self._kernel(p.scene, p.sensors, p.views, p.unknowns.leaves, p.mask, *opaque, *drawn)
+        self._kernel(*p.traced, p.mask, *opaque, *drawn)
 
 
-def _kernel(integrator: Integrator, lanes: int):
+def spread(integrator: Integrator, lanes: int):
+    """What a ``Pass`` does."""
+
     def kernel(scene, sensors, views, leaves, mask, first, stride, seed, signed):
         with dr.suspend_grad():
             chosen = first + mi.UInt32(mi.Float64(dr.arange(mi.UInt32, lanes)) * stride)
@@ -266,9 +268,7 @@ def _kernel(integrator: Integrator, lanes: int):
             stream = rays.stream(seed, lanes)
             ray, weight = rays.spawn(sensors, views, view, column, row, stream)
             sign = dr.select(stream.next_1d() < 0.5, mi.Float(-1), 1)
-            counts = dr.select(inside, mi.Float(1), 0)
-            if mask is not None:
-                counts *= dr.gather(mi.Float, mask, pixel)
+            counts = rays.masked(dr.select(inside, mi.Float(1), 0), mask, pixel)
             adjoint = mi.Color3f(dr.select(signed, sign, 1) * counts) * weight
             integrator.backward(scene, stream, ray, adjoint)
 

@@ -337,9 +337,12 @@ class Medium(Twice):
     deep = cut
 
     def once(self, mode, scene, sampler, ray, differentiated, *more):
+        depth = self.paths.derivative if differentiated else self.paths.depth
+        return self._traced(mode, scene, sampler, ray, depth, *more)[0]
+
+    def _traced(self, mode, scene, sampler, ray, depth, *more) -> tuple[mi.Spectrum, mi.UInt32]:
         if self.emits:
             return volume.emitted(mode, scene, self.medium, sampler, ray, *more)
-        depth = self.paths.derivative if differentiated else self.paths.depth
         depths = depth, self.rr_depth
         return volume.trace(mode, scene, self.medium, sampler, ray, *depths, *more)
 
@@ -356,9 +359,9 @@ class Medium(Twice):
                 dr.eval(derivative)
 
     def work(self, scene, sampler, ray) -> mi.Float:
-        """Collisions of each path, real or not. Traced."""
-        depths = self.max_depth, self.rr_depth
-        return volume.collisions(scene, self.medium, sampler, ray, self.emits, *depths)
+        """Collisions of each path, real or not: at how many places it looks a density up, which
+        is what its time grows with. Traced."""
+        return mi.Float(self._traced(dr.ADMode.Primal, scene, sampler, ray, self.max_depth)[1])
 
 
 def adapt(
@@ -389,7 +392,8 @@ def adapt(
     if volume.only_emits(base):
         raise InputError(
             f"{where}: the integrator emission is for one medium in a cube or sphere without a "
-            "surface, its extinction alike in all channels, under a sky, and nothing else"
+            "surface, which the extinction's volume fills and where it is alike in all channels, "
+            "under a sky, and nothing else"
         )
     lobes = touched(mi.traverse(scene), keys) if keys else None
     if replayed.handles(base):

@@ -28,6 +28,7 @@ import mitsuba as mi
 
 from ..runtime.errors import InputError
 from ..unknowns.parameters import held, owner
+from ..unknowns.ranges import fed
 from ..unknowns.routes import discrete
 
 # The least chance of a lobe, and what a path's weight is in a replay where its value is 0.
@@ -341,11 +342,12 @@ def hidden(params: mi.SceneParameters, keys: Iterable[str]) -> list[str]:
 
 
 def _holding(params: mi.SceneParameters, keys: Iterable[str]) -> Iterator[tuple]:
-    """Materials with discrete lobes, at any depth, and the keys of the parameters in each."""
-    wanted = {key: owner(params, key) for key in keys}
+    """Materials with discrete lobes, at any depth, and the keys of the parameters in each, or that
+    it reads from its mesh."""
+    wanted = {key: [owner(params, key), *(h for h, _, _ in fed(params, key))] for key in keys}
     for thing in params.hierarchy:
         if isinstance(thing, mi.BSDF) and discrete(thing):
             own = mi.traverse(thing).hierarchy
-            mine = [key for key, holder in wanted.items() if holder in own]
+            mine = [key for key, holders in wanted.items() if any(h in own for h in holders)]
             if mine:
                 yield thing, mine

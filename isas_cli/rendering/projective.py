@@ -5,10 +5,10 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from .integrators import Integrator, sampled
+from .integrators import Integrator, Twice, sampled
 
 
-class Attached(Integrator):
+class Attached(Twice):
     """Radiance by the scene's own integrator, its derivatives by one of Mitsuba's projective ones,
     whose ray hits follow surfaces that move: of direct light in one go, of longer paths replayed.
 
@@ -30,36 +30,28 @@ class Attached(Integrator):
         self.projective = without_film(base)
 
     def backward(self, scene, sampler, ray, adjoint: mi.Color3f) -> None:
-        if self.direct:
-            radiance = self._traced(dr.ADMode.Backward, scene, sampler, ray)
-            with dr.resume_grad():
-                if dr.grad_enabled(radiance):
-                    dr.backward_from(adjoint * radiance)
-            return
-        again = sampler.clone()
-        radiance = self._traced(dr.ADMode.Primal, scene, sampler, ray)
-        dr.eval(adjoint, radiance)
-        self._traced(dr.ADMode.Backward, scene, again, ray, adjoint, radiance)
+        if not self.direct:
+            return super().backward(scene, sampler, ray, adjoint)
+        radiance = self.once(dr.ADMode.Backward, scene, sampler, ray, True)
+        with dr.resume_grad():
+            if dr.grad_enabled(radiance):
+                dr.backward_from(adjoint * radiance)
 
     def forward(self, scene, sampler, ray) -> mi.Color3f:
-        if self.direct:
-            derivative = dr.zeros(mi.Color3f, dr.width(ray.o))
-            radiance = self._traced(dr.ADMode.Forward, scene, sampler, ray)
-            with dr.resume_grad():
-                if dr.grad_enabled(radiance):
-                    derivative = mi.Color3f(dr.forward_to(radiance))
-        else:
-            again = sampler.clone()
-            radiance = self._traced(dr.ADMode.Primal, scene, sampler, ray)
-            dr.eval(radiance)
-            derivative = self._traced(dr.ADMode.Forward, scene, again, ray, None, radiance)
+        if not self.direct:
+            return super().forward(scene, sampler, ray)
+        derivative = dr.zeros(mi.Color3f, dr.width(ray.o))
+        radiance = self.once(dr.ADMode.Forward, scene, sampler, ray, True)
+        with dr.resume_grad():
+            if dr.grad_enabled(radiance):
+                derivative = mi.Color3f(dr.forward_to(radiance))
         dr.eval(derivative)
         return derivative
 
-    def _traced(self, *arguments) -> mi.Color3f:
+    def once(self, mode, scene, sampler, ray, differentiated, *more) -> mi.Color3f:
         # Derivatives are suspended: the integrator resumes them by itself where directions are not
         # drawn. Attached as a whole, drawn directions would be differentiated as well.
-        return sampled(self.projective, *arguments)[0]
+        return sampled(self.projective, mode, scene, sampler, ray, *more)[0]
 
 
 def projective(base: Integrator, name: str = "prb_projective", **settings) -> mi.Integrator:

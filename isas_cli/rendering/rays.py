@@ -5,6 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
+from ..runtime import streams
 from ..scene.lenses import Lenses
 from ..scene.views import Views
 
@@ -27,6 +28,18 @@ def spawn(
     belongs to one pixel. Traced.
     """
     return through(sensors, views, view, column, row, sampler.next_2d(), sampler.next_2d())
+
+
+def radiance(integrator, scene: mi.Scene, sensors, views: Views, place, sampler) -> mi.Color3f:
+    """What a path through a random point of each pixel brings, times the sensor's weight;
+    ``place``: view, column, row. Traced."""
+    ray, weight = spawn(sensors, views, *place, sampler)
+    return integrator.primal(scene, sampler, ray)[0] * weight
+
+
+def masked(values, mask: mi.Float | None, pixel: mi.UInt32):
+    """``values`` times what their pixels count. Traced."""
+    return values if mask is None else values * dr.gather(mi.Float, mask, pixel)
 
 
 def through(
@@ -102,6 +115,11 @@ def turned(way: mi.Vector3f, turn: mi.Vector3f) -> mi.Vector3f:
     axis = turn / dr.maximum(angle, 1e-20)
     sine, cosine = dr.sincos(angle)
     return way * cosine + dr.cross(axis, way) * sine + axis * (dr.dot(axis, way) * (1 - cosine))
+
+
+def seeds(seed: int, iteration: int, *purposes: str) -> list[mi.UInt32]:
+    """Of an iteration's streams, opaque: a kernel is not compiled for each."""
+    return [dr.opaque(mi.UInt32, streams.seed(seed, iteration, each)) for each in purposes]
 
 
 def stream(seed: mi.UInt32, count: int) -> mi.Sampler:

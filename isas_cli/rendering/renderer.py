@@ -34,11 +34,8 @@ class Renderer:
 
         def kernel(scene, sensors, views, leaves, pixel, total, bad, seed):
             with dr.suspend_grad():
-                view, column, row = views.locate(pixel)
-                stream = rays.stream(seed, dr.width(pixel))
-                ray, weight = rays.spawn(sensors, views, view, column, row, stream)
-                radiance, _ = integrator.primal(scene, stream, ray)
-                radiance *= weight
+                place, stream = views.locate(pixel), rays.stream(seed, dr.width(pixel))
+                radiance = rays.radiance(integrator, scene, sensors, views, place, stream)
                 finite = dr.all(dr.isfinite(radiance))
                 total = total + dr.select(finite, radiance, 0)
                 bad = bad + dr.select(finite, mi.UInt32(0), 1)
@@ -56,16 +53,8 @@ class Renderer:
         total, bad = dr.zeros(mi.Color3f, count), dr.zeros(mi.UInt32, count)
         dr.make_opaque(total, bad, pixel)
         for sample in range(spp):
-            total, bad = self._kernel(
-                p.scene,
-                p.sensors,
-                p.views,
-                p.unknowns.leaves,
-                pixel,
-                total,
-                bad,
-                dr.opaque(mi.UInt32, seed(sample)),
-            )
+            own = dr.opaque(mi.UInt32, seed(sample))
+            total, bad = self._kernel(*p.traced, pixel, total, bad, own)
             # Keeps Ctrl-C prompt and the progress honest: launches are asynchronous.
             dr.sync_thread()
             done(count)

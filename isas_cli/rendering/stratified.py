@@ -287,9 +287,7 @@ class _Rendering:
         p = self.problem
         pixel = own(mi.UInt32, np.resize(chosen, self.width * self.parts).astype(np.uint32))
         drawn = dr.opaque(mi.UInt32, streams.seed(self.seed, number, "target"))
-        radiance, finite = self._recorded(lights)(
-            p.scene, p.sensors, p.views, p.unknowns.leaves, pixel, drawn
-        )
+        radiance, finite = self._recorded(lights)(*p.traced, pixel, drawn)
         parts = [*map(mi.Float64, radiance), *(dr.square(mi.Float64(c)) for c in radiance)]
         parts.append(dr.select(finite, mi.Float64(1), 0))
         sums = [dr.block_sum(each, self.length // self.parts) for each in parts]
@@ -311,13 +309,11 @@ def _kernel(integrator, length: int, parts: int, width: int):
     def kernel(scene, sensors, views, leaves, pixel, seed):
         with dr.suspend_grad():
             lane = dr.arange(mi.UInt32, width * length)
-            view, column, row = views.locate(dr.gather(mi.UInt32, pixel, lane // (length // parts)))
+            place = views.locate(dr.gather(mi.UInt32, pixel, lane // (length // parts)))
             stream = mi.load_dict({"type": "multijitter", "sample_count": length})
             stream.set_samples_per_wavefront(length)
             stream.seed(seed, width * length)
-            ray, weight = rays.spawn(sensors, views, view, column, row, stream)
-            radiance, _ = integrator.primal(scene, stream, ray)
-            radiance *= weight
+            radiance = rays.radiance(integrator, scene, sensors, views, place, stream)
             finite = dr.all(dr.isfinite(radiance))
             radiance = dr.select(finite, radiance, 0)
             dr.eval(radiance, finite)

@@ -15,6 +15,8 @@ import mitsuba as mi
 import numpy as np
 
 from ..runtime import backend
+from ..unknowns.parameters import held
+from ..unknowns.ranges import fed
 
 # σ̄ over the medium's largest σ. Were they equal, a constant grid would never have a null collision,
 # and its derivative would lack these. And the least σ̄ times the shell's size, where a medium
@@ -34,9 +36,9 @@ def only_emits(integrator: mi.Integrator) -> bool:
 
 def medium_of(scene: mi.Scene, keys: Iterable[str] = ()) -> mi.Medium | None:
     """The medium, where ``trace`` simulates all that there is: one shape, a convex shell without a
-    surface of its own around one medium, whose extinction is alike in all channels, and a sky.
-    ``keys``: of the scene's parameters that are unknown; none may be of the phase function, which
-    is not differentiated."""
+    surface of its own around one medium, which fills it and whose extinction is alike in all
+    channels, and a sky. ``keys``: of the scene's parameters that are unknown; none may be of the
+    phase function, which is not differentiated."""
     shapes = scene.shapes()
     if len(shapes) != 1 or scene.environment() is None or len(scene.emitters()) != 1:
         return None
@@ -47,13 +49,27 @@ def medium_of(scene: mi.Scene, keys: Iterable[str] = ()) -> mi.Medium | None:
     inside = shell.interior_medium()
     if not (convex and bare) or inside is None or shell.exterior_medium() is not None:
         return None
-    if any("phase_function" in key for key in keys) or not _grey(inside, keys):
+    params = mi.traverse(scene)
+    ends = [(holder, word) for key in keys for holder, word, _ in fed(params, key)]
+    if any(isinstance(holder, mi.PhaseFunction) for holder, _ in ends):
         return None
-    return inside
+    unknown = any(isinstance(holder, mi.Medium) and word == _EXTINCTION for holder, word in ends)
+    return inside if _grey(inside, unknown) and _fills(inside, shell.bbox()) else None
 
 
-def _grey(medium: mi.Medium, keys: Iterable[str]) -> bool:
-    """Whether extinction is, and stays, the same in all channels."""
+def _fills(medium: mi.Medium, shell: mi.BoundingBox3f) -> bool:
+    """Whether it is all over the ``shell``: Mitsuba has nothing beyond the bounds of the volume
+    that is the extinction, which of a constant one are those of its unit cube."""
+    if medium.class_name() == "HomogeneousMedium":
+        return True
+    own = dict(held(medium))[_EXTINCTION].bbox()
+    reach = 1e-4 * dr.max(shell.extents())
+    low, high = own.min <= shell.min + reach, own.max >= shell.max - reach
+    return bool(dr.all(low) and dr.all(high))
+
+
+def _grey(medium: mi.Medium, unknown: bool) -> bool:
+    """Whether extinction is, and stays, the same in all channels; ``unknown``: it is."""
     params = mi.traverse(medium)
     for name in (each for each in params.keys() if _EXTINCTION in each):
         value = params[name]
@@ -64,7 +80,7 @@ def _grey(medium: mi.Medium, keys: Iterable[str]) -> bool:
         else:
             continue
         alike = (channels == channels[:1]).all()
-        if not alike or any(_EXTINCTION in key for key in keys):
+        if not alike or unknown:
             return False
     return True
 
@@ -79,20 +95,15 @@ def trace(
     rr_depth: int,
     adjoint: mi.Spectrum | None = None,
     radiance: mi.Spectrum | None = None,
-) -> mi.Spectrum:
+) -> tuple[mi.Spectrum, mi.UInt32]:
     """Radiance of a path that scatters until it leaves the shell: the light from there, times its
-    weight. ``mode``, ``adjoint``, ``radiance`` and the result as in ``replayed.trace``; edges count
-    from the camera, the one to the light included. Traced.
+    weight; and its collisions, real or not. ``mode``, ``adjoint``, ``radiance`` and the first
+    result as in ``replayed.trace``; edges count from the camera, the one to the light included.
+    Traced.
 
     No light is sampled from collisions: a path finds it by leaving, which is the cheaper estimate
     under a sky without a sun.
     """
-    depths = max_depth, rr_depth
-    return _trace(mode, scene, medium, sampler, ray, *depths, adjoint, radiance)[0]
-
-
-def _trace(mode, scene, medium, sampler, ray, max_depth, rr_depth, adjoint=None, radiance=None):
-    """What ``trace`` returns, and each path's collisions, real or not."""
     primal, context = mode == dr.ADMode.Primal, mi.PhaseFunctionContext()
     majorant = _majorant(scene, medium, "scatters")
     start, far, active = _within(scene, ray)
@@ -173,33 +184,11 @@ def emitted(
     ray: mi.Ray3f,
     adjoint: mi.Spectrum | None = None,
     radiance: mi.Spectrum | None = None,
-) -> mi.Spectrum:
+) -> tuple[mi.Spectrum, mi.UInt32]:
     """Radiance of a medium that emits and absorbs, and scatters nothing: at x it emits σ(x) times
     what its albedo says, per length. By ratio tracking (Novák et al. 2014): every collision adds
     its emission and weakens what lies behind. Else as ``trace``. Traced.
     """
-    return _emitted(mode, scene, medium, sampler, ray, adjoint, radiance)[0]
-
-
-def collisions(
-    scene: mi.Scene,
-    medium: mi.Medium,
-    sampler: mi.Sampler,
-    ray: mi.Ray3f,
-    emits: bool,
-    max_depth: int,
-    rr_depth: int,
-) -> mi.Float:
-    """At how many places each path looks a density up: what its time grows with. Of ``emitted``
-    where the medium ``emits``, else of ``trace``. Traced."""
-    primal = dr.ADMode.Primal
-    if emits:
-        return mi.Float(_emitted(primal, scene, medium, sampler, ray)[1])
-    return mi.Float(_trace(primal, scene, medium, sampler, ray, max_depth, rr_depth)[1])
-
-
-def _emitted(mode, scene, medium, sampler, ray, adjoint=None, radiance=None):
-    """What ``emitted`` returns, and each path's collisions."""
     primal = mode == dr.ADMode.Primal
     majorant = _majorant(scene, medium, "emits")
     start, far, active = _within(scene, ray)

@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..rendering import rays
 from ..rendering.kernels import recorded
 from ..runtime import streams
 from ..unknowns import smoothing
@@ -50,15 +51,11 @@ class Pairs(Residuals):
     def _pair(self, θ, σ, pair: smoothing.Pair, seed: int, number: int, rng) -> list[mi.Color3f]:
         """Second moments per cell: of r and of D, or of Δℓ."""
         p = self.problem
-        place, path = (
-            dr.opaque(mi.UInt32, streams.seed(seed, number, f"stage1_{kind}"))
-            for kind in ("place", "adjoint")
-        )
+        place, path = rays.seeds(seed, number, "stage1_place", "stage1_adjoint")
         sides = []
         for offset in (pair.plus, pair.minus):
             self.blur.write(θ + offset)
-            arguments = p.scene, p.sensors, p.views, p.unknowns.leaves, self.cells
-            sides.append(self._trace(*arguments, (place, path)))
+            sides.append(self._trace(*p.traced, self.cells, (place, path)))
         if self.smooth == "loss":
             targets = p.views, self.cells, p.targets, p.mask
             return [self._losses(*targets, sides, (place, path))]
@@ -133,9 +130,7 @@ def _loss_kernel(loss, samples: int):
         pixel = views.index(view, column, row)
         target = dr.gather(mi.Color3f, targets, pixel)
         plus, minus = (loss.measured(*halves, target) for halves in sides)
-        difference = dr.sum(plus - minus)
-        if mask is not None:
-            difference *= dr.gather(mi.Float, mask, pixel)
+        difference = rays.masked(dr.sum(plus - minus), mask, pixel)
         second = cell_mean(dr.square(difference), samples)
         dr.eval(second)
         return mi.Color3f(second / 3)

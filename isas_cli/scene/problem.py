@@ -65,6 +65,11 @@ class Problem:
     weights: np.ndarray | None = None
 
     @property
+    def traced(self) -> tuple:
+        """What kernels that trace paths take first."""
+        return self.scene, self.sensors, self.views, self.unknowns.leaves
+
+    @property
     def truth_known(self) -> bool:
         return all(u.truth is not None for u in self.unknowns)
 
@@ -122,7 +127,17 @@ class Problem:
 
     def target_image(self, view: int) -> np.ndarray:
         """Target of one view, ``(H, W, 3) float32``, linear."""
+        return self._of_view(self.targets, view, 3)
+
+    def counting(self, view: int) -> np.ndarray:
+        """Which pixels of one view count, ``(H, W) bool``."""
         width, height = self.film_sizes[view]
-        start = sum(w * h for w, h in self.film_sizes[:view]) * 3
-        index = dr.arange(mi.UInt32, width * height * 3) + start
-        return np.array(dr.gather(mi.Float, self.targets, index)).reshape(height, width, 3)
+        if self.mask is None:
+            return np.ones((height, width), bool)
+        return self._of_view(self.mask, view, 1)[..., 0] > 0
+
+    def _of_view(self, values: mi.Float, view: int, channels: int) -> np.ndarray:
+        width, height = self.film_sizes[view]
+        start = sum(w * h for w, h in self.film_sizes[:view]) * channels
+        index = dr.arange(mi.UInt32, width * height * channels) + start
+        return np.array(dr.gather(mi.Float, values, index)).reshape(height, width, channels)

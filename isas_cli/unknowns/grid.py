@@ -46,7 +46,8 @@ class Grid(Kind):
         if "albedo" in self.words:
             self.range, self.unit, self.bare = _ALBEDO, "albedo", (0.0, 0.0)
         elif "sigma_t" in self.words:
-            self.range, self.unit, self.bare = _DENSITY, "1 / scene unit", (0.0, 0.0)
+            low = min(_DENSITY[0], self.bare[0])  # in thin ones less
+            self.range, self.unit, self.bare = (low, _DENSITY[1]), "1 / scene unit", (0.0, 0.0)
         # Down to two points along the longest side.
         self.doublings = max(0, (max(self.present.shape[:3]) - 1).bit_length() - 1)
 

@@ -83,11 +83,13 @@ _BARE = {
 _UNITS = {
     **{word: word for word in ("radiance", "intensity", "irradiance")},
     "sigma_t": "1 / scene unit",
+    **dict.fromkeys(("cutoff_angle", "beam_width", "scale_tilt"), "degrees"),
 }
 
 _LIGHTS = ("radiance", "intensity", "irradiance")
 _COLOURS = ("base_color", "reflectance", "albedo", "diffuse", "specular")
 _COLOURS += ("diffuse_reflectance", "specular_reflectance")
+_COLOURS += ("specular_transmittance", "transmittance")
 
 
 def usual(params: mi.SceneParameters, key: str) -> tuple[float, float, str]:
@@ -183,6 +185,10 @@ def _uses(params: mi.SceneParameters) -> dict[mi.Object, list[tuple[mi.Object, s
 def bare(params: mi.SceneParameters, key: str) -> tuple[float, float]:
     """How far values are kept from the lower and the upper end of ``usual``."""
     ends = [_BARE.get(word, (0.0, 0.0)) for _, word, _ in fed(params, key)]
+    if any(word == "sigma_t" for _, word, _ in fed(params, key)):
+        # By a scene's unit of length: in millimetres 1e-3 may be more than there is.
+        most = float(as_numpy(params[key]).max(initial=0.0))
+        ends = [(a * (most if 0 < most < 1 else 1.0), b) for a, b in ends]
     return max((a for a, _ in ends), default=0.0), max((b for _, b in ends), default=0.0)
 
 

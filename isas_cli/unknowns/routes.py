@@ -38,9 +38,9 @@ def refusal(params: mi.SceneParameters, key: str) -> str:
     name = key.rpartition(".")[2]
     if name == "vertex_texcoords":
         return "no derivative by texture coordinates is taken: find the texture itself"
-    if name.startswith(("vertex_", "face_")) and _channels(params, key) not in (1, 3):
+    if name.startswith(("vertex_", "face_")) and channels(params, key) not in (1, 3):
         return (
-            f"it holds {_channels(params, key)} numbers each, and Mitsuba's mesh_attribute shows "
+            f"it holds {channels(params, key)} numbers each, and Mitsuba's mesh_attribute shows "
             "1 or 3: write the colours without alpha"
         )
     if owner(params, key).class_name() in _SPLATS and name == "data":
@@ -59,7 +59,7 @@ def refusal(params: mi.SceneParameters, key: str) -> str:
     return ""
 
 
-def _channels(params: mi.SceneParameters, key: str) -> int:
+def channels(params: mi.SceneParameters, key: str) -> int:
     """Numbers a vertex or face of a mesh attribute."""
     shape, name = owner(params, key), key.rpartition(".")[2]
     count = shape.vertex_count() if name.startswith("vertex_") else shape.face_count()

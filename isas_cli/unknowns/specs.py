@@ -35,8 +35,10 @@ def _start(spec, kind: Kind, loaded: Loaded, truth_known: bool) -> np.ndarray:
     try:
         if isinstance(spec, bool):
             raise TypeError
-        if np.ndim(spec) == 1 and current.ndim == 1 and current.size % len(spec) == 0:
-            spec = np.tile(spec, current.size // len(spec))  # of a mesh's vertices or faces
+        word = key.rpartition(".")[2]
+        if np.ndim(spec) == 1 and current.ndim == 1 and word.startswith(("vertex_", "face_")):
+            if len(spec) == routes.channels(loaded.params, key):
+                spec = np.tile(spec, current.size // len(spec))
         return np.broadcast_to(np.asarray(spec, np.float32), current.shape).copy()
     except (ValueError, TypeError):
         raise InputError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,8 @@ import numpy as np
 from ..config.schema import BlurConfig
 from ..runtime.errors import InputError
 from .kind import Kind
+from .parameters import owner
+from .ranges import fed
 
 if TYPE_CHECKING:
     from .optics import Together
@@ -79,6 +81,21 @@ class Unknown:
         return self.kind.error(array * factor, self.truth, self.seen)
 
 
+def _overlooked(params: mi.SceneParameters, keys: Iterable[str]) -> list[mi.Medium]:
+    """The media that take one of ``keys`` from a volume that stands outside of them: an update
+    tells those alone that a parameter is found by way of, and a medium keeps its largest density.
+    """
+    found = []
+    for key in (key for key in keys if key in params):
+        told, above = [], owner(params, key)
+        while above is not None:
+            told.append(above)
+            above = params.hierarchy[above][0]
+        media = (holder for holder, _, _ in fed(params, key) if isinstance(holder, mi.Medium))
+        found += [medium for medium in media if medium not in told]
+    return list(dict.fromkeys(found))
+
+
 class Unknowns:
     """The unknowns of one scene, and the only writer of the scene's parameters.
 
@@ -101,6 +118,7 @@ class Unknowns:
         self._by_key = {u.key: u for u in items}
         self._in_order = sorted((u.kind for u in items), key=lambda kind: kind.order)
         written = dict.fromkeys(key for kind in self._in_order for key in kind.writes)
+        self._media = _overlooked(params, written)
         # Mitsuba takes keys for patterns of beginnings, and ids may be any text: 'Cube (1)'.
         params.keep([re.escape(key) + r"\Z" for key in written])
         self.leaves = self.values_of({u.key: u.kind.present for u in items})
@@ -248,6 +266,8 @@ class Unknowns:
         for key in (*made, *(own & leaves.keys())):
             self.params[key] = written[key]
         self.params.update()
+        for medium in self._media:
+            medium.parameters_changed([])
         self.leaves = {k: self._kept(k, origins[k]) if k in own else origins[k] for k in self.keys}
 
     def _kept(self, key: str, leaf):

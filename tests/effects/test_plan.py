@@ -7,9 +7,10 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from gradient_estimates import Gradients, configured
+from runs_for_tests import QUIET, ran, resumed
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem, render_targets, without_targets
 
-from isas_cli import effects, records
+from isas_cli import effects
 from isas_cli.cli.app import main
 from isas_cli.config.schema import BlurConfig, PoseConfig, UnknownConfig
 from isas_cli.effects import plan as planning
@@ -425,7 +426,7 @@ def test_a_staged_run_takes_the_second_estimator_at_the_end():
 
 TINY = [
     *("scene=pottery", "size=tiny", "sampler=uniform", "target.spp=4", "estimator.batch=256"),
-    *("frames.views=0", "frames.snapshots=0", "evaluation.pixels=512", "report=false"),
+    *("evaluation.pixels=512", *QUIET),
 ]
 
 
@@ -433,14 +434,12 @@ def test_a_run_says_what_it_left_out(tmp_path, capsys):
     """Its errors are those with all effects; the difference of the images stands beside them. The
     last part of the budget has all effects."""
     settings = ["effects.max_depth=2", "effects.finish=0.5", "budget.iterations=8"]
-    assert main(["run", *TINY, *settings, f"hydra.run.dir={tmp_path / 'r'}"]) == 0
+    run = ran(tmp_path / "r", *TINY, *settings)
     told = capsys.readouterr().err
     assert "paths: of up to 2 edges" in told and "left out of the images: " in told
-    run = records.load(tmp_path / "r")
     assert run.summary["left_out_rmse"] > 1e-3
     assert run.manifest["plan"]["max_depth"] == 2 and "50%" in run.manifest["effects"]["finish"]
-    assert main(["run", f"resume={tmp_path / 'r'}", "budget.iterations=10"]) == 0
-    assert records.load(tmp_path / "r").summary["iterations"] == 10
+    assert resumed(tmp_path / "r", "budget.iterations=10").summary["iterations"] == 10
 
 
 @pytest.mark.parametrize("finish", [0.0, 0.5])
@@ -449,8 +448,7 @@ def test_what_is_left_out_is_doubted_where_it_is_more_than_the_error(finish, tmp
     near = lambda self, values: honest(self, values) | {"image_rmse": 1e-6}
     monkeypatch.setattr(Evaluator, "__call__", near)
     settings = ["effects.max_depth=2", f"effects.finish={finish}", "budget.iterations=2"]
-    assert main(["run", *TINY, *settings, f"hydra.run.dir={tmp_path / 'r'}"]) == 0
-    told = records.load(tmp_path / "r").summary["warnings"]
+    told = ran(tmp_path / "r", *TINY, *settings).summary["warnings"]
     assert any("results make up for it" in line for line in told) == (finish == 0)
 
 
@@ -459,10 +457,8 @@ def test_what_is_left_out_is_no_noise_of_light_samples(tmp_path):
     found = []
     for directions in (1, 4):
         settings = ["effects.max_depth=2", f"effects.directions={directions}", "optimizer.lr=1e-9"]
-        folder = tmp_path / str(directions)
-        settings += ["budget.iterations=1", f"hydra.run.dir={folder}"]
-        assert main(["run", *TINY, *settings]) == 0
-        found.append(records.load(folder).summary["left_out_rmse"])
+        run = ran(tmp_path / str(directions), *TINY, *settings, "budget.iterations=1")
+        found.append(run.summary["left_out_rmse"])
     assert found[0] == pytest.approx(found[1], rel=1e-3)
 
 

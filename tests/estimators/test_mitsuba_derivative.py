@@ -46,9 +46,10 @@ def test_mitsubas_own_derivative():
     assert np.all(np.abs(exact.mean(axis=0)) > 5 * exact.std(axis=0) / math.sqrt(len(exact)))
 
 
-def test_mitsubas_derivative_of_all_views():
-    """A first camera that looks away: the second's gradient arrives."""
-    p = blurred_problem(glows=True, blind=True)
+@pytest.mark.parametrize("blind", (True, "last"))
+def test_mitsubas_derivative_of_all_views(blind):
+    """Before or after a camera that looks away: the other's gradient arrives."""
+    p = blurred_problem(glows=True, blind=blind)
     found = rows(WholeImages(p, losses.L2(), 4 * BATCH, silhouettes="direct"), p, 4)
     assert np.all(np.abs(found.mean(axis=0)) > 1e-4)
 

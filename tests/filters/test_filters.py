@@ -4,10 +4,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from runs_for_tests import QUIET, ran
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
-from isas_cli import records
-from isas_cli.cli import app
 from isas_cli.config.compose import compose, instantiate, options, translate
 from isas_cli.config.schema import OptimizerConfig
 from isas_cli.engine.optimiser import Stepper
@@ -17,7 +16,7 @@ from isas_cli.unknowns.parameters import as_numpy, flat, unflat
 
 FILTERS = {each.name: each for each in (Nothing, Gaussian, JamesStein, Bilateral, Laplacian)}
 TINY = ["size=tiny", "threads=1", "estimator.batch=2048", "target.spp=4", "evaluation.pixels=512"]
-TINY += ["frames.views=0", "frames.snapshots=0", "report=false", "effects=full"]
+TINY += ["effects=full", "budget.iterations=6", *QUIET]
 
 
 def stepped(stepper: Stepper, seed: int, steps: int, noise: float = 1.0) -> dict[str, np.ndarray]:
@@ -105,9 +104,7 @@ def test_what_has_levels_of_its_own_takes_no_steps_of_all_resolutions():
 
 @pytest.mark.parametrize("name", FILTERS)
 def test_a_run_with_each(name, tmp_path):
-    settings = ["scene=dodoco_a", f"optimizer.filter={name}", *TINY, "budget.iterations=6"]
-    assert app.main(["run", *settings, f"hydra.run.dir={tmp_path / 'run'}"]) == 0
-    run = records.load(tmp_path / "run")
+    run = ran(tmp_path, "scene=dodoco_a", f"optimizer.filter={name}", *TINY)
     assert run.config["optimizer"]["filter"]["name"] == name
     start, end = run.history["parameter_rmse"].iloc[[0, -1]]
     assert end < start
@@ -115,9 +112,7 @@ def test_a_run_with_each(name, tmp_path):
 
 @pytest.mark.parametrize("name", ("james_stein", "bilateral", "laplacian"))
 def test_a_grid_that_becomes_finer_on_the_way(name, tmp_path):
-    settings = ["scene=smoke", f"optimizer.filter={name}", *TINY, "budget.iterations=6"]
-    assert app.main(["run", *settings, f"hydra.run.dir={tmp_path / 'run'}"]) == 0
-    history = records.load(tmp_path / "run").history
+    history = ran(tmp_path, "scene=smoke", f"optimizer.filter={name}", *TINY).history
     assert np.isfinite(history["parameter_rmse"]).all()
 
 

@@ -3,19 +3,16 @@
 By a budget in paths; tests/engine/test_resume.py has one in iterations.
 """
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
+from processes import isas
+from runs_for_tests import QUIET
 
 import isas_cli
 
 TINY = [
     *("scene=pottery", "size=tiny", "sampler=progress", "target.spp=4", "estimator.batch=1024"),
-    *("frames.views=0", "frames.snapshots=0", "evaluation.pixels=256", "report=false"),
-    *("budget.paths=150000", "effects=full"),
+    *("evaluation.pixels=256", "budget.paths=150000", "effects=full", *QUIET),
 ]
 
 
@@ -24,9 +21,8 @@ def values(tmp_path_factory, fixed_order):
     """The texture at the end of two runs on one thread, and of one on two."""
     folder, found = tmp_path_factory.mktemp("runs"), []
     for number, threads in enumerate((1, 1, 2)):
-        command = [sys.executable, "-m", "isas_cli", "run", *TINY, f"threads={threads}"]
-        command += [f"hydra.run.dir={folder / str(number)}"]
-        subprocess.run(command, check=True, capture_output=True, env=os.environ)
+        words = [*TINY, f"threads={threads}", f"hydra.run.dir={folder / str(number)}"]
+        isas(folder, "run", *words).check_returncode()
         (texture,) = isas_cli.load(folder / str(number)).parameters().values()
         found.append(texture)
     return found

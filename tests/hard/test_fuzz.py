@@ -17,7 +17,7 @@ def test_no_input_ends_in_a_traceback_a_hang_or_a_file_elsewhere(sound):
     assert not findings, "\n".join(map(str, findings))
     for kind in fuzz.KINDS:
         # The sound inputs are taken, and damage is noticed.
-        assert outcomes[kind, "refused"] > 10
+        assert outcomes[kind, "refused"] > 10 and outcomes[kind, "taken"] > 0
     assert sum(outcomes.values()) == 600
 
 

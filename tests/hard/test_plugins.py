@@ -2,13 +2,12 @@
 line, and never a traceback."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import mitsuba as mi
 import pytest
 from _plugins import SCENES, write
+from processes import isas
 
 from isas_cli.runtime import backend
 from isas_cli.runtime.errors import InputError
@@ -40,8 +39,7 @@ def ended(path: Path, folder: Path, key: str, *more: str) -> None:
     settings = [f"scene.path={path}", f"scene.unknowns={unknowns}", f"hydra.run.dir={folder}"]
     settings += ["scene=file", "sampler=uniform", "effects=full", "budget.iterations=2"]
     settings += ["target.spp=2", "frames.spp=2", "estimator.batch=256", "report=false", *more]
-    command = [sys.executable, "-m", "isas_cli", "run", *settings]
-    done = subprocess.run(command, text=True, capture_output=True, timeout=300)
+    done = isas(folder.parent, "run", *settings)
     assert done.returncode in (0, 2), done.stderr
     assert "Traceback" not in done.stderr
     if done.returncode == 2:

@@ -56,6 +56,16 @@ def test_on_a_problem_the_smooth_part_is_smoothness(rng):
     assert np.allclose(np.array(found[ROUGHNESS]), 0.5 * 0.5 * 2 * 0.3)
 
 
+def test_a_texture_is_what_reads_it_whatever_it_is_called():
+    """One of opacities that is called alpha is no roughness."""
+    unknowns = problem({ROUGHNESS: 0.5, TEXTURE: 0.5}).unknowns
+    assert [term[0] for term in Materials(smooth=0).on(unknowns).terms] == [ROUGHNESS]
+    unknowns[ROUGHNESS].kind.words = frozenset({"opacity"})
+    assert Materials(smooth=0).on(unknowns).terms == []
+    unknowns[ROUGHNESS].kind.words = frozenset({"alpha_u"})
+    assert [term[0] for term in Materials(smooth=0).on(unknowns).terms] == [ROUGHNESS]
+
+
 def test_factors_on_what_has_no_prior_are_refused():
     unknowns = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}).unknowns
     unknowns[ROUGHNESS].prior = 2.0

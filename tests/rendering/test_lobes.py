@@ -12,6 +12,7 @@ from scenes_for_tests import without_targets
 from isas_cli.rendering import rays
 from isas_cli.rendering.integrators import Replayed, Unrolled, sampled
 from isas_cli.rendering.kernels import recorded
+from isas_cli.rendering.lobes import touched
 from isas_cli.runtime.errors import InputError
 
 LANES, SEEDS = 1 << 15, 24
@@ -143,6 +144,24 @@ CASES = [
     (mask(0.6, _DARK), "opacity.value", 1e-6),
     (blend(0.5, _MIRROR, {"type": "null"}), "weight.value", 1e-6),
 ]
+
+
+def test_colours_that_a_material_reads_from_its_mesh_are_of_its_lobes():
+    """The attribute is the mesh's, and no part of the material."""
+    colours = {"type": "mesh_attribute", "name": "vertex_color"}
+    for material in ({"type": "conductor"}, {"type": "diffuse"}):
+        word = "specular_reflectance" if material["type"] == "conductor" else "reflectance"
+        made = mi.Mesh("m", 3, 1)
+        values = mi.traverse(made)
+        values["vertex_positions"] = np.float32([0, 0, 0, 1, 0, 0, 0, 1, 0])
+        values["faces"] = np.uint32([0, 1, 2])
+        values.update()
+        made.add_attribute("vertex_color", 3, np.full(9, 0.5, np.float32))
+        made.set_bsdf(mi.load_dict(material | {word: colours}))
+        made.set_id("m")
+        described = {"type": "scene", "m": made, "sky": {"type": "constant"}}
+        found = touched(mi.traverse(mi.load_dict(described, optimize=False)), ["m.vertex_color"])
+        assert (found is not None) == (material["type"] == "conductor"), material
 
 
 def _name(case) -> str:

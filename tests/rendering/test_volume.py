@@ -24,6 +24,7 @@ from volumes_for_tests import (
 )
 
 from isas_cli import losses
+from isas_cli.config.schema import UnknownConfig
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.rendering import rays, volume
 from isas_cli.rendering.integrators import Integrator, Medium
@@ -55,6 +56,47 @@ def test_a_glowing_slab(density):
         assert abs(sums.mean() - exact) < 4 * spread + 1e-4 and spread < 0.05 * max(
             abs(exact), 0.01
         )
+
+
+@pytest.mark.parametrize("fills", [True, False])
+def test_a_medium_ends_where_its_extinction_does(fills):
+    """Of a grid in a corner of its shell: around it Mitsuba has nothing."""
+    density, albedo = uneven()
+    described = description(density, albedo)
+    if not fills:  # as a file has it that says no to_world: the cube from 0 to 1
+        for name in ("sigma_t", "albedo"):
+            described["box"]["interior"][name].pop("to_world")
+    p = without_targets(described, {DENSITY: UnknownConfig(start=1.0)})
+    assert isinstance(p.integrator, Medium) == fills
+    beside = mi.Ray3f(dr.full(mi.Point3f, 0, 64) + [-0.5, -0.4, 5], mi.Vector3f(0, 0, -1))
+    seen = np.array(p.integrator.primal(p.scene, rays.stream(mi.UInt32(1), 64), beside)[0])
+    assert fills != np.allclose(seen, SKY)
+    p.unknowns.write(p.unknowns.truths())
+    ray = smooth_rays(p)
+    found = np.array(p.integrator.primal(p.scene, rays.stream(mi.UInt32(1), N), ray)[0])
+    wanted = np.array(mi.render(p.scene, spp=N // 256, seed=5)).reshape(-1, 3).T
+    error = found.std(axis=1) / math.sqrt(N)
+    assert (np.abs(found.mean(axis=1) - wanted.mean(axis=1)) < 6 * error).all()
+
+
+def test_an_emission_that_does_not_fill_its_shell_is_refused():
+    described = description(0.5, 0.5, "emission")
+    described["box"]["interior"]["sigma_t"].pop("to_world")
+    with pytest.raises(InputError, match="which the extinction's volume fills"):
+        without_targets(described, {DENSITY: UnknownConfig(start=1.0)})
+
+
+def test_the_largest_density_of_a_volume_that_stands_alone_is_kept_up():
+    """Mitsuba tells a medium of its own parts alone, and tracks by what was largest before."""
+    described = description(0.2, 0.5)
+    inside = described["box"]["interior"]
+    shared = {"type": "scene", "thick": inside["sigma_t"]}
+    inside["sigma_t"] = {"type": "ref", "id": "thick"}
+    p = without_targets(shared | described, {"thick.data": UnknownConfig(start=1.0)})
+    medium = p.scene.shapes()[0].interior_medium()
+    p.unknowns.write(p.unknowns.values_of({"thick.data": np.full((4, 4, 4, 1), 7, np.float32)}))
+    found = medium.get_majorant(dr.zeros(mi.MediumInteraction3f), True)
+    assert float(found[0][0]) == pytest.approx(7)
 
 
 def test_a_furnace_has_no_derivative_by_density(monkeypatch):
@@ -258,7 +300,7 @@ def test_a_medium_beside_others_outside_is_left_to_mitsuba():
 
 def test_a_glow_of_several_extinctions_is_refused():
     whole = fog(COLOURED) | {"integrator": {"type": "emission"}}
-    with pytest.raises(InputError, match="its extinction alike in all channels"):
+    with pytest.raises(InputError, match="where it is alike in all channels"):
         without_targets(whole, {"sky.radiance.value": 0.5})
 
 

@@ -4,12 +4,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from crosses import some
+from problems_for_tests import configured, workshop_of
 
-from isas_cli.config.compose import compose
-from isas_cli.engine import experiment
-from isas_cli.engine.choices import Choices
-from isas_cli.engine.display import Display
-from isas_cli.engine.experiment import Phases
 from isas_cli.engine.workshop import Workshop
 from isas_cli.samplers import reliability
 from isas_cli.samplers.ours import Ours
@@ -73,22 +69,16 @@ SMALL = ["size=tiny", "target.spp=4", "budget.iterations=1", "evaluation.pixels=
 SMALL += ["evaluation.spp=2", "effects=full"]  # picked light samples find more
 
 
-def configured(*settings: str):
-    cfg = compose([*SMALL, *settings])
-    return Choices.of(cfg), *experiment.checked(cfg)
-
-
 @pytest.fixture(scope="module")
 def workshop(request) -> Workshop:
     """The problem of one scene, for all samplers."""
-    _, typed, budget = configured(f"scene={request.param}")
-    with Display(budget) as display:
-        return Workshop(experiment.built(typed, Phases(display)))
+    return workshop_of(f"scene={request.param}", *SMALL)
 
 
 def warning(workshop: Workshop, sampler: str) -> str | None:
     """What a run would say. That it does say it: ``a speck`` in support/hard_cases.py."""
-    loop = workshop.loop(*configured(f"scene={workshop.problem.name}", f"sampler={sampler}"))
+    chosen = f"scene={workshop.problem.name}", f"sampler={sampler}"
+    loop = workshop.loop(*configured(*chosen, *SMALL))
     values = loop.stepper.values
     said = reliability.warning(loop.sampler, values, loop.seed, 1 << 24)  # as a run does
     workshop.problem.unknowns.write(values)  # detach

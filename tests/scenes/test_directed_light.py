@@ -4,11 +4,11 @@ colour, beside a metal that shows it."""
 import json
 
 import pytest
+from xml_for_tests import camera, paths
 
 import isas_cli
 
-SCENE = """<scene version="3.0.0">
-  <integrator type="path"><integer name="max_depth" value="2"/></integrator>
+SCENE = f"""<scene version="3.0.0">{paths(2)}
   LAMP
   <emitter type="constant"><rgb name="radiance" value="0.1"/></emitter>
   <bsdf type="diffuse" id="matt"><rgb name="reflectance" value="0.7"/></bsdf>
@@ -16,10 +16,7 @@ SCENE = """<scene version="3.0.0">
     <rotate x="1" angle="-90"/></transform><ref id="matt"/></shape>
   <shape type="sphere" id="ball"><point name="center" x="0" y="0.6" z="0"/>
     <float name="radius" value="0.5"/>BALL</shape>
-  <sensor type="perspective"><float name="fov" value="45"/>
-    <transform name="to_world"><lookat origin="0.5,4,4" target="0,0.2,0" up="0,1,0"/></transform>
-    <film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="24"/>
-    </film></sensor>
+  {camera("0.5,4,4", 24, target="0,0.2,0", fov=45)}
 </scene>"""
 MATT = '<ref id="matt"/>'
 METAL = """<bsdf type="principled"><rgb name="base_color" value="0.8, 0.6, 0.4"/>

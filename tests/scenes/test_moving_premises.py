@@ -7,16 +7,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from test_tiny_scenes import MOVING, SMALL, configured
+from problems_for_tests import built, configured
+from test_tiny_scenes import MOVING, SMALL
 
-from isas_cli.config.schema import Config
-from isas_cli.engine import experiment
-from isas_cli.engine.display import Display
-from isas_cli.engine.experiment import Phases
 from isas_cli.rendering import rays
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime import backend
-from isas_cli.runtime.budget import Budget
 from isas_cli.scene.built import description, load
 from isas_cli.scene.problem import Problem
 from isas_cli.unknowns.specs import parse
@@ -28,22 +24,16 @@ OCCLUSION = _plateau.TASKS["occlusion"].spread["red.depth"]
 SHADOWS = _plateau.TASKS["shadows"].spread["ball.place"]
 
 
-def configuration(scene: str) -> tuple[Config, Budget]:
-    return configured(f"scene={scene}", *SMALL, "size=default", "target.spp=1")[1:]
+def settings(scene: str) -> list[str]:
+    return [f"scene={scene}", *SMALL, "size=default", "target.spp=1"]
 
 
 def parsed(scene: str) -> list[Unknown]:
     """The unknowns as the scene is loaded: nothing is rendered."""
-    config = configuration(scene)[0].scene
+    config = configured(*settings(scene))[1].scene
     with backend.loading():
         loaded = load(description(config))
     return parse(mi.traverse(loaded), config.unknowns, True, config.poses)
-
-
-def built(scene: str) -> Problem:
-    typed, budget = configuration(scene)
-    with Display(budget) as display:
-        return experiment.built(typed, Phases(display))
 
 
 def put(p: Problem, key: str, *numbers: float) -> None:
@@ -69,7 +59,7 @@ def seen(p: Problem) -> dict[str, np.ndarray]:
 
 
 def test_cup_the_handle_is_hidden_on_the_way():
-    p = built("cup")
+    p = built(*settings("cup"))
     mug = {}
     for angle in (0, 80, 90, 100, 180):
         put(p, "cup.angle", angle)
@@ -82,7 +72,7 @@ def test_cup_the_handle_is_hidden_on_the_way():
 
 
 def test_occlusion_the_ball_is_hidden_at_the_start():
-    p = built("occlusion")
+    p = built(*settings("occlusion"))
     (unknown,) = p.unknowns
     put(p, "red.depth", *unknown.truth)
     shown = seen(p)["red"].sum()
@@ -94,7 +84,7 @@ def test_occlusion_the_ball_is_hidden_at_the_start():
 
 
 def test_shadows_the_ball_is_out_of_view_and_its_shadow_elsewhere():
-    p = built("shadows")
+    p = built(*settings("shadows"))
     renderer = Renderer(p)
     (unknown,) = p.unknowns
 
@@ -126,7 +116,7 @@ def test_shadows_the_ball_is_out_of_view_and_its_shadow_elsewhere():
     ),
 )
 def test_the_light_is_out_of_view(scene, shown, share, hidden):
-    p = built(scene)
+    p = built(*settings(scene))
     for values in (p.unknowns.truths(), p.unknowns.starts()):
         p.unknowns.write(values)
         found = seen(p)

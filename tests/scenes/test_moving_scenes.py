@@ -6,11 +6,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from crosses import crossed
-from test_tiny_scenes import ITERATIONS, MOVING, SMALL, configured
+from problems_for_tests import configured, workshop_of
+from test_tiny_scenes import ITERATIONS, MOVING, SMALL
 
-from isas_cli.engine import experiment
-from isas_cli.engine.display import Display
-from isas_cli.engine.experiment import Phases
 from isas_cli.engine.loop import Hooks
 from isas_cli.engine.workshop import Workshop
 from isas_cli.rendering.integrators import Unrolled
@@ -24,12 +22,6 @@ GRADIENTS = {
     "mitsuba": ["sampler=mitsuba", "sampler.silhouettes=direct"],
     "finite_differences": ["sampler=finite_differences"],
 }
-
-
-def workshop_of(*overrides: str) -> Workshop:
-    _, typed, budget = configured(*overrides)
-    with Display(budget) as display:
-        return Workshop(experiment.built(typed, Phases(display)))
 
 
 @pytest.fixture(scope="module")

@@ -7,19 +7,15 @@ import numpy as np
 import pytest
 from crosses import crossed, some
 from omegaconf import OmegaConf
+from problems_for_tests import configured, workshop_of
 from samplers_for_tests import pixel_samplers
 from test_scenes import NAMES
 
 from isas_cli.config import schema
 from isas_cli.config.compose import compose, options, translate
-from isas_cli.config.schema import Config
 from isas_cli.engine import experiment
-from isas_cli.engine.choices import Choices
-from isas_cli.engine.display import Display
-from isas_cli.engine.experiment import Phases
 from isas_cli.engine.loop import Hooks
 from isas_cli.engine.workshop import Workshop
-from isas_cli.runtime.budget import Budget
 from isas_cli.unknowns.parameters import as_numpy
 
 MOVING = ["caustic", "cup", "global_illumination", "occlusion", "shadows", "shadows_prdpt", "sort"]
@@ -41,18 +37,10 @@ SMALL = [
 ]
 
 
-def configured(*overrides: str) -> tuple[Choices, Config, Budget]:
-    cfg = compose(translate(overrides))
-    return Choices.of(cfg), *experiment.checked(cfg)
-
-
 @pytest.fixture(scope="module")
 def workshop(request) -> Workshop:
     """The problem of one scene, from its configuration, for all samplers."""
-    _, typed, budget = configured(f"scene={request.param}", *SMALL)
-    with Display(budget) as display:
-        made = Workshop(experiment.built(typed, Phases(display)))
-    return made
+    return workshop_of(f"scene={request.param}", *SMALL)
 
 
 @pytest.mark.parametrize("workshop, sampler", crossed(SCENES, SAMPLERS, 1), indirect=["workshop"])
@@ -104,9 +92,7 @@ def test_views_of_the_spiral_differ(workshop):
 
 @pytest.fixture(scope="module")
 def roughness() -> Workshop:
-    _, typed, budget = configured("scene=trashcan", *SMALL)
-    with Display(budget) as display:
-        return Workshop(experiment.built(typed, Phases(display)))
+    return workshop_of("scene=trashcan", *SMALL)
 
 
 @pytest.mark.parametrize("sampler", some(SAMPLERS, ("progress",)))

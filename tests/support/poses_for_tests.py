@@ -58,10 +58,11 @@ def glowing() -> dict:
 
 
 def blurred_problem(
-    at=AT, widths=SIGMA, glows: bool = False, blind: bool = False, point: bool = False
+    at=AT, widths=SIGMA, glows: bool = False, blind: bool | str = False, point: bool = False
 ):
     """The problem at ``at``, (place, grey or radiance); targets are the truth, rendered well.
-    ``blind``: with a camera more, before the other, that looks away. ``point``: by the light of a
+    ``blind``: with a camera more, before the other (or where it is "last" after it), that looks
+    away. ``point``: by the light of a
     point alone."""
     poses = {
         PLACE: PoseConfig(
@@ -78,10 +79,8 @@ def blurred_problem(
         del scene["sky"]
         scene["lamp"] = {"type": "point", "position": [-2.0, 2.0, 2.5], "intensity": 16.0}
     if blind:
-        scene["sensor_000"], scene["sensor_001"] = (
-            stage.camera([0, 0, 3], (0, 0, 6), 35.0, 8),
-            scene["sensor_000"],
-        )
+        both = [stage.camera([0, 0, 3], (0, 0, 6), 35.0, 8), scene["sensor_000"]]
+        scene["sensor_000"], scene["sensor_001"] = both[::-1] if blind == "last" else both
     p = without_targets(scene, unknowns, poses)
     render_targets(p, 256)
     return p

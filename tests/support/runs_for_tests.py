@@ -1,4 +1,4 @@
-"""Runs as their files tell of them, written by no renderer."""
+"""Runs: made by the command, or as files tell of them, written by no renderer."""
 
 from __future__ import annotations
 
@@ -10,9 +10,22 @@ import sys
 from pathlib import Path
 
 from isas_cli import records
+from isas_cli.cli.app import main
 from isas_cli.records import follow
 
+QUIET = ["frames.views=0", "frames.snapshots=0", "report=false"]
 ERRORS = [1.0, 0.5, 0.25, 0.1]  # of the start; billed time doubles from row to row
+
+
+def ran(folder: Path, *settings: str) -> records.Run:
+    """Of `isas run` with these settings, which ends well."""
+    assert main(["run", *settings, f"hydra.run.dir={folder}"]) == 0
+    return records.load(folder)
+
+
+def resumed(folder: Path, *settings: str) -> records.Run:
+    assert main(["run", f"resume={folder}", *settings]) == 0
+    return records.load(folder)
 
 
 def process(pid: int | None = None, **changed) -> dict:

@@ -3,9 +3,9 @@
 import mitsuba as mi
 import numpy as np
 import pytest
+from runs_for_tests import ran
+from xml_for_tests import camera, paths
 
-from isas_cli import records
-from isas_cli.cli.app import main
 from isas_cli.config.schema import OptimizerConfig, UnknownConfig
 from isas_cli.engine.optimiser import Stepper
 from isas_cli.runtime.errors import InputError
@@ -15,11 +15,8 @@ from isas_cli.unknowns.specs import parse
 from isas_cli.unknowns.unknowns import Unknowns
 
 KEY = "sky.sun_direction"
-SUN = """<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="3"/>
-  </integrator><sensor type="perspective"><transform name="to_world">
-    <lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
-  <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="16"/></film>
-  </sensor><emitter type="sunsky" id="sky"><float name="sky_scale" value="0"/>{when}</emitter>
+SUN = f"""<scene version="3.0.0">{paths(3)}{camera()}
+  <emitter type="sunsky" id="sky"><float name="sky_scale" value="0"/>{{when}}</emitter>
   <shape type="sphere" id="ball"><float name="radius" value="0.6"/></shape>
   <shape type="rectangle"><transform name="to_world"><scale value="4"/><translate z="-1"/>
   </transform></shape></scene>"""
@@ -75,25 +72,16 @@ BLUR = '"blur": {"start": 0.1, "end": 0.01, "hold": 0.2}'
 def arguments(tmp_path) -> list[str]:
     (tmp_path / "sun.xml").write_text(SUN.format(when=TOWARDS))
     unknown = f'scene.unknowns={{"{KEY}": {{"start": [0, 0.3, 1], "lr": 0.03, {BLUR}}}}}'
-    small = [
-        "target.spp=64",
-        "estimator.batch=4096",
-        "evaluation.pixels=64",
-        "frames.views=0",
-        "report=false",
-    ]
-    folder = f"hydra.run.dir={tmp_path / 'run'}"
-    return ["run", "scene=file", f"scene.path={tmp_path / 'sun.xml'}", unknown, folder, *small]
+    small = ["target.spp=64", "estimator.batch=4096", "evaluation.pixels=64", "frames.views=0"]
+    return ["scene=file", f"scene.path={tmp_path / 'sun.xml'}", unknown, *small, "report=false"]
 
 
-def test_path_replay_refuses_it_and_says_what_to_take(arguments, capsys):
-    assert main([*arguments, "sampler=uniform", "estimator=two_path"]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "sampler=plateau" in error and "finite_differences" in error
+def test_path_replay_refuses_it_and_says_what_to_take(arguments, refused):
+    more = ["sampler=uniform", "estimator=two_path"]
+    refused(["run", *arguments, *more], "sampler=plateau", "finite_differences")
 
 
 def test_the_sun_is_found_from_what_it_lights(arguments, tmp_path):
     more = ["sampler=finite_differences", "budget.iterations=120", "evaluation.count=2"]
-    assert main([*arguments, *more]) == 0
-    error = records.load(tmp_path / "run").history["parameter_rmse"].to_numpy()
+    error = ran(tmp_path / "run", *arguments, *more).history["parameter_rmse"].to_numpy()
     assert error[0] > 0.5 and error[-1] < 0.02

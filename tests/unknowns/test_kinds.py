@@ -15,6 +15,7 @@ import pytest
 from lit_scene import SKY, lit
 from scenes_for_tests import TEXTURE, dictionary, texture, without_targets
 from toy_kinds import DECIBELS, LogGrid, Swelling
+from xml_for_tests import camera, paths
 
 import isas_cli
 from isas_cli import losses, records
@@ -31,19 +32,14 @@ from isas_cli.unknowns.specs import parse
 
 GRID, LOG = "floor.bsdf.reflectance.volume.data", "floor.bsdf.reflectance.volume.log"
 SHAPE = (2, 3, 4, 3)
-SCENE = """<scene version="3.0.0">
-  <integrator type="path"><integer name="max_depth" value="2"/></integrator>
+SCENE = f"""<scene version="3.0.0">{paths(2)}{camera("0,0,3", 24, 20, fov=50)}
   <emitter type="constant" id="sky"/>
   <shape type="rectangle" id="floor"><bsdf type="diffuse"><texture name="reflectance" type="volume">
     <volume name="volume" type="gridvolume"><string name="filename" value="grid.vol"/>
       <transform name="to_world"><scale x="2" y="2" z="4"/><translate x="-1" y="-1" z="-1"/>
       </transform></volume></texture></bsdf></shape>
   <shape type="cube" id="box"><transform name="to_world"><scale value="0.2"/>
-    <translate x="0.6" y="0.6" z="0.2"/></transform></shape>
-  <sensor type="perspective"><float name="fov" value="50"/><transform name="to_world">
-    <lookat origin="0,0,3" target="0,0,0" up="0,1,0"/></transform><film type="hdrfilm">
-    <integer name="width" value="24"/><integer name="height" value="20"/></film></sensor>
-</scene>"""
+    <translate x="0.6" y="0.6" z="0.2"/></transform></shape></scene>"""
 SHORT = ["frames.spp=2", "frames.views=1", "frames.snapshots=0", "report=false"]
 SHORT += ["scene=file", "scene.path=scene.xml", "hydra.run.dir=r", "estimator.batch=512"]
 SHORT += ["effects=full"]
@@ -55,8 +51,8 @@ def toys(monkeypatch):
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch, rng):
-    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path / "cache"))
+def folder(tmp_path, tmp_path_factory, monkeypatch, rng):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
     monkeypatch.chdir(tmp_path)
     grid = rng.uniform(0.2, 0.9, SHAPE).astype(np.float32)
     mi.VolumeGrid(grid).write("grid.vol")
@@ -64,23 +60,15 @@ def folder(tmp_path, monkeypatch, rng):
     return tmp_path
 
 
-def run(unknowns: dict, *arguments: str) -> int:
-    return main(["run", *SHORT, f"scene.unknowns={json.dumps(unknowns)}", *arguments])
+def words(unknowns: dict, *arguments: str) -> list[str]:
+    return ["run", *SHORT, f"scene.unknowns={json.dumps(unknowns)}", *arguments]
 
 
-def refused(capsys, unknowns: dict, *arguments: str) -> str:
-    assert run(unknowns, *arguments) == 2
-    message = capsys.readouterr().err
-    assert message.count("\n") == 1, message
-    assert not Path("r").exists()
-    return message
-
-
-def test_a_kind_from_outside_is_found_recorded_and_pictured(toys, folder, capsys):
+def test_a_kind_from_outside_is_found_recorded_and_pictured(toys, folder):
     """Of its own shape and unit, written to another parameter, differentiated by path replay."""
     spec = {LOG: {"start": float(np.log(0.5)), "lr": 0.05}}
     settings = ["sampler=uniform", "budget.iterations=80", "target.spp=256"]
-    assert run(spec, *settings) == 0, capsys.readouterr().err
+    assert main(words(spec, *settings)) == 0
     recorded = records.load(folder / "r")
     error = recorded.history[f"parameter_rmse/{LOG}"].to_numpy()
     np.testing.assert_allclose(error, recorded.history["parameter_rmse"])
@@ -101,11 +89,11 @@ def test_a_kind_from_outside_is_found_recorded_and_pictured(toys, folder, capsys
     )
 
 
-def test_a_kind_that_moves_geometry_is_blurred(toys, folder, capsys):
+def test_a_kind_that_moves_geometry_is_blurred(toys, folder):
     key = "box.swelling"
     spec = {key: {"start": 0.1, "lr": 0.02, "blur": {"start": 0.1, "end": 0.05}}}
     settings = ["sampler=plateau", "budget.iterations=2", "target.spp=16"]
-    assert run(spec, *settings) == 0, capsys.readouterr().err
+    assert main(words(spec, *settings)) == 0
     recorded = records.load(folder / "r")
     assert recorded.history["parameter_rmse"].iloc[0] == pytest.approx(0.1)
     assert recorded.history["parameter_rmse"].iloc[-1] != pytest.approx(0.1, rel=1e-6)
@@ -115,29 +103,30 @@ def test_a_kind_that_moves_geometry_is_blurred(toys, folder, capsys):
     assert images.read(folder / "r" / "frames" / f"result_{key}.exr").shape[:2] == (1, 24)
 
 
-def test_what_a_kind_from_outside_cannot_do_is_one_line(toys, folder, capsys):
-    assert "spans more than 20 dB" in refused(
-        capsys, {LOG: {"start": {"uniform": [-9.0, -0.1], "seed": 1}}}, "sampler=uniform"
-    )
-    assert "outside its range" in refused(capsys, {LOG: {"start": 0.5}}, "sampler=uniform")
-    message = refused(capsys, {"floor.logg": {"start": 0.5}}, "sampler=uniform")
-    assert LOG in message and "box.swelling" in message
-    message = refused(capsys, {"box.swelling": {"start": 0.1}}, "sampler=uniform")
-    assert "'box.swelling' moves objects, and path replay does not differentiate" in message
+def test_what_a_kind_from_outside_cannot_do_is_one_line(toys, folder, refused):
+    moves = "'box.swelling' moves objects, and path replay does not differentiate"
+    for key, start, parts in (
+        (LOG, {"uniform": [-9.0, -0.1], "seed": 1}, ["spans more than 20 dB"]),
+        (LOG, 0.5, ["outside its range"]),
+        ("floor.logg", 0.5, [LOG, "box.swelling"]),
+        ("box.swelling", 0.1, [moves]),
+    ):
+        refused(words({key: {"start": start}}, "sampler=uniform"), *parts)
 
 
-def test_a_grid_starts_from_a_file_of_its_own_size(folder, capsys):
+def test_a_grid_starts_from_a_file_of_its_own_size(folder, refused):
     np.save("half.npy", np.full(SHAPE, 0.5, np.float32))
     np.save("other.npy", np.full((2, 2, 2, 3), 0.5, np.float32))
-    message = refused(capsys, {GRID: {"start": "other.npy"}}, "sampler=uniform")
+    message = refused(words({GRID: {"start": "other.npy"}}, "sampler=uniform"))
     assert "other.npy is (2, 2, 2, 3) of float32, the grid (2, 3, 4, 3)" in message
-    message = refused(capsys, {GRID: {"start": "half.png"}}, "sampler=uniform")
+    message = refused(words({GRID: {"start": "half.png"}}, "sampler=uniform"))
     assert "a .npy or .vol file that exists" in message
     settings = ["sampler=uniform", "budget.iterations=3", "target.spp=4"]
-    assert run({GRID: {"start": "half.npy"}}, *settings) == 0, capsys.readouterr().err
+    assert main(words({GRID: {"start": "half.npy"}}, *settings)) == 0
     saved = np.array(mi.VolumeGrid(f"r/meshes/start_{GRID}.vol"))
     np.testing.assert_array_equal(saved, np.full(SHAPE, 0.5, np.float32))
-    assert run({GRID: {"start": f"r/meshes/result_{GRID}.vol"}}, *settings, "overwrite=true") == 0
+    again = words({GRID: {"start": f"r/meshes/result_{GRID}.vol"}}, *settings, "overwrite=true")
+    assert main(again) == 0
 
 
 def test_unknowns_of_one_mesh_build_upon_each_other(toys):
@@ -304,10 +293,10 @@ def test_nothing_outside_names_a_kind():
     assert found == []
 
 
-def test_two_that_write_one_parameter_are_refused(toys, folder, capsys):
+def test_two_that_write_one_parameter_are_refused(toys, folder, refused):
     """One would be lost. Poses build on what moves before them."""
     both = {GRID: {"start": 0.5}, LOG: {"start": -1.0}}
-    message = refused(capsys, both, "sampler=uniform")
+    message = refused(words(both, "sampler=uniform"))
     assert f"'{GRID}' and '{LOG}' both write the scene's parameter '{GRID}'" in message
 
     def parsed(**specs) -> list[str]:

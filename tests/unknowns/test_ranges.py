@@ -3,6 +3,7 @@
 import mitsuba as mi
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 from isas_cli.config.schema import UnknownConfig
@@ -182,6 +183,58 @@ def test_a_grid_is_what_takes_it_wherever_it_stands(shared):
     made = parse(params, {key: UnknownConfig(start=0.5) for key in (density, albedo)}, False)
     assert [(u.low, u.high) for u in made] == [(1e-3, 1e4), (0.01, 0.99)]
     assert made[0].kind.words == {"sigma_t"} and made[1].kind.words == {"albedo"}
+
+
+@pytest.mark.parametrize("scale, floor", [(5.0, 1e-3), (2e-4, 2e-7)])
+def test_a_thin_medium_keeps_its_truth(scale, floor):
+    """Of millimetres: what a density stays above is a share of what there is."""
+    fog = {"type": "homogeneous", "sigma_t": scale, "albedo": 0.5}
+    described = {"type": "scene", "box": {"type": "cube", "interior": fog}}
+    params = mi.traverse(mi.load_dict(described, optimize=False))
+    (key,) = (key for key in params.keys() if "sigma_t" in key)
+    (made,) = parse(params, {key: UnknownConfig(start=2 * scale)}, True)
+    assert made.low == pytest.approx(floor) and made.truth == pytest.approx(scale)
+    assert not made.kind.rewrites
+
+
+def test_a_thin_grid_with_nothing_in_it_stays_above_a_share_of_its_most():
+    values = np.zeros((2, 2, 2, 1), np.float32)
+    values[0] = 0.02
+    thin = {"type": "gridvolume", "data": mi.TensorXf(values), "raw": True}
+    fog = {"type": "heterogeneous", "sigma_t": thin, "albedo": grid(0.5, 3)}
+    described = {"type": "scene", "box": {"type": "cube", "interior": fog}}
+    params = mi.traverse(mi.load_dict(described, optimize=False))
+    (made,) = parse(params, {"box.interior_medium.sigma_t.data": UnknownConfig(start=0.01)}, True)
+    assert made.low == pytest.approx(2e-5) and made.truth.min() >= np.float32(made.low)
+
+
+@pytest.mark.parametrize("word, known", [("cutoff_angle", "degrees"), ("beam_width", "degrees")])
+def test_angles_are_no_shares(word, known):
+    lamp = {"type": "spot", "cutoff_angle": 20.0, "beam_width": 15.0}
+    params = mi.traverse(mi.load_dict({"type": "scene", "spot": lamp}, optimize=False))
+    assert ranges.usual(params, f"spot.{word}")[2] == known
+
+
+def test_what_thin_glass_lets_through_is_a_colour():
+    params = ball(type="thindielectric", specular_transmittance=bitmap(3))
+    (key,) = (key for key in params.keys() if key.endswith("specular_transmittance.data"))
+    assert ranges.role(params, key) == "colour"
+
+
+def test_a_list_is_that_of_each_vertex_or_of_none():
+    mesh = trimesh.creation.icosphere(1)
+    found = mi.Mesh("m", len(mesh.vertices), len(mesh.faces))
+    values = mi.traverse(found)
+    values["vertex_positions"] = mesh.vertices.astype(np.float32).ravel()
+    values["faces"] = mesh.faces.astype(np.uint32).ravel()
+    values.update()
+    found.add_attribute("vertex_grey", 1, np.full(len(mesh.vertices), 0.5, np.float32))
+    params = mi.traverse(mi.load_dict({"type": "scene", "m": found}, optimize=False))
+    (key,) = (key for key in params.keys() if key.endswith("vertex_grey"))
+    with pytest.raises(InputError, match="does not fit"):
+        parse(params, {key: UnknownConfig(start=[0.2, 0.5, 0.7])}, False)
+    (made,) = parse(params, {key: UnknownConfig(start=[0.2])}, False)
+    assert (made.start == np.float32(0.2)).all()
 
 
 def test_a_grid_of_no_medium_stays_a_hair_from_its_ends():

@@ -189,7 +189,6 @@ def test_the_slope_blurred(σ):
 def test_the_slope_blurred_does_not_see_a_step():
     """What silhouettes' derivatives are for: the step's own slope is 0 wherever it is taken, that
     of what is smoothed is not, and pairs of values see it."""
-    assert np.all(sloped(lambda t: np.zeros(1), np.zeros(1), np.ones(1)) == 0)
     found = estimates("joint", lambda t: float(t[0] > 0), [0.0], [1.0], 1)
     assert abs(z(found, normal(0))) < LIMIT
 

@@ -10,10 +10,10 @@ from gradient_estimates import Gradients, configured, difference_quotients
 from hard_scenes import assemble
 from lit_scene import SKY, STARTS, UNDER, lit, sky_texels
 from montecarlo import welch
+from runs_for_tests import ran
 from scenes_for_tests import without_targets
+from xml_for_tests import camera, paths
 
-from isas_cli import records
-from isas_cli.cli.app import main
 from isas_cli.rendering import coverage
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime import images
@@ -225,11 +225,9 @@ def test_of_an_environment_map_the_texels_before_the_cameras_are_seen(monkeypatc
     assert seen[strong].all() and not seen[none].any()
 
 
-CAMERA = """<sensor type="perspective"><float name="fov" value="70"/><transform name="to_world">
-  <lookat origin="{}" target="0,0.5,0" up="0,1,0"/></transform><film type="hdrfilm">
-  <integer name="width" value="32"/><integer name="height" value="24"/></film></sensor>"""
-SCENE = f"""<scene version="3.0.0">
-  <integrator type="path"><integer name="max_depth" value="3"/></integrator>
+PLACES = "0,1.2,3", "2.5,1.5,-2", "-3,1,-1"
+CAMERAS = "".join(camera(each, 32, 24, target="0,0.5,0", fov=70) for each in PLACES)
+SCENE = f"""<scene version="3.0.0">{paths(3)}{CAMERAS}
   <emitter type="envmap" id="sky"><string name="filename" value="sky.exr"/></emitter>
   <shape type="sphere" id="lamp"><point name="center" x="0.8" y="1.6" z="0.3"/>
     <float name="radius" value="0.3"/>
@@ -241,9 +239,7 @@ SCENE = f"""<scene version="3.0.0">
   <shape type="sphere" id="ball"><point name="center" x="-0.4" y="0.5" z="0"/>
     <float name="radius" value="0.5"/><bsdf type="principled">
     <rgb name="base_color" value="0.8,0.5,0.3"/><float name="roughness" value="0.25"/>
-    <float name="metallic" value="0.8"/></bsdf></shape>
-  {CAMERA.format("0,1.2,3")}{CAMERA.format("2.5,1.5,-2")}{CAMERA.format("-3,1,-1")}
-</scene>"""
+    <float name="metallic" value="0.8"/></bsdf></shape></scene>"""
 TOGETHER = {
     "floor.bsdf.reflectance.data": {"start": 0.5, "lr": 0.03},
     "ball.bsdf.base_color.value": {"start": [0.5, 0.5, 0.5], "lr": 0.015, "range": [0.1, 0.9]},
@@ -253,20 +249,16 @@ TOGETHER = {
 }
 
 
-def test_five_kinds_are_found_together_each_with_its_own_rate_and_range(
-    tmp_path, monkeypatch, capsys
-):
+def test_five_kinds_are_found_together_each_with_its_own_rate_and_range(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(0)
     images.write_png(Path("floor.png"), (rng.random((8, 8, 3)) * 150 + 80).astype(np.uint8))
     texels = rng.uniform(0.2, 0.8, SKY).astype(np.float32)
     images.write_exr(Path("sky.exr"), texels, ["R", "G", "B"], {})
     Path("scene.xml").write_text(SCENE)
-    arguments = ["run", "scene=file", "scene.path=scene.xml", "budget.iterations=160"]
-    arguments += ["frames.spp=2", "frames.snapshots=0", "target.spp=256", "estimator.batch=4096"]
-    arguments += [f"scene.unknowns={json.dumps(TOGETHER)}", "report=false", "hydra.run.dir=r"]
-    assert main(arguments) == 0, capsys.readouterr().err
-    recorded = records.load(tmp_path / "r")
+    arguments = ["scene=file", "scene.path=scene.xml", "budget.iterations=160", "frames.spp=2"]
+    arguments += ["frames.snapshots=0", "target.spp=256", "estimator.batch=4096", "report=false"]
+    recorded = ran(Path("r"), *arguments, f"scene.unknowns={json.dumps(TOGETHER)}")
     for key in TOGETHER:
         error = recorded.history[f"parameter_rmse/{key}"].to_numpy()
         print(key, error[0], error[-1])

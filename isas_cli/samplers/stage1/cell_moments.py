@@ -40,17 +40,13 @@ class Stage1:
         self._counting = wrap(_pixels_kernel(lambda target: mi.Color3f(1), samples))
 
     def _arguments(self):
-        p = self.problem
-        return p.scene, p.sensors, p.views, p.unknowns.leaves, self.cells
-
-    def _seeds(self, seed: int, iteration: int, *purposes: str) -> list:
-        return [dr.opaque(mi.UInt32, streams.seed(seed, iteration, p)) for p in purposes]
+        return *self.problem.traced, self.cells
 
     def residual(self, values: dict, seed: int, iteration: int) -> tuple[mi.Color3f, mi.Color3f]:
         """Mean of |⟨∂ℒ/∂I⟩| and of its square (p_j1) per cell at ``values``."""
         p = self.problem
         p.unknowns.write(values)
-        seeds = self._seeds(seed, iteration, "stage1_place", "stage1_primal")
+        seeds = rays.seeds(seed, iteration, "stage1_place", "stage1_primal")
         return self._residual(*self._arguments(), p.targets, p.mask, seeds)
 
     def derivative(
@@ -58,7 +54,7 @@ class Stage1:
     ) -> tuple[mi.Color3f, mi.Color3f]:
         """Mean of |⟨dI/dθ⟩·tangent| and of its square per cell at ``values``."""
         self.problem.unknowns.push_tangent(values, tangents)
-        seeds = self._seeds(seed, iteration, "stage1_place", "stage1_adjoint")
+        seeds = rays.seeds(seed, iteration, "stage1_place", "stage1_adjoint")
         return self._derivative(*self._arguments(), seeds)
 
     def second_moment(
@@ -79,7 +75,7 @@ class Stage1:
     def curvature(self, seed: int, iteration: int) -> mi.Color3f:
         """Mean ∂²ℓ/∂I² of a cell's pixels, times their mask."""
         p = self.problem
-        seeds = self._seeds(seed, iteration, "stage1_place")
+        seeds = rays.seeds(seed, iteration, "stage1_place")
         return self._curvature(p.views, self.cells, p.targets, p.mask, seeds)
 
     def counting(self, seed: int, iteration: int) -> mi.Color3f | None:
@@ -87,7 +83,7 @@ class Stage1:
         p = self.problem
         if p.mask is None:
             return None
-        seeds = self._seeds(seed, iteration, "stage1_place")
+        seeds = rays.seeds(seed, iteration, "stage1_place")
         return self._counting(p.views, self.cells, p.targets, p.mask, seeds)
 
     def sensitivity(
@@ -102,7 +98,7 @@ class Stage1:
         total: dict = {}
         for i in range(passes):
             # Streams of their own: a derivative must not be divided by a sum of itself.
-            seeds = self._seeds(seed, iteration + i, "balance_place", "balance_adjoint")
+            seeds = rays.seeds(seed, iteration + i, "balance_place", "balance_adjoint")
             self._sensitivity(*self._arguments(), image, seeds)
             for key, gradient in unknowns.taken().items():
                 total[key] = total.get(key, 0) + flat(gradient)
@@ -129,9 +125,7 @@ def _residual_kernel(integrator, loss, samples: int):
             _, pixel, stream, ray, weight = spawned(sensors, views, cells, samples, seeds)
             radiance, _ = integrator.primal(scene, stream, ray)
             target = dr.gather(mi.Color3f, targets, pixel)
-            derivative = loss.derivative(radiance * weight, target)
-            if mask is not None:
-                derivative *= dr.gather(mi.Float, mask, pixel)
+            derivative = rays.masked(loss.derivative(radiance * weight, target), mask, pixel)
             return cell_moments(derivative, samples)
 
     return kernel
@@ -168,9 +162,7 @@ def _pixels_kernel(of, samples: int):
     def kernel(views, cells, targets, mask, seeds):
         view, column, row = cells.place(views, samples, seeds[0])
         pixel = views.index(view, column, row)
-        weight = of(dr.gather(mi.Color3f, targets, pixel))
-        if mask is not None:
-            weight *= dr.gather(mi.Float, mask, pixel)
+        weight = rays.masked(of(dr.gather(mi.Color3f, targets, pixel)), mask, pixel)
         zero = dr.zeros(mi.Float, cells.count * samples)
         weight = mi.Color3f(*[cell_mean(weight[c] + zero, samples) for c in range(3)])
         dr.eval(weight)

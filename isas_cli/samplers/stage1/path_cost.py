@@ -7,7 +7,6 @@ import mitsuba as mi
 
 from ...rendering import rays
 from ...rendering.kernels import recorded
-from ...runtime import streams
 from ...scene.problem import Problem
 from .cells import Cells
 
@@ -39,8 +38,5 @@ class PathCost:
     def __call__(self, seed: int, iteration: int) -> mi.Float:
         """Work per path of every cell, ``(C,) float32``, at the scene's present values."""
         p = self.problem
-        seeds = [
-            dr.opaque(mi.UInt32, streams.seed(seed, iteration, purpose))
-            for purpose in ("stage1_place", "cost")
-        ]
+        seeds = rays.seeds(seed, iteration, "stage1_place", "cost")
         return self._kernel(p.scene, p.sensors, p.views, self.cells, seeds)

@@ -33,16 +33,13 @@ class Product:
 
         def kernel(scene, sensors, views, leaves, cells, targets, mask, seeds):
             with dr.suspend_grad():
-                view, column, row = cells.place(views, spp, seeds[0])
+                view, column, row = place = cells.place(views, spp, seeds[0])
                 pixel = views.index(view, column, row)
 
                 first = rays.stream(seeds[1], count)
-                ray, weight = rays.spawn(sensors, views, view, column, row, first)
-                radiance, _ = integrator.primal(scene, first, ray)
+                radiance = rays.radiance(integrator, scene, sensors, views, place, first)
                 target = dr.gather(mi.Color3f, targets, pixel)
-                residual = loss.derivative(radiance * weight, target)
-                if mask is not None:
-                    residual *= dr.gather(mi.Float, mask, pixel)
+                residual = rays.masked(loss.derivative(radiance, target), mask, pixel)
 
                 second = rays.stream(seeds[2], count)
                 ray, weight = rays.spawn(sensors, views, view, column, row, second)
@@ -59,14 +56,9 @@ class Product:
         """Mean of (Σ_c ⟨∂ℒ/∂I⟩_c ⟨dI_c/dθ⟩·tangent)² per cell at ``values``."""
         p = self.problem
         p.unknowns.push_tangent(values, tangents)
-        seeds = [
-            dr.opaque(mi.UInt32, streams.seed(seed, iteration, purpose))
-            for purpose in ("stage1_place", "stage1_primal", "product_adjoint")
-        ]
-        leaves = p.unknowns.leaves
-        return self._kernel(
-            p.scene, p.sensors, p.views, leaves, self.cells, p.targets, p.mask, seeds
-        )
+        purposes = "stage1_place", "stage1_primal", "product_adjoint"
+        seeds = rays.seeds(seed, iteration, *purposes)
+        return self._kernel(*p.traced, self.cells, p.targets, p.mask, seeds)
 
     def second_moment(
         self, values: dict, probes: int, seed: int, iteration: int, scale: dict | None = None
