@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
@@ -13,8 +14,10 @@ from ..rendering.kernels import recorded
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
 from ..unknowns.blur import Blur
-from ..unknowns.poses import Pose
 from ..unknowns.smoothing import Pair
+
+if TYPE_CHECKING:
+    from ..unknowns.poses import Pose
 
 _MOST_LANES = 1 << 28  # a few gigabytes
 
@@ -23,7 +26,7 @@ _MOST_LANES = 1 << 28  # a few gigabytes
 class _Local:
     """One unknown with a ``reach``: a pose's parts, at ``first`` and after among all entries."""
 
-    pose: Pose
+    pose: "Pose"
     first: int
     middles: np.ndarray  # (parts, 3), in the world, of the parts as they were loaded
     reach: float
