@@ -9,14 +9,13 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from ..config.photographs import UPS, PhotosConfig
+from ..config.photographs import CAMERA, UPS, PhotosConfig
 from ..engine import resumption
 from ..records.files import write_json
 from ..runtime import backend, interrupt
 from ..runtime.errors import InputError
 
 SCORES = "scores.json"
-_CAMERA = "camera"  # relit.CAMERA
 _HEADS = {"psnr_h": "PSNR-H", "psnr_l": "PSNR-L", "ssim": "SSIM"}
 
 
@@ -38,8 +37,8 @@ def main(
     and scores.json go into ``output`` (None: ``folder/relit``). Raises InputError; returns 0."""
     if spp < 1:
         raise InputError(f"--spp {spp}: at least 1")
-    if up not in (None, *UPS, _CAMERA):
-        raise InputError(f"--up {up}: valid: {', '.join(UPS)}, {_CAMERA}")
+    if up not in (None, *UPS, CAMERA):
+        raise InputError(f"--up {up}: valid: {', '.join(UPS)}, {CAMERA}")
     if turn is not None and not math.isfinite(turn):
         raise InputError(f"--turn {turn}: degrees")
     if width is not None and width < 1:

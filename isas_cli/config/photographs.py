@@ -10,6 +10,8 @@ from ..runtime.errors import InputError
 from .roles import at_least
 
 UPS = ("x", "y", "z", "-x", "-y", "-z")
+# In place of one, of lights for scores: as the camera of each view stands.
+CAMERA = "camera"
 # What of a lens may be unknown.
 LENS = ("focal", "centre", "radial")
 # In place of whether something of a surface is unknown: it is, as a texture.

@@ -34,8 +34,6 @@ _LANES = 1 << 13
 # kinds as are usual), by estimates of the gradient between these numbers.
 _SECONDS, _PARTS = 0.25, 9
 _LEAST_BATCHES, _MOST_BATCHES = 8, 64
-# A ratio of noises is known well enough from fewer, where there is no time for more.
-_FEWEST_FIXED = 4
 # For each view, and for one that shows no unknown by so many; but no more for all in one look, and
 # then in no more than half of the time that is left.
 _PATHS_A_VIEW, _MOST_PATHS = (1 << 12, 1 << 16), 1 << 20
@@ -228,10 +226,8 @@ class Probe:
                 # Of the warm-up only the last estimate compiled nothing.
                 part = min(_SECONDS, self.allowed / _PARTS)
                 wanted = max(_LEAST_BATCHES, min(_MOST_BATCHES, int(part / seconds[-1])))
-                left = (self.allowed - self.seconds) / seconds[-1]
-                if left < (_FEWEST_FIXED if fixed else wanted):
+                if self.seconds + wanted * seconds[-1] > self.allowed:
                     return None
-                wanted = int(min(wanted, left))
                 seconds = []
             seconds.append(spent)
             images.append(float(dr.mean(dr.mean(radiance[0]))[0]))

@@ -309,9 +309,9 @@ class Recorder:
                 f"optimizer.lr={chosen:g} has no effect: every unknown has a rate of its own; "
                 "optimizer.factor=… scales them"
             )
-        for name, least in (("half", {"inverse"}), ("final", {"cosine", "exponential"})):
+        for name, needed in (("half", {"inverse"}), ("final", {"cosine", "exponential"})):
             asked = getattr(self.typed.optimizer, name)
-            if asked != getattr(OptimizerConfig(), name) and not least & self.loop.stepper.falls:
+            if asked != getattr(OptimizerConfig(), name) and not needed & self.loop.stepper.falls:
                 notes.append(
                     f"optimizer.{name}={asked:g} has no effect: rates fall by schedule "
                     f"{' and '.join(sorted(self.loop.stepper.falls))}"

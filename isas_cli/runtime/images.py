@@ -101,7 +101,7 @@ def read_mask(path: str | Path, turned: bool = True) -> np.ndarray:
     shown = (pixels > 0).any(axis=-1)
     if counted(path) and 0 < shown.sum() < shown.size:
         lit = pixels[shown]
-        if (lit == lit[0]).all():  # one colour beside black, of a palette of labels
+        if (lit == lit[0]).all():  # what is true, or a label, grey or of a palette
             pixels = shown[..., None].astype(np.float32)
     if not (pixels == pixels[..., :1]).all():
         raise InputError(
@@ -112,10 +112,7 @@ def read_mask(path: str | Path, turned: bool = True) -> np.ndarray:
     if not ((mask >= 0) & (mask <= 1)).all():
         raise InputError(f"{path}: a mask's values have to lie in [0, 1]")
     most = mask.max()
-    labels = 0 < most < 1 and counted(path) and (mask == 0).any()
-    if labels and ((mask == 0) | (mask == most)).all():
-        mask /= most
-    elif any(most == np.float32(1) / np.float32(full) for full in _INTEGER_FORMATS.values()):
+    if any(most == np.float32(1) / np.float32(full) for full in _INTEGER_FORMATS.values()):
         mask /= most
     alpha = read_alpha(path, turned)
     if alpha is None or multiplied(path):

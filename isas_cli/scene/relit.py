@@ -8,14 +8,13 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
+from ..config.photographs import CAMERA
 from ..runtime import backend, images
 from ..runtime.errors import InputError
 from .photos import building, finding
 from .photos.camera import Camera
 
 _DEPTH = 8
-# In place of an axis of the world that is up.
-CAMERA = "camera"
 # Samples of one rendering: Dr.Jit counts the lanes of a kernel in 32 bits, and all need memory.
 _AT_ONCE = 2**24
 

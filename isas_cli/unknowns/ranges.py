@@ -184,8 +184,9 @@ def _uses(params: mi.SceneParameters) -> dict[mi.Object, list[tuple[mi.Object, s
 
 def bare(params: mi.SceneParameters, key: str) -> tuple[float, float]:
     """How far values are kept from the lower and the upper end of ``usual``."""
-    ends = [_BARE.get(word, (0.0, 0.0)) for _, word, _ in fed(params, key)]
-    if any(word == "sigma_t" for _, word, _ in fed(params, key)):
+    words = [word for _, word, _ in fed(params, key)]
+    ends = [_BARE.get(word, (0.0, 0.0)) for word in words]
+    if "sigma_t" in words:
         # By a scene's unit of length: in millimetres 1e-3 may be more than there is.
         most = float(as_numpy(params[key]).max(initial=0.0))
         ends = [(a * (most if 0 < most < 1 else 1.0), b) for a, b in ends]

@@ -18,6 +18,7 @@ from isas_cli.cli.sweeps.job import DONE, OTHER, UNFINISHED, Job, Report
 from isas_cli.cli.sweeps.outcome import Outcome, exit_status
 from isas_cli.config import schema
 from isas_cli.config.compose import compose
+from isas_cli.runtime.errors import InputError
 
 TINY = [
     *("scene=dodoco", "size=tiny", "scene.builder=flaky_scene.build", "effects=full"),
@@ -118,6 +119,8 @@ def test_what_is_done_is_skipped_with_a_word_on_files_that_changed_since(isas, m
     (elsewhere / "my.xml").touch()
     monkeypatch.chdir(elsewhere)
     assert job.found() == OTHER
+    with pytest.raises(InputError, match="scene.path=my.xml is another file: give another hydra"):
+        job.go(None)
 
 
 def test_side_by_side_a_job_that_dies_ends_no_other(isas):

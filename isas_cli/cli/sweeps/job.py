@@ -67,16 +67,17 @@ class Job:
         summary = read_summary(self.folder) or {}
         status = summary.get("status")
         if status == "done" and summary.get("complete", True):
-            return DONE if self._here() else OTHER
+            return OTHER if self.elsewhere else DONE
         # "done" without the rest of its record: killed while its pictures were made. What failed
         # otherwise than by its numbers, such as on a full disk, goes on as well.
         stopped = status != "numerical failure"
         checkpoint = (self.folder / "checkpoint" / "state.npz").exists()
         return UNFINISHED if stopped and checkpoint else FAILED
 
-    def _here(self) -> bool:
-        """Whether the run that is there was made of files that the same names mean here."""
-        return not paths.elsewhere(self.cfg, self._manifest().get("folder"))
+    @property
+    def elsewhere(self) -> str | None:
+        """A file's name that meant another file to the run that is there."""
+        return paths.elsewhere(self.cfg, self._manifest().get("folder"))
 
     def _manifest(self) -> dict[str, Any]:
         try:
@@ -115,6 +116,11 @@ class Job:
                 if _has_checkpoint(self.folder):  # nothing that was computed is thrown away
                     raise
                 print(f"not resumed, begun anew: {error}", file=sys.stderr)
+        if found == OTHER and self.elsewhere and not cfg.overwrite:
+            raise InputError(
+                f"{self.folder} holds a run whose {self.elsewhere} is another file: give another "
+                "hydra.sweep.dir, or replace it with overwrite=true"
+            )
         if found in (UNFINISHED, FAILED):
             cfg.overwrite = True
         return Report(one.run(cfg, str(self.folder)))

@@ -55,7 +55,7 @@ class Race(Job):
         ended = not self.changes and all(_ended(entry.folder) for entry in self.plan.entries)
         with contextlib.suppress(InputError):  # ``go`` says what is wrong
             if ended or not race.unfinished(self.folder, self.changes):
-                if not self._here():
+                if self.elsewhere:
                     return OTHER
                 return DONE if (self.folder / _COMPARISON / "report.html").exists() else UNFINISHED
         return UNFINISHED

@@ -163,7 +163,7 @@ def _fit(cameras: list[Camera], settings: PhotosConfig) -> None:
     share = min(1.0, (settings.width or widest) / widest)
     free = memory.available()
     if pixels * share**2 * _BYTES > free:
-        fits = int(widest * (free / _SPARE / pixels / _BYTES) ** 0.5)
+        fits = max(1, int(widest * (free / _SPARE / pixels / _BYTES) ** 0.5))
         raise InputError(
             f"photos.path={settings.path}: {len(cameras)} views need "
             f"{memory.gib(pixels * share**2 * _BYTES)} of memory, and {memory.gib(free)} are free: "

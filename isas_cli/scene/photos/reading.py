@@ -15,7 +15,7 @@ from .camera import Camera
 
 # Sets that come with isas, by name.
 OWN = ("chessboard", "head")
-_MESHROOM = (".sfm", ".abc", "sfm.json", "sfm_data.json", "sfm_data.bin")
+_MESHROOM = {".sfm", ".abc", "sfm.json", "sfm_data.json", "sfm_data.bin"}
 # In place of names, the views that the files hold out.
 GIVEN = "given"
 # In the order in which a folder is asked: what people write themselves first.
@@ -93,7 +93,7 @@ def _named_file(folder: Path, cameras: str):
     # Any other JSON may be of nerfstudio's form.
     asked = sorted(_FORMATS, key=lambda module: module is transforms)
     module = next((module for module in asked if module.claims(place)), None)
-    if place.suffix in _MESHROOM or place.name in _MESHROOM:
+    if module in (None, transforms) and {place.suffix, place.name} & _MESHROOM:
         raise InputError(
             f"photos.cameras={cameras}: Meshroom's and OpenMVG's cameras are not read: export them "
             "to COLMAP (aliceVision_exportColmap, openMVG_main_openMVG2Colmap)"
