@@ -101,6 +101,8 @@ FORMS = {
     "colmap": ("sparse/0/cameras.txt", "sparse/0/images.txt", "sparse/0/points3D.txt"),
     "neus": ("cameras_sphere.npz",),
     "llff": ("poses_bounds.npy",),
+    "meshroom": ("cameras.sfm",),
+    "openmvg": ("sfm_data.json",),
 }
 DENSITY = "box.interior_medium.sigma_t.data"
 UNKNOWNS = {"thing.bsdf.base_color.data": 0.5, "mesh.bsdf.reflectance.value": 0.5}

@@ -268,13 +268,6 @@ def test_distortion_of_nerfstudio_in_one_list(tmp_path):
     assert lenses[0] == lenses[1]
 
 
-def test_meshroom_s_cameras_are_refused_with_the_way_out(tmp_path):
-    photo_sets.transforms(Files(tmp_path, POSES))
-    (tmp_path / "sfm.json").write_text("{}")
-    with pytest.raises(InputError, match="aliceVision_exportColmap"):
-        reading.read(str(tmp_path), cameras="sfm.json")
-
-
 def test_no_cameras(tmp_path):
     with pytest.raises(InputError, match="looked for cameras.json, transforms.json"):
         reading.read(str(tmp_path))

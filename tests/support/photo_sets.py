@@ -138,6 +138,75 @@ def llff(files: Files) -> None:
     np.save(files.folder / "poses_bounds.npy", np.array(rows))
 
 
+def meshroom(files: Files, version=(1, 2, 6), **more) -> dict:
+    """AliceVision's, with a view without a pose, of pictures that are elsewhere now. From 1.2.3 on
+    files.poses are where its mesh is. ``more`` replaces entries of the intrinsic."""
+    turn = np.diag([1.0, -1.0, -1.0, 1.0]) if version >= (1, 2, 3) else np.eye(4)
+    views = [
+        {"viewId": n, "poseId": n, "intrinsicId": 5, "path": f"/gone/{name}", "metadata": []}
+        for n, name in enumerate([*files.names(".png"), "lost.png"])
+    ]
+    poses = [
+        {"poseId": n, "pose": {"transform": rigid(turn @ pose), "locked": False}}
+        for n, pose in enumerate(files.poses)
+    ]
+    inner = {
+        **{"intrinsicId": 5, "width": SIZE[0], "height": SIZE[1], "type": "pinhole"},
+        **{"sensorWidth": 36, "focalLength": FOCAL * 36 / SIZE[0], "pixelRatio": 1},
+        "principalPoint": [c - 0.5 - size / 2 for c, size in zip(CENTRE, SIZE)],
+        "distortionParams": [],
+        **more,
+    }
+    found = {"version": version, "views": views, "intrinsics": [inner], "poses": poses}
+    return write(files.folder / "cameras.sfm", strings(found))
+
+
+def rigid(pose: np.ndarray) -> dict:
+    """As AliceVision has it: to the camera, column after column."""
+    return {"rotation": np.linalg.inv(pose)[:3, :3].ravel("F"), "center": pose[:3, 3]}
+
+
+def strings(value):
+    """As boost writes JSON: numbers are strings, and so is an empty list."""
+    if isinstance(value, dict):
+        return {key: strings(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [strings(each) for each in value] or ""
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def openmvg(files: Files, kind="pinhole", **more) -> dict:
+    """With a view without a pose, and two cameras of one kind. ``more`` is added to their
+    numbers."""
+    data = {"width": SIZE[0], "height": SIZE[1], "focal_length": FOCAL}
+    data |= {"principal_point": [c - 0.5 for c in CENTRE], **more}
+
+    def entry(key: int, content: dict, **named) -> dict:
+        pointer = {"id": (1 << 31) + key, "data": content}
+        return {"key": key, "value": {**named, "ptr_wrapper": pointer}}
+
+    views = [
+        entry(
+            n,
+            {"local_path": "", "filename": name, "id_view": n, "id_intrinsic": n % 2, "id_pose": n},
+            polymorphic_id=1 << 30,
+        )
+        for n, name in enumerate([*files.names(".png"), "lost.png"])
+    ]
+    first = {"polymorphic_id": (1 << 31) + 1, "polymorphic_name": kind}
+    poses = [
+        {"rotation": np.linalg.inv(p)[:3, :3].tolist(), "center": p[:3, 3].tolist()}
+        for p in files.poses
+    ]
+    found = {
+        **{"sfm_data_version": "0.3", "root_path": "/gone", "views": views},
+        "intrinsics": [entry(0, data, **first), entry(1, data, polymorphic_id=1)],
+        "extrinsics": [{"key": n, "value": pose} for n, pose in enumerate(poses)],
+        **{"structure": [], "control_points": []},
+    }
+    return write(files.folder / "sfm_data.json", found)
+
+
 def write(path: Path, content: dict) -> dict:
     path.write_text(json.dumps(content))
     return content

@@ -94,6 +94,25 @@ def load_json(file: Path) -> dict:
     return found
 
 
+def objects(entry: dict, name: str, where: str) -> list[dict]:
+    """A list of JSON objects, none where it is missing or, as boost writes it, "". Raises
+    InputError, naming ``where``."""
+    found = entry.get(name) or []
+    if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
+        raise InputError(f"{where}: {name} is no list of JSON objects")
+    return found
+
+
+def inside(entry: dict, where: str, *names: str) -> dict:
+    """The JSON object under ``names``, one within the other. Raises InputError, naming
+    ``where``."""
+    for name in names:
+        entry = entry.get(name)
+        if not isinstance(entry, dict):
+            raise InputError(f"{where}: has no {name}")
+    return entry
+
+
 def number(value, where: str) -> float:
     """A finite number. Raises InputError, naming ``where``."""
     try:

@@ -9,18 +9,30 @@ from pathlib import Path
 from ...runtime import guests
 from ...runtime.errors import InputError, nearest
 from ...scenes.library import ASSETS
-from . import colmap, metashape, neus_llff, opencv, ours, polycam, realitycapture, transforms
+from . import (
+    colmap,
+    meshroom,
+    metashape,
+    neus_llff,
+    opencv,
+    openmvg,
+    ours,
+    polycam,
+    realitycapture,
+    transforms,
+)
 from .base import Asked, Capture
 from .camera import Camera
 
 # Sets that come with isas, by name.
 OWN = ("chessboard", "head")
-_MESHROOM = {".sfm", ".abc", "sfm.json", "sfm_data.json", "sfm_data.bin"}
+# Of Meshroom and OpenMVG.
+_BINARY = {".abc", "sfm_data.bin"}
 # In place of names, the views that the files hold out.
 GIVEN = "given"
 # In the order in which a folder is asked: what people write themselves first.
 _OURS = (ours, transforms, colmap, opencv, metashape, polycam, realitycapture, neus_llff)
-_FORMATS = (*_OURS, *guests.loaded(guests.CAMERAS))
+_FORMATS = (*_OURS, meshroom, openmvg, *guests.loaded(guests.CAMERAS))
 
 
 def folder_of(path: str) -> Path:
@@ -78,7 +90,8 @@ def _found(folder: Path, where: str):
             f"{where}: no cameras there: looked for {ours.NAME}, "
             f"{', '.join(transforms.NAMES)}, COLMAP's cameras.txt and cameras.bin (also below "
             "sparse and dense), OpenCV's YAML or XML, Metashape's XML, Polycam's keyframes, "
-            "RealityCapture's XMP, NeuS' cameras_sphere.npz and LLFF's poses_bounds.npy"
+            "RealityCapture's XMP, NeuS' cameras_sphere.npz, LLFF's poses_bounds.npy, Meshroom's "
+            "cameras.sfm and OpenMVG's sfm_data.json"
         )
     return found
 
@@ -93,10 +106,12 @@ def _named_file(folder: Path, cameras: str):
     # Any other JSON may be of nerfstudio's form.
     asked = sorted(_FORMATS, key=lambda module: module is transforms)
     module = next((module for module in asked if module.claims(place)), None)
-    if module in (None, transforms) and {place.suffix, place.name} & _MESHROOM:
+    if module is None and {place.suffix, place.name} & _BINARY:
         raise InputError(
-            f"photos.cameras={cameras}: Meshroom's and OpenMVG's cameras are not read: export them "
-            "to COLMAP (aliceVision_exportColmap, openMVG_main_openMVG2Colmap)"
+            f"photos.cameras={cameras}: of Meshroom and OpenMVG JSON alone is read: convert it "
+            "(aliceVision_convertSfMFormat to cameras.sfm, openMVG_main_ConvertSfM_DataFormat to "
+            "sfm_data.json), or export it to COLMAP (aliceVision_exportColmap, "
+            "openMVG_main_openMVG2Colmap)"
         )
     if module is None:
         raise InputError(f"photos.cameras={cameras}: is of no format of cameras that isas reads")
