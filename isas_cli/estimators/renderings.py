@@ -161,7 +161,8 @@ def _apart(integrator, batch: int, count: int, spp: int):
     def kernel(scene, sensors, views, leaves, place, seed):
         found = []
         for number in range(count * spp):
-            stream = rays.stream(seed + number * 0x9E3779B9, batch)
+            # Within 32 bits, which Dr.Jit asks of a number beside such ones.
+            stream = rays.stream(seed + (number * 0x9E3779B9 & 0xFFFFFFFF), batch)
             found.append(rays.radiance(integrator, scene, sensors, views, place, stream))
         parts = [found[first : first + spp] for first in range(0, len(found), spp)]
         means = [sum(part[1:], start=part[0]) / spp for part in parts]

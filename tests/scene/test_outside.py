@@ -152,6 +152,25 @@ def test_the_gradient_of_its_blurred_pictures_has_no_bias(words, smooth):
     assert np.all(np.abs(rows.mean(axis=0) - exact) < 4 * error + 0.05 * np.abs(exact))
 
 
+@pytest.mark.parametrize("smooth, asked", [("image", 6), ("loss", 12)])
+def test_several_pictures_a_rendering_have_seeds_of_their_own(words, monkeypatch, smooth, asked):
+    words = [*FEW, *words, f"estimator.smooth={smooth}", "estimator.spp=3", "external.views=1"]
+    made, seeds = built(*words), set()
+
+    def counted(self, view, seed, plain=outside.Outside.picture):
+        seeds.add((seed, *(value.tobytes() for value in self.values.values())))
+        return plain(self, view, seed)
+
+    monkeypatch.setattr(outside.Outside, "picture", counted)
+    estimator = configured(*words)[0].estimator.on(made, losses.L2())
+    drawn = PixelDistribution.uniform(Tiles.over(made.views))
+    found = estimator.estimate(made.unknowns.starts(), drawn, 5, 0, 0.0)
+    assert np.isfinite([np.array(found[name])[0] for name in "xy"]).all()
+    # Of both of a pair, and in image space of the two that the residual is from.
+    residual = 2 * estimator._renderings.half if smooth == "image" else 0
+    assert len(seeds) == asked + residual
+
+
 def test_a_command_that_writes_an_exr(tmp_path, monkeypatch):
     """With a space and quotes in its words, as a shell would pass them."""
     monkeypatch.setenv("ISAS_ALLOW", sys.executable)
