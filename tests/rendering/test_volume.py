@@ -99,6 +99,27 @@ def test_the_largest_density_of_a_volume_that_stands_alone_is_kept_up():
     assert float(found[0][0]) == pytest.approx(7)
 
 
+def test_microflakes_that_are_the_same_all_over_are_as_dense_as_mitsubas():
+    """Their extinction is by the path's direction: Mitsuba tells no largest one."""
+    normals = {"type": "gridvolume", "raw": True}
+    normals["data"] = mi.TensorXf(np.tile(np.float32([1, 0.1, 0.1, 0, 0, 0]), (2, 2, 2, 1)))
+    flakes = {"type": "homogeneous", "sigma_t": {"type": "constvolume", "value": 8.0}}
+    flakes["albedo"] = {"type": "constvolume", "value": {"type": "rgb", "value": 0.9}}
+    flakes["phase"] = {"type": "sggx", "S": normals}
+    described = description(1.0, 0.9)
+    described["box"]["interior"] = flakes
+    albedo = "box.interior_medium.albedo.value.value"
+    p = without_targets(described, {albedo: UnknownConfig(start=0.9)})
+    stream, ray = rays.stream(mi.UInt32(1), N), smooth_rays(p)
+    found = np.array(p.integrator.primal(p.scene, stream, ray)[0])
+    how = mi.load_dict({"type": "volpath", "max_depth": 64, "rr_depth": 64})
+    wanted = np.array(mi.render(p.scene, integrator=how, spp=N // 256, seed=5))
+    error = found.std(axis=1) / math.sqrt(N)
+    difference = found.mean(axis=1) - wanted.reshape(-1, 3).mean(axis=0)
+    print(found.mean(axis=1), difference / error)
+    assert (np.abs(difference) < 6 * error).all()
+
+
 def test_a_furnace_has_no_derivative_by_density(monkeypatch):
     """Nothing is absorbed, and light comes alike from everywhere: the images cannot tell the
     density. A majorant that equals a constant density has no null collisions, and is noticed."""
