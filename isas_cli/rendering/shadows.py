@@ -50,8 +50,12 @@ class Lamps:
             mine, point = which == index, stream.next_2d()
             share = sum(k % len(emitters) == index for k in range(count))
             if mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
-                ps = emitter.get_shape().sample_position(0.0, point)
+                shape = emitter.get_shape()
+                ps = shape.sample_position(0.0, point)
                 place, normal, uv, density, finite, flat = ps.p, ps.n, ps.uv, ps.pdf, 1.0, 1.0
+                if shape.class_name() == "Sphere":
+                    # Mitsuba 3.9 leaves the normals as they are before ``to_world``.
+                    normal = dr.normalize(mi.traverse(shape)["to_world"] @ ps.n)
             else:
                 ds, _ = emitter.sample_direction(it, point)
                 far = mi.has_flag(emitter.flags(), mi.EmitterFlags.Infinite)

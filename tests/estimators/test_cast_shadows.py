@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from shapes_for_tests import COUNT, KEY, agrees, ball, differences, estimates, p
 from isas_cli.config.schema import UnknownConfig
 from isas_cli.estimators import silhouettes
 from isas_cli.estimators.silhouettes import Settings
+from isas_cli.rendering import rays
+from isas_cli.rendering.shadows import Lamps
 from isas_cli.rendering.standing import others
 
 LAMPS = {
@@ -149,6 +152,25 @@ def test_the_shadow_of_what_stands_still_on_what_moves(monkeypatch, hat):
     if hat == "rectangle":
         monkeypatch.setattr(silhouettes, "others", lambda problem: None)
         assert not any(right())
+
+
+@pytest.mark.parametrize("inside", [False, True])
+@pytest.mark.parametrize("turned", [0, 70])
+def test_a_sphere_lights_what_its_solid_angle_says(turned, inside):
+    """However it is turned; with its normals inwards what is in it."""
+    place = mi.ScalarTransform4f().translate([3.0, 1.0, -2.0]).rotate([0.6, 0.8, 0], turned)
+    shape = {"type": "sphere", "to_world": place.scale(0.5), "flip_normals": inside}
+    shape |= {"emitter": {"type": "area", "radiance": 2.0}}
+    count, scene = 1 << 16, mi.load_dict({"type": "scene", "lamp": shape})
+    lamps = Lamps.draw(scene.emitters(), np.zeros(3), count, rays.stream(mi.UInt32(1), count))
+    away = 0.2 if inside else 0.6
+    point = dr.zeros(mi.Point3f, count) + [3.0 + away, 1.0, -2.0]
+    _, light = lamps.light(dr.arange(mi.UInt32, count), point, mi.Bool(True))
+    found = np.array(light[0], np.float64)
+    whole = 2 if inside else 1 - np.sqrt(1 - (0.5 / away) ** 2)
+    error = found.std() * np.sqrt(count)
+    print(found.sum() / (4 * np.pi * whole), error)
+    assert abs(found.sum() - 4 * np.pi * whole) < 4 * error
 
 
 @pytest.mark.parametrize("hat", ["mesh", "rectangle"])
