@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 from blurred_gradients import BATCH, LEVEL, made, p_value, references_of, rows, unbiased
+from mitsuba.python.ad.integrators.common import ADIntegrator
 from poses_for_tests import AT, COLOUR, PLACE, blurred_problem, description
 from scenes_for_tests import render_targets, without_targets
 from scipy import stats
@@ -93,6 +94,25 @@ def test_paths_are_counted_as_they_are_traced(smooth, monkeypatch):
     estimator = WholeImages(p, losses.L2(), 2 * BATCH, smooth, silhouettes="direct")
     rows(estimator, p, 1)
     assert sum(traced) == estimator.paths_per_step
+
+
+def test_a_scenes_sampler_makes_no_more_paths(monkeypatch):
+    """A stratified one has squares of numbers alone."""
+    scene = description()
+    scene["sensor_000"] |= {"sampler": {"type": "stratified", "sample_count": 4}}
+    p = without_targets(scene, {COLOUR: 0.5})
+    render_targets(p, 16)
+    prepare, traced = ADIntegrator.prepare, []
+
+    def counted(self, *given, **named):
+        sampler, spp = prepare(self, *given, **named)
+        traced.append(sampler.wavefront_size())
+        return sampler, spp
+
+    monkeypatch.setattr(ADIntegrator, "prepare", counted)
+    estimator = WholeImages(p, losses.L2(), 3 * p.views.total)
+    rows(estimator, p, 1)
+    assert sum(traced) == estimator.paths_per_step == 2 * 3 * p.views.total
 
 
 def test_mitsuba_prints_nothing_on_standard_output(capfd):

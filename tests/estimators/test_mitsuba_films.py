@@ -92,6 +92,32 @@ def moving(film: dict | None = None, **sensor):
     return grey(without_targets(scene, {PLACE: unknown}, {PLACE: pose}))
 
 
+class Sum(losses.L2):
+    """The images themselves."""
+
+    def derivative(self, image, target):
+        return mi.Color3f(1) + 0 * image
+
+
+def slopes(crop: dict, weights: np.ndarray) -> np.ndarray:
+    """Of the images' mean by the ball's place."""
+    p = moving(FILMS["stock"] | crop)
+    p.set_targets(p.targets, mi.Float(np.float32(weights.ravel())), "weighed")
+    found = WholeImages(p, Sum(), 1 << 16, silhouettes="direct")
+    values = p.unknowns.starts()
+    return np.array([found.estimate(values, uniform(p), 7, i, 0.0)[PLACE][0] for i in range(12)])
+
+
+def test_silhouettes_lie_where_a_crop_window_shows_them():
+    """The right half alone, and the whole image of which nothing else counts."""
+    crop = {"crop_width": 4, "crop_height": 6, "crop_offset_x": 4, "crop_offset_y": 0}
+    found = slopes(crop, np.ones((6, 4)))
+    expected = slopes({}, np.repeat([[0.0] * 4 + [1.0] * 4], 6, axis=0))
+    error = np.sqrt((found.var(ddof=1) + expected.var(ddof=1)) / len(found))
+    print(found.mean(), expected.mean(), "±", error)
+    assert abs(found.mean() - expected.mean()) < 4 * error < 0.2 * abs(expected.mean())
+
+
 @pytest.mark.parametrize("smooth", (None, "image"))
 @pytest.mark.parametrize("film", ("stock", "lanczos"))
 def test_what_moves_is_differentiated_through_any_film(film, smooth):
