@@ -84,7 +84,8 @@ class DerivativeSampling(InOneGo):
                 f"emitters, not for {base.name}; leave it out"
             )
         super().__init__(base.mitsuba)
-        self.base, self.max_depth, self.paths = base, base.max_depth, base.paths
+        self.base, self.paths = base, base.paths
+        self.max_depth, self.rr_depth = base.max_depth, base.rr_depth
         # Materials that outlive their scene break recordings of kernels for other scenes.
         self._scene = scene
         self._bsdfs = {word: [] for word in _ALPHA}

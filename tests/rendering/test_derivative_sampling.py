@@ -1,5 +1,7 @@
 """Derivatives by roughness from directions drawn for them: densities, bias, variance, refusals."""
 
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -264,6 +266,13 @@ def test_density_is_that_of_the_lobes_derivative(alpha):
     found = np.array(derivative_sampling.parts_pdf(wi, wo, mi.Float(alpha)))
     scale = expected[above].max()
     np.testing.assert_allclose(found[above], expected[above], rtol=0.02, atol=2e-3 * scale)
+
+
+def test_roulette_begins_where_the_plan_says():
+    problem = assemble(dictionary(size=2, depth=4), {"wall.bsdf.roughness.value": 0.3})
+    cut = problem.integrator.cut(replace(problem.integrator.paths, roulette=2))
+    found = derivative_sampling.sampled(replace(problem, integrator=cut)).integrator
+    assert found.rr_depth == cut.rr_depth == 2
 
 
 def test_other_unknowns_are_refused():
