@@ -48,7 +48,7 @@ class Silhouettes(Border):
 
         1/M Σ_i ⟨∂ℒ/∂I⟩_{j(q_i)} ΔL(q_i) |dq/dt| n·∂q_i/∂θ / P_i .
 
-    ΔL from two paths with the same random numbers on both sides, by Mitsuba's
+    ΔL from two paths, one on each side and of random numbers of its own, by Mitsuba's
     ``sample_radiance_difference`` on the face that is turned to the camera; ∂ℒ/∂I from ``paths``
     others through the same pixel. Hidden edges bring nothing: a ray to the camera says so.
 
