@@ -103,12 +103,12 @@ def shown(
     along: mi.Vector3f, inward: mi.Vector3f, valid: mi.Bool, random: mi.Sampler,
 ) -> tuple[Crossing, mi.Point3f, mi.Bool]:  # fmt: skip
     """Where one view, drawn uniformly, sees ``si``, through which a curve passes ``along``, the
-    object ``inward`` of it; the middle of its pinhole; and whether it does. Turns ``si.wi`` to it.
-    Traced."""
+    object ``inward`` of it; where the view's ray to it begins; and whether it does. Turns ``si.wi``
+    to the view. Traced."""
     views = dr.width(cameras.eyes.finite)
     view = dr.minimum(mi.UInt32(random.next_1d() * views), views - 1)
     crossing = Crossing.of(cameras, films, view, si.p, along, inward, valid)
-    eye = mi.Point3f(dr.gather(mi.Vector3f, cameras.eyes.place, view))
-    valid = crossing.valid & hidden_by_nothing(scene, si.spawn_ray_to(eye), crossing.valid)
-    si.wi = si.to_local(dr.normalize(eye - si.p))
-    return crossing, eye, valid
+    begin = cameras.begin(view, si.p)
+    valid = crossing.valid & hidden_by_nothing(scene, si.spawn_ray_to(begin), crossing.valid)
+    si.wi = si.to_local(dr.normalize(begin - si.p))
+    return crossing, begin, valid

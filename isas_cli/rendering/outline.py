@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -167,16 +167,19 @@ def backward_ray(found: mi.SilhouetteSample3f) -> mi.Ray3f:
 @dataclass
 class Cameras:
     """From the world to pixels: three rows of each view's matrix, ``rows[r][k] (views,)``, and the
-    middles of the pinholes, ``eyes``."""
+    middles of the pinholes, ``eyes``; ``near``, ``far``: ``(views,)``, depths between which each
+    view shows anything."""
 
     rows: list
     eyes: Eyes
+    near: mi.Float
+    far: mi.Float
 
     @staticmethod
     def of(problem: Problem) -> "Cameras":
         """Of the problem's own views: a scene may have others, held out. Raises InputError for
         cameras that are no pinholes."""
-        matrices, centres, sensors = [], [], problem.scene.sensors()
+        matrices, centres, depths, sensors = [], [], [], problem.scene.sensors()
         for number in problem.kept or range(len(problem.film_sizes)):
             sensor = sensors[number]
             if not str(sensor).startswith("PerspectiveCamera"):
@@ -197,10 +200,12 @@ class Cameras:
                 scale[row, 3] = -scale[row, row] * params[f"principal_point_offset_{axis}"][0]
             matrices.append(scale @ projection @ np.linalg.inv(place))
             centres.append(place[:3, 3])
-        matrices, centres = (np.array(x, np.float32) for x in (matrices, centres))
+            depths.append((sensor.near_clip(), sensor.far_clip()))
+        matrices, centres, depths = (np.array(x, np.float32) for x in (matrices, centres, depths))
         rows = [[own(mi.Float, matrices[:, row, k]) for k in range(4)] for row in (0, 1, 3)]
         place = mi.Vector3f(*[own(mi.Float, centres[:, k]) for k in range(3)])
-        return Cameras(rows, Eyes(place, own(mi.Float, np.ones(len(centres), np.float32))))
+        eyes = Eyes(place, own(mi.Float, np.ones(len(centres), np.float32)))
+        return Cameras(rows, eyes, *(own(mi.Float, each) for each in depths.T.copy()))
 
     def moved(self, motion: mi.Float) -> "Cameras":
         """Turned about their middles and shifted, as rays are (``Views.motion``). Evaluates."""
@@ -212,7 +217,8 @@ class Cameras:
             # The middle stays where it was in the image.
             last = last + dr.dot(mi.Vector3f(*way), middle) - dr.dot(along, middle + shift)
             rows.append([*along, last])
-        found = Cameras(rows, Eyes(self.eyes.place + shift, self.eyes.finite))
+        eyes = Eyes(self.eyes.place + shift, self.eyes.finite)
+        found = replace(self, rows=rows, eyes=eyes)
         dr.eval(found)
         return found
 
@@ -231,7 +237,7 @@ class Cameras:
             focal = dr.dot(mi.Vector3f(*row[:3]), way)
             other = focal * shift - middle * longer
             rows.append([a * (1 + longer) + b * other for a, b in zip(row, depth)])
-        found = Cameras([*rows, depth], self.eyes)
+        found = replace(self, rows=[*rows, depth])
         dr.eval(found)
         return found
 
@@ -242,6 +248,16 @@ class Cameras:
             + dr.gather(mi.Float, row[3], view) * one
             for row in self.rows
         ]
+
+    def reach(self, view: mi.UInt32) -> list[mi.Float]:
+        """Depths between which the view shows anything. Traced."""
+        return [dr.gather(mi.Float, each, view) for each in (self.near, self.far)]
+
+    def begin(self, view: mi.UInt32, point: mi.Point3f) -> mi.Point3f:
+        """Where the view's ray to ``point`` begins: what is nearer hides nothing. Traced."""
+        eye = mi.Point3f(dr.gather(mi.Vector3f, self.eyes.place, view))
+        near, _ = self.reach(view)
+        return dr.lerp(eye, mi.Point3f(point), near / self.homogeneous(view, point)[2])
 
     def project(self, view: mi.UInt32, point: mi.Point3f) -> mi.Point2f:
         """Column and row, in pixels. Traced."""
@@ -290,7 +306,8 @@ class Crossing:
         place = mi.Point2f(x / depth, y / depth)
         width = mi.Float(dr.gather(mi.UInt32, films.width, view))
         height = mi.Float(dr.gather(mi.UInt32, films.height, view))
-        valid &= (speed > 0) & (depth > 0)
+        near, far = cameras.reach(view)
+        valid &= (speed > 0) & (depth > near) & (depth < far)
         valid &= (place.x >= 0) & (place.y >= 0) & (place.x < width) & (place.y < height)
         column = mi.UInt32(dr.clip(place.x, 0, width - 1))
         row = mi.UInt32(dr.clip(place.y, 0, height - 1))
@@ -313,12 +330,13 @@ def spans(
     cameras: Cameras, films: Views, view: mi.UInt32, ends: list[mi.Point3f]
 ) -> tuple[mi.Vector2f, mi.Vector2f, mi.Float]:
     """Columns and rows of both ends of edges, and their lengths in pixels: 0 of those that reach
-    behind the camera or lie outside the image. Traced."""
-    x, y, found = mi.Vector2f(0), mi.Vector2f(0), mi.Bool(True)
+    behind the camera or lie outside the image or what it cuts off. Traced."""
+    x, y, depth = mi.Vector2f(0), mi.Vector2f(0), mi.Vector2f(0)
     for k, end in enumerate(ends):
-        across, down, depth = cameras.homogeneous(view, end)
-        found &= depth > 0
-        x[k], y[k] = across / depth, down / depth
+        across, down, depth[k] = cameras.homogeneous(view, end)
+        x[k], y[k] = across / depth[k], down / depth[k]
+    near, far = cameras.reach(view)
+    found = (dr.min(depth) > 0) & (dr.max(depth) > near) & (dr.min(depth) < far)
     width = mi.Float(dr.gather(mi.UInt32, films.width, view))
     height = mi.Float(dr.gather(mi.UInt32, films.height, view))
     found &= (dr.max(x) > 0) & (dr.max(y) > 0) & (dr.min(x) < width) & (dr.min(y) < height)

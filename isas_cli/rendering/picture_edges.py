@@ -84,8 +84,8 @@ class PictureEdges(Border):
                 drawn = draw(weights, outline, samples, seeds[0])
                 # Of a crease no side is the object's: which way its normal points means nothing.
                 point, _, _, crossing = crossed(now, outline, cameras, films, drawn)
-                eye = dr.gather(mi.Vector3f, cameras.eyes.place, drawn.eye)
-                ray = mi.Ray3f(mi.Point3f(eye), mi.Vector3f(point) - eye)
+                begin = cameras.begin(drawn.eye, point)
+                ray = mi.Ray3f(begin, point - begin)
                 ray.maxt = 1 - 1e-3
                 valid = crossing.valid & ~scene.ray_test(ray, crossing.valid)
                 turned = dr.atan2(crossing.away.y, crossing.away.x) * (_WAYS / dr.pi)

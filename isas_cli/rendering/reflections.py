@@ -77,7 +77,7 @@ class Reflections(Border):
                 valid = valid & own if still else valid
 
                 frame = mi.Frame3f(si.n)
-                crossing, eye, valid = shown(
+                crossing, begin, valid = shown(
                     *(scene, cameras, films, si, frame.s, frame.t, valid, random)
                 )
                 value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(way), valid)
@@ -115,7 +115,7 @@ class Reflections(Border):
                 moves, shows = dr.select(valid, moves, 0), dr.select(own, shows, 0)
                 # An edge without a direction has none, and no derivative.
                 normal = dr.select(valid, found.n, 0)
-                seen = mi.Ray3f(eye, dr.normalize(si.p - eye))
+                seen = mi.Ray3f(begin, dr.normalize(si.p - begin))
                 hit = scene.ray_intersect_preliminary(seen, active=own)
                 dr.eval(moves, shows, normal, valid, own, seen, hit)
                 with dr.resume_grad():

@@ -50,11 +50,13 @@ class Silhouettes(Border):
 
     ΔL from two paths, one on each side and of random numbers of its own, by Mitsuba's
     ``sample_radiance_difference`` on the face that is turned to the camera; ∂ℒ/∂I from ``paths``
-    others through the same pixel. Hidden edges bring nothing: a ray to the camera says so.
+    others through the same pixel. Hidden edges bring nothing: a ray to the camera, or to its near
+    clip plane, says so.
 
     Bias: none for losses of linear derivative and closed meshes of smooth normals; edges that
-    reach behind a camera are left out, and so are silhouettes that mirrors and glass show; those
-    that shadows show are ``shadows.Shadows``.
+    reach behind a camera are left out, and so are silhouettes that mirrors and glass show, and the
+    rims where clip planes cut what moves; what lies beyond the far one counts as if it were seen
+    behind an edge. Those that shadows show are ``shadows.Shadows``.
     """
 
     def __init__(
@@ -78,7 +80,8 @@ class Silhouettes(Border):
                 away = cameras.eyes.away(drawn.eye, point)
                 found = sample(now, outline, drawn, point, away, plane, inner, mi.ShapePtr(shape))
                 back = backward_ray(found)
-                back.maxt = dr.norm(point - away - back.o) * (1 - mi.math.ShadowEpsilon)
+                begin = cameras.begin(drawn.eye, point)
+                back.maxt = dr.norm(begin - back.o) * (1 - mi.math.ShadowEpsilon)
                 seen = crossing.valid & hidden_by_nothing(scene, back, crossing.valid)
                 step, _ = differences.sample_radiance_difference(
                     *(scene, found, mi.UInt32(0), rays.stream(seeds[1], samples)),

@@ -10,7 +10,17 @@ from crosses import some
 from isas_cli.scenes import kirby
 from isas_cli.scenes.cameras import orbit, perspective
 from scenes_for_tests import without_targets
-from shapes_for_tests import COUNT, KEY, agrees, ball, differences, estimates, problem, shaped
+from shapes_for_tests import (
+    COUNT,
+    KEY,
+    agrees,
+    ball,
+    differences,
+    estimates,
+    problem,
+    screened,
+    shaped,
+)
 
 from isas_cli.config.schema import UnknownConfig
 from isas_cli.estimators import silhouettes
@@ -60,6 +70,18 @@ def test_what_only_a_shadow_shows(lamp):
         assert agrees(found[name], each), name
     missing = estimates(p, 3, shadows=0)["right"]
     assert abs(missing.mean()) < 0.1 * abs(exact["right"].mean())
+
+
+def test_what_a_near_clip_plane_cuts_away_hides_no_shadow():
+    scene = shadow("point")
+    scene |= {"sky": {"type": "constant", "radiance": 0.0}}
+    plain, found = (
+        estimates(problem(views=1, **scene | more), 2, shadows=1 << 14)
+        for more in ({}, screened(scene["sensor_000"], 0.02))
+    )
+    for name in ("right", "scale"):
+        assert np.abs(plain[name]).min() > 1e-4
+        np.testing.assert_allclose(found[name], plain[name], rtol=1e-2, err_msg=name)
 
 
 @pytest.mark.slow  # at this fineness; one that moves before another is in test_silhouettes.py

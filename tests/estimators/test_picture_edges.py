@@ -6,7 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from shapes_for_tests import KEY, problem
+from isas_cli.scenes import kirby
+from shapes_for_tests import KEY, problem, screened
 
 from isas_cli.rendering import picture_edges
 from isas_cli.rendering.outline import at, crossed, draw
@@ -124,6 +125,19 @@ def test_against_differences_of_what_it_measures(drawn):
         error = found.std(ddof=1) / np.sqrt(len(found))
         print(f"{found.mean() / exact:.3f} ± {error / abs(exact):.3f} of the differences")
         assert abs(found.mean() - exact) < 4 * error + 0.05 * abs(exact)
+
+
+def test_what_a_near_clip_plane_cuts_away_hides_no_edges():
+    found, picture = [], None
+    for more in ({}, screened(kirby.build(1, 48, 1)["sensor_000"])):
+        p = problem(views=1, side=48, **more)
+        picture = p.target_image(0) if picture is None else picture
+        p.edges = picture_edges.of([picture], [np.ones(picture.shape[:2])])
+        truth = np.asarray(p.unknowns[KEY].truth)
+        way = np.broadcast_to([1.0, 0, 0], truth.shape)
+        found.append(derivative(p, truth + 0.08 * way, way, 2))
+    assert np.abs(found[0]).min() > 0.01
+    np.testing.assert_allclose(*found, rtol=1e-2)
 
 
 def test_views_count_by_their_weights(drawn, monkeypatch):

@@ -18,6 +18,7 @@ from shapes_for_tests import (
     egg,
     estimates,
     problem,
+    screened,
     shaped,
 )
 
@@ -174,6 +175,26 @@ def test_hidden_edges_bring_nothing_and_counting_them_is_noticed(monkeypatch):
     assert all(right(estimates(p, COUNT, batch=1 << 16), exact))
     monkeypatch.setattr(silhouettes, "hidden_by_nothing", lambda scene, ray, active: active)
     assert not all(right(estimates(p, COUNT, batch=1 << 16), exact))
+
+
+def flat(**more) -> dict[str, np.ndarray]:
+    """Of a figure that is black before a bright sky, on which no light but that falls."""
+    p = problem(views=1, side=16, integrator={"type": "prb", "max_depth": 1}, **more)
+    p.set_targets(dr.opaque(mi.Float, 0.3, 3 * p.views.total), None, "grey")
+    found = estimates(p, 2, batch=1 << 12)
+    return {name: found[name] for name in ("right", "up", "scale")}
+
+
+def test_what_a_near_clip_plane_cuts_away_hides_no_edges():
+    plain, found = flat(), flat(**screened(kirby.build(1, 16, 1)["sensor_000"]))
+    for name, expected in plain.items():
+        assert np.abs(expected).min() > 1e-3
+        np.testing.assert_allclose(found[name], expected, rtol=1e-2, err_msg=name)
+
+
+def test_there_are_no_edges_beyond_a_far_clip_plane():
+    sensor = kirby.build(1, 16, 1)["sensor_000"] | {"far_clip": 2.0}
+    assert not any(each.any() for each in flat(sensor_000=sensor).values())
 
 
 def test_replayed_paths_have_the_same_derivatives():

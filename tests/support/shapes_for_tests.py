@@ -81,6 +81,14 @@ def problem(
     return made
 
 
+def screened(sensor: dict, distance: float = 0.1) -> dict:
+    """A screen before all that ``sensor`` sees, which its near clip plane cuts away."""
+    matrix = np.array(sensor["to_world"].matrix).reshape(4, 4)
+    place = mi.ScalarTransform4f(matrix).translate([0, 0, distance]).scale(distance)
+    clipped = sensor | {"near_clip": 2 * distance}
+    return {"screen": {"type": "rectangle", "to_world": place}, "sensor_000": clipped}
+
+
 def egg(p: Problem) -> np.ndarray:
     """Where derivatives are taken."""
     return (p.unknowns[KEY].start * EGG).astype(np.float32)
