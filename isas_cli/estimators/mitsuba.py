@@ -11,7 +11,7 @@ import numpy as np
 
 from ..rendering import convex, rays, undone
 from ..rendering.own_film import OwnFilm
-from ..rendering.projective import projective
+from ..rendering.projective import check_lamps, projective
 from ..rendering.volume import only_emits
 from ..runtime import streams
 from ..runtime.errors import InputError
@@ -265,6 +265,7 @@ def _integrator(problem: Problem, silhouettes: str) -> mi.Integrator:
             "estimator=mitsuba: what moves is differentiated by prb_projective, which simulates no "
             f"media, and the scene's integrator is {own.name}: take estimator=plateau"
         )
+    check_lamps(problem, "estimator=mitsuba")
     return projective(own, **SILHOUETTES[_silhouettes(problem, silhouettes)])
 
 

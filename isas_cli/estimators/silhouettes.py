@@ -15,7 +15,7 @@ from ..rendering.border import Border
 from ..rendering.contours import Contours
 from ..rendering.light import shapes_with
 from ..rendering.picture_edges import PictureEdges
-from ..rendering.projective import Attached
+from ..rendering.projective import Attached, check_lamps
 from ..rendering.reflections import Reflections
 from ..rendering.shadows import Shadows
 from ..rendering.silhouettes import Silhouettes
@@ -79,18 +79,19 @@ class Settings(Estimator):
                 "estimator=silhouettes: what moves is followed by Mitsuba's projective integrators,"
                 f" which simulate no media, and the scene's is {problem.integrator.name}"
             )
+        check_lamps(problem, "estimator=silhouettes")
         return replace(problem, integrator=Attached(problem.integrator))
 
     def made(self, problem: Problem, loss) -> "ByShape":
         lamps = {shape.id() for shape in problem.scene.shapes() if shape.is_emitter()}
+        told = []
         if moving := sorted(lamps & problem.unknowns.moved):
-            told = (
+            told.append(
                 f"estimator=silhouettes follows {', '.join(moving)}, which shines, by its own "
                 "outline: what its light does on others as it moves has no derivative; "
                 "sampler=plateau follows both"
             )
-            if told not in problem.warnings:
-                problem.warnings.append(told)
+        problem.warnings += [each for each in told if each not in problem.warnings]
         return ByShape(problem, loss, self)
 
     def shadowed(self, problem: Problem) -> int:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
+from ..runtime.errors import InputError
+from ..scene.problem import Problem
 from .integrators import Integrator, Twice, sampled
 
 
@@ -69,3 +71,17 @@ def without_film(base: Integrator) -> mi.Integrator:
     """The same, to be asked for samples: the cheapest for the depth, no shadows' silhouettes."""
     name = "direct_projective" if base.max_depth == 2 else "prb_projective"
     return projective(base, name, sppi=0)
+
+
+def check_lamps(problem: Problem, where: str) -> None:
+    """Raises InputError, naming ``where``, for lamps that a camera is not to see: those of surfaces
+    are in the way of Mitsuba's projective integrators, which hide nothing but the sky."""
+    emitters = problem.scene.emitters() if problem.integrator.hide_emitters else ()
+    surfaces = [each for each in emitters if mi.has_flag(each.flags(), mi.EmitterFlags.Surface)]
+    if surfaces:
+        names = ", ".join(f"'{each.get_shape().id()}'" for each in surfaces)
+        raise InputError(
+            f"{where}: hide_emitters hides {names} in the images, and Mitsuba's projective "
+            "integrators, by which what moves is followed, see it: leave hide_emitters out, or "
+            "take sampler=plateau"
+        )

@@ -24,6 +24,7 @@ from shapes_for_tests import (
 
 from isas_cli import losses
 from isas_cli.config.schema import PoseConfig, UnknownConfig
+from isas_cli.estimators import mitsuba
 from isas_cli.estimators.silhouettes import Settings
 from isas_cli.rendering import silhouettes
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
@@ -366,3 +367,23 @@ def test_what_it_cannot_follow_is_refused(plain):
     chosen = Settings()
     with pytest.raises(InputError, match="which is no mesh: estimator=silhouettes follows meshes"):
         chosen.on(p, losses.L2())
+
+
+@pytest.mark.parametrize("estimator", [Settings(), mitsuba.Settings()])
+def test_lamps_that_are_hidden_are_refused(estimator):
+    """Those of surfaces: a sky is hidden by all alike."""
+    lamp = {"type": "rectangle", "emitter": {"type": "area", "radiance": 1.0}}
+    hiding = {"integrator": {"type": "prb", "max_depth": 2, "hide_emitters": True}}
+    for more, refused in (
+        (hiding, False),
+        ({"lamp": lamp}, False),
+        (hiding | {"lamp": lamp}, True),
+    ):
+        scene = kirby.build(1, 8, 1) | more
+        p = without_targets(scene, {KEY: UnknownConfig(start="sphere")})
+        if not refused:
+            estimator.on(p, losses.L2())
+            continue
+        with pytest.raises(InputError, match="hides 'lamp'.*leave hide_emitters out, or") as found:
+            estimator.on(p, losses.L2())
+        assert "\n" not in str(found.value)
