@@ -15,7 +15,7 @@ from ..rendering.border import Border
 from ..rendering.contours import Contours
 from ..rendering.light import shapes_with
 from ..rendering.picture_edges import PictureEdges
-from ..rendering.projective import Attached, check_lamps
+from ..rendering.projective import Attached, check_lamps, sharp
 from ..rendering.reflections import Reflections
 from ..rendering.shadows import Shadows
 from ..rendering.silhouettes import Silhouettes
@@ -90,6 +90,12 @@ class Settings(Estimator):
                 f"estimator=silhouettes follows {', '.join(moving)}, which shines, by its own "
                 "outline: what its light does on others as it moves has no derivative; "
                 "sampler=plateau follows both"
+            )
+        if mirrors := sharp(problem):
+            told.append(
+                f"estimator=silhouettes: what {', '.join(mirrors)} mirrors, lets through or leaves "
+                "out has no right derivative as it moves: give it a roughness, or take "
+                "sampler=plateau"
             )
         problem.warnings += [each for each in told if each not in problem.warnings]
         return ByShape(problem, loss, self)

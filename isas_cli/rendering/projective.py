@@ -8,6 +8,7 @@ import mitsuba as mi
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
 from .integrators import Integrator, Twice, sampled
+from .light import shapes_with
 
 
 class Attached(Twice):
@@ -16,7 +17,9 @@ class Attached(Twice):
 
     Without bias for the derivative at fixed visibility (Zhang et al. 2023, 'Projective Sampling
     for Differentiable Rendering of Geometry': its interior term), which lacks what silhouettes
-    add: ``silhouettes`` of this package, for those that a camera sees.
+    add: ``silhouettes`` of this package, for those that a camera sees. But not where what moves has
+    discrete lobes (``sharp``): Mitsuba differentiates a direction that was drawn from one like one
+    of a smooth lobe.
     """
 
     has_forward, moves = True, True
@@ -71,6 +74,14 @@ def without_film(base: Integrator) -> mi.Integrator:
     """The same, to be asked for samples: the cheapest for the depth, no shadows' silhouettes."""
     name = "direct_projective" if base.max_depth == 2 else "prb_projective"
     return projective(base, name, sppi=0)
+
+
+def sharp(problem: Problem) -> list[str]:
+    """The names of shapes that move and mirror, let through or leave out what falls on them, by a
+    discrete lobe: their derivative by ``Attached`` is wrong. Where paths end on them there are
+    none."""
+    moved = problem.unknowns.moved if problem.integrator.max_depth > 1 else ()
+    return [name for name in shapes_with(problem.scene, "Delta") if name in moved]
 
 
 def check_lamps(problem: Problem, where: str) -> None:

@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from isas_cli.scenes import kirby
+from isas_cli.scenes import kirby, meshes
 from scenes_for_tests import render_targets, without_targets
 from shapes_for_tests import (
     COUNT,
@@ -387,3 +387,66 @@ def test_lamps_that_are_hidden_are_refused(estimator):
         with pytest.raises(InputError, match="hides 'lamp'.*leave hide_emitters out, or") as found:
             estimator.on(p, losses.L2())
         assert "\n" not in str(found.value)
+
+
+SHARP = {
+    "plastic": {"type": "plastic"},
+    "conductor": {"type": "conductor", "material": "none"},
+    "mask": {"type": "mask", "opacity": 0.5, "nested": {"type": "diffuse"}},
+    "blend": {
+        "type": "blendbsdf",
+        "weight": 0.5,
+        "a": {"type": "diffuse"},
+        "b": {"type": "plastic"},
+    },
+    "rough": {"type": "roughplastic", "alpha": 0.3},
+}
+
+
+@pytest.mark.parametrize("material", SHARP)
+def test_what_moves_and_mirrors_is_told_once(material):
+    """Seen along ``scale`` against differences, of a ball under a map of a sky, with 3 edges: 3.2
+    times as much of plastic, 4.3 of a conductor; 0.99 of rough plastic."""
+    figure, mirror = made_of(SHARP[material]), WALL | {"bsdf": {"type": "conductor"}}
+    scene = kirby.build(1, 8, 1) | {"figure": figure, "mirror": mirror}
+    p = without_targets(scene, {KEY: UnknownConfig(start="sphere")})
+    for _ in range(2):
+        Settings().on(p, losses.L2())
+    found = [each for each in p.warnings if "what figure mirrors" in each]
+    assert len(found) == len(p.warnings) == (material != "rough")
+
+
+def test_what_no_path_goes_on_from_has_no_mirrors():
+    scene = kirby.build(1, 8, 1) | {"figure": made_of(SHARP["plastic"])}
+    scene |= {"integrator": {"type": "prb", "max_depth": 1}}
+    p = without_targets(scene, {KEY: UnknownConfig(start="sphere")})
+    Settings().on(p, losses.L2())
+    assert not p.warnings
+
+
+@pytest.mark.parametrize("depth", [2, 3])
+def test_the_derivative_of_what_moves_and_mirrors_is_wrong_still(depth):
+    """Else nothing is to be told."""
+    scene = {"figure": made_of(SHARP["conductor"]), "sky": {"type": "envmap", "bitmap": sky()}}
+    scene |= {"integrator": {"type": "prb", "max_depth": depth, "rr_depth": 100}}
+    p = problem(views=1, side=24, start="smooth", **scene)
+    p.set_targets(dr.opaque(mi.Float, 0.3, 3 * p.views.total), None, "grey")
+    at = np.array(p.unknowns[KEY].truth)
+    exact = differences(p, ["scale"], at=at, spp=128)["scale"]
+    found = estimates(p, 4, at=at, shadows=0)["scale"]
+    assert found.mean() / exact.mean() > 2
+
+
+def made_of(material: dict) -> mi.Mesh:
+    vertices, faces = ball(3)
+    apart = meshes.from_corners(
+        vertices[faces], np.zeros((0, 2)), meshes.corner_normals(vertices, faces)
+    )
+    return meshes.shape("figure", apart, material)
+
+
+def sky() -> mi.Bitmap:
+    """Bright to one side and above."""
+    y, x = (np.mgrid[:32, :64] + 0.5) * (np.pi / 32)
+    shades = 1 + np.cos(x) * np.sin(y), 1 + np.cos(y), 0.6 + 0 * x
+    return mi.Bitmap(np.stack(shades, axis=-1).astype(np.float32))
