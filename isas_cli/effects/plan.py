@@ -25,14 +25,15 @@ from .settings import Effects
 from .structure import UNLIMITED, clear, longest, statements
 
 # Depths that are compared, and numbers of light samples (residual, derivative) with the directions
-# that each is picked from. The last is left out where one path gives both, by as many.
+# that each is picked from: what is taken where nothing is measured first, then what saves most. The
+# last is left out where one path gives both, by as many.
 _LADDER = (2, 3, 4, 6, 8)
 _PICKED = 4
-_LIGHTS = (((1, 1), 1), ((1, 1), _PICKED), ((4, 4), _PICKED), ((4, 1), _PICKED))
+_LIGHTS = (((1, 1), _PICKED), ((4, 4), _PICKED), ((1, 1), 1), ((4, 1), _PICKED))
 # A budget of so many seconds can pay for a probe, which takes at most this share of it and at most
 # so many seconds.
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
-_FORMAT = 21
+_FORMAT = 22
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,8 @@ class Plan:
     ``views``: those that are drawn from (None: all);
     ``statements``: effect → what is done about it, and why; ``cuts`` (of paths), ``derivatives``
     (of what is differentiated), ``samples``, ``caustics``: what the probe measured; ``work``:
-    collisions of a path in a medium, at the start; ``seconds``: what it is billed."""
+    collisions of a path in a medium, at the start; ``seconds``, ``traced``: what it is billed, and
+    the light paths that took (of checks of what is met, none)."""
 
     paths: Paths
     finish: float
@@ -53,6 +55,7 @@ class Plan:
     caustics: Cut | None = None
     work: float = 0.0
     seconds: float = 0.0
+    traced: int = 0
 
     def on(self, problem: Problem, finish: bool = False) -> Problem:
         """``problem``, its paths as planned; with all effects where it is the ``finish``."""
@@ -84,6 +87,7 @@ class Plan:
             "views": None if self.views is None else list(self.views),
             "finish": self.finish,
             "probe_seconds": self.seconds,
+            "probe_paths": self.traced,
             "work": self.work,
             "depths": [dataclasses.asdict(each) for each in self.cuts],
             "derivatives": [dataclasses.asdict(each) for each in self.derivatives],
@@ -320,6 +324,7 @@ def _probed(
         caustics=found["without_caustics"] and _cut(found["without_caustics"]),
         work=found["work"],
         seconds=found["probe_seconds"],
+        traced=found["probe_paths"],
     )
 
 
@@ -333,9 +338,7 @@ def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> 
     """What pays most first: a short budget ends before the rest. The derivative's depth from the
     shortest up to one that does; the paths' own from the longest down to one that does not."""
     paths, cuts, derivatives, samples, caustics = plan.paths, [], [], [], None
-    # In the finish a view may see an unknown that it does not see by shorter paths.
-    views, checks = None if plan.finish else probe.views(), 0.0
-    surfaces = problem.integrator.samples_lights
+    checks, surfaces = 0.0, problem.integrator.samples_lights
     work = 0.0 if surfaces else probe.work()
 
     def check(own: Paths) -> float:
@@ -355,6 +358,8 @@ def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> 
             for lights, directions in _LIGHTS[: 3 if probe.problem.integrator.crosses else 4]
         )
         samples = probe.lights(paths, list(ways)) if len(ways) > 1 else []
+    # In the finish a view may see an unknown that it does not see by shorter paths.
+    views = None if plan.finish else probe.views()
     ladder = [depth for depth in _LADDER if depth < paths.depth]
     if settings.derivative_depth is None:
         for depth in ladder:
@@ -396,4 +401,5 @@ def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> 
         caustics=caustics,
         work=work,
         seconds=probe.seconds + checks,
+        traced=probe.paths,
     )

@@ -34,9 +34,9 @@ _LANES = 1 << 13
 # kinds as are usual), by estimates of the gradient between these numbers.
 _SECONDS, _PARTS = 0.25, 9
 _LEAST_BATCHES, _MOST_BATCHES = 8, 64
-# For each view, and for one that shows no unknown by so many; but no more for all in one look, and
-# then in no more than half of the time that is left.
-_PATHS_A_VIEW, _MOST_PATHS = (1 << 12, 1 << 16), 1 << 20
+# For each view, and for one that shows no unknown by so many, at most and at least; but no more for
+# all in one look, and then in no more than half of the time that is left.
+_PATHS_A_VIEW, _SURE, _MOST_PATHS = (1 << 9, 1 << 16), 1 << 12, 1 << 20
 # Numbers of the probe's streams, which no iteration of a run reaches.
 _FAR = (1 << 27) - (1 << 18)
 _WARM_UP = 4  # recordings are steady from the fourth call on
@@ -83,15 +83,15 @@ class Lights:
 
 
 class Probe:
-    """Measures on one problem and loss. ``allowed``: seconds at most, ``seconds``: taken so far,
-    both without compiling."""
+    """Measures on one problem and loss. ``allowed``: seconds at most; ``seconds``, ``paths``: taken
+    so far; all without compiling."""
 
     def __init__(self, problem: Problem, loss, seed: int, allowed: float = math.inf):
         self.problem, self.loss, self.seed, self.allowed = problem, loss, seed, allowed
         self.values = problem.unknowns.starts()
         self.pixels = PixelDistribution.uniform(Tiles.over(problem.views))
         self.lanes = min(_LANES, problem.views.total)
-        self.seconds = 0.0
+        self.seconds, self.paths = 0.0, 0
         integrator = problem.integrator
         whole = integrator.max_depth
         self._all = Paths(whole, whole, caustics=integrator.paths.caustics)
@@ -100,19 +100,22 @@ class Probe:
         self._whole = None
 
     def views(self) -> tuple[int, ...] | None:
-        """The views that see an unknown, where some do not: of so many paths through random pixels
-        of a view none has a derivative, along random signs of all entries."""
+        """The views that see an unknown, where some do not and there is time to be sure of it: of
+        so many paths through random pixels of a view none has a derivative, along random signs of
+        all entries."""
         views, rng = self.problem.views, np.random.default_rng(0)
-        if views.count == 1 or views.altered:
+        if views.count == 1 or views.altered or self.seconds >= self.allowed:
             return None
         unknowns = self.problem.unknowns
         signs = {u.key: rng.choice([-1.0, 1.0], u.start.shape).astype(np.float32) for u in unknowns}
         seen, most = np.zeros(views.count, bool), float(_MOST_PATHS)
-        for paths in _PATHS_A_VIEW:
+        for paths, least in zip(_PATHS_A_VIEW, (1, _SURE)):
             unseen = np.flatnonzero(~seen)
             if not len(unseen):
                 break
-            each = max(1, int(min(paths, most / len(unseen))))
+            each = int(min(paths, most / len(unseen)))
+            if each < least:
+                return None
             times = []
             for _ in range(3):
                 begun = time.perf_counter()
@@ -122,6 +125,7 @@ class Probe:
             # The first one compiles, for so many lanes; another may have been suspended.
             spent = min(times[1:])
             self.seconds += spent
+            self.paths += each * len(unseen)
             affordable = (self.allowed - self.seconds) / 2 / spent
             most = min(most, affordable * each * len(unseen))
         unknowns.write(self.values)
@@ -141,6 +145,7 @@ class Probe:
                 found = float(dr.mean(p.integrator.work(p.scene, stream, ray))[0])
             if compiled:
                 self.seconds += time.perf_counter() - begun
+                self.paths += self.lanes
         return found
 
     def _met(self, among: np.ndarray, paths: int) -> np.ndarray:
@@ -238,6 +243,7 @@ class Probe:
                 break
         # As many times the median: a process that is suspended is not billed for it.
         self.seconds += len(seconds) * float(np.median(seconds))
+        self.paths += 2 * self.lanes * len(seconds)
         return np.array(images), {k: np.array(r) for k, r in rows.items()}, np.median(seconds)
 
     def _estimate(self, kernel, paths: Paths, earlier, batch: int, fixed: bool):

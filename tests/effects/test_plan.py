@@ -271,12 +271,16 @@ def test_what_is_not_set_is_measured(monkeypatch, tmp_path):
     monkeypatch.setattr(Probe, "lights", asked)
     for settings, ways in (
         ({"directions": 2}, [((1, 1), 2), ((4, 4), 2)]),
-        ({"light_samples": [2, 2]}, [((2, 2), 1), ((2, 2), 4)]),
+        ({"light_samples": [2, 2]}, [((2, 2), 4), ((2, 2), 1)]),
         ({"light_samples": [2, 2], "directions": 2}, []),
     ):
         plan = decided(p, 60.0, **depths, **settings)
         assert [(each.samples, each.directions) for each in plan.samples] == ways
         assert ("as set" in plan.statements["light samples"]) == (not ways)
+    p.target_hash = "another, or the plan would be the one that is kept"
+    monkeypatch.setattr(Probe, "lights", lambda self, paths, ways: asked(self, paths, ways[:1]))
+    short = decided(p, 60.0, **depths).paths
+    assert (short.lights, short.directions) == ((1, 1), 4), "one that was measured is not preferred"
 
 
 def test_nothing_is_cut_while_differences_need_it(monkeypatch, tmp_path):
@@ -355,9 +359,11 @@ def test_views_that_see_no_unknown_are_not_drawn_from(monkeypatch, tmp_path):
     plan = decided(p, 60.0, max_depth=4, derivative_depth=4, **ONE)
     assert plan.views == (0, 2) and plan.statements["views"].startswith("2 of 3")
     assert plan.seconds > 0 and decided(p).views is None
+    assert plan.traced >= 3 * 512 and plan.record()["probe_paths"] == plan.traced
     assert decided(p, 60.0, max_depth=3, derivative_depth=3, finish=0.3, **ONE).views is None
     monkeypatch.setattr(probe, "_PATHS_A_VIEW", (1, 1 << 12))
     assert Probe(p, L2(), 0).views() == plan.views, "few paths show nothing: more are asked"
+    assert Probe(p, L2(), 0, 0.0).views() is None, "no time for more"
     few = plan.on(p)
     assert few.film_sizes == [(8, 8)] * 2 and few.views.total == 2 * 64
     for view, origin in enumerate(few.kept):
