@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from rich.table import Table
 
+from ..runtime import images
 from ..scene.photos import checks, exif
 from ..scene.photos.photographs import Photographs
 
@@ -26,8 +27,9 @@ def cameras(checked: list[checks.View], taken: Photographs) -> Table:
     groups: dict[tuple, list] = {}
     for view in checked:
         camera = described[view.photograph.camera.name]
-        lost, said = view.photograph.lost, exif.read(camera.image)
-        mask = "file" if camera.mask is not None else "alpha" if "transparent" in lost else "none"
+        said = exif.read(camera.image)
+        alpha = "alpha" if images.has_alpha(camera.image) else "none"
+        mask = alpha if camera.mask is None else "file"
         size = f"{camera.width}×{camera.height}"
         key = (size, camera.lens.kind, *camera.lens.terms, mask, said is None)
         groups.setdefault(key, []).append((camera, mask, said))

@@ -93,6 +93,25 @@ def test_texture_coordinates_are_of_one_place_each(ball):  # noqa: F811
     assert filled.mean() > 0.85 * area
 
 
+def test_it_is_right_side_out_wherever_it_stands(ball):  # noqa: F811
+    """By a sum over its triangles around the world's origin every third such ball was inside
+    out."""
+    around(ball)
+    content = json.loads((ball / "transforms.json").read_text())
+    stood = [np.array(frame["transform_matrix"]) for frame in content["frames"]]
+    rng, volumes = np.random.default_rng(0), []
+    for _ in range(8):
+        way = rng.standard_normal(3)
+        for frame, place in zip(content["frames"], stood):
+            there = place.copy()
+            there[:3, 3] += 4 * RADIUS * way / np.linalg.norm(way)
+            frame["transform_matrix"] = there.tolist()
+        (ball / "transforms.json").write_text(json.dumps(content))
+        volumes.append(mesh_of(load(ball, voxels=16)).volume)
+    print(volumes)
+    assert min(volumes) > 0
+
+
 @pytest.mark.parametrize("unit", [1e-6, 1e4])
 def test_any_unit_of_length(ball, unit):  # noqa: F811
     """Of a set of another unit the hull is as large as that says, and unwrapped all the same."""

@@ -26,7 +26,7 @@ class Taken:
         return self.time * self.speed / self.aperture**2
 
     def __str__(self) -> str:
-        time = f"1/{1 / self.time:.0f}" if self.time < 0.5 else f"{self.time:g}"
+        time = f"1/{1 / self.time:.0f}" if self.time < 0.28 else f"{self.time:g}"
         return f"{time} s f/{self.aperture:g} ISO {self.speed:g}"
 
 

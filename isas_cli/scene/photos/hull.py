@@ -11,11 +11,12 @@ from scipy.optimize import linprog
 
 from ...runtime.cache import cached, digest
 from ...runtime.errors import InputError
+from ..shape_error import enclosed
 from . import coherence, outlines
 from .importing import Photograph
 
 # Raised when what is kept means something else.
-_FORMAT = 9
+_FORMAT = 10
 # Voxels around the hull that are outside, and how far from the surface distances matter, in voxels.
 _MARGIN, _BAND = 2, 3.0
 # Of the largest piece's volume: smaller ones are specks of masks.
@@ -65,8 +66,8 @@ def _made(photographs: list[Photograph], voxels: int) -> dict[str, np.ndarray]:
     field, dropped = _cleaned(field, size, photographs, fit)
     vertices, faces, _, _ = marching_cubes(field, 0.0, allow_degenerate=False)
     vertices = origin + size * _evened(vertices, faces)
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    if np.einsum("fk,fk->", np.cross(b, c), a - vertices.mean(axis=0)) < 0:
+    # Around the middle: far from it the rounding of a sum over triangles is more than the volume.
+    if enclosed((vertices - vertices.mean(axis=0))[faces]) < 0:
         faces = faces[:, ::-1]
     return {"dropped": np.array(dropped), **vars(fit), **_unwrapped(vertices, faces)}
 

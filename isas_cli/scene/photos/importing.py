@@ -29,6 +29,8 @@ _SMALL = 256
 BLACK = "black"
 # A weight of at least this much is whole: interpolation rounds.
 _WHOLE = 0.999
+# What undoes a tag's turn; the others undo themselves.
+_BACK = {6: 8, 8: 6}
 
 
 @dataclass
@@ -176,13 +178,14 @@ def _part(
 
 def _given_mask(camera: Camera, settings: PhotosConfig, turned: bool) -> np.ndarray:
     """Of the camera's size, ``(H, W) float32``, white where pixels count. It is turned as its
-    picture, by its own tag or, if it has none and its size tells, by its picture's. Raises
-    InputError."""
+    picture, by its own tag or, if it has none and its size tells, by its picture's; back, where the
+    picture is taken as it is stored. Raises InputError."""
     given, wanted = images.read_mask(camera.mask, turned), (camera.width, camera.height)
     if camera.hides:
         given = np.float32(given == 0)
     size = given.shape[1::-1]
-    tag = images.orientation(camera.image) if turned else 1
+    tag = images.orientation(camera.image)
+    tag = tag if turned else _BACK.get(tag, tag)
     if tag >= 5 and turns.factor(size, wanted) is None:
         over = images.upright(given, tag)
         if turns.factor(over.shape[1::-1], wanted) is not None:

@@ -161,7 +161,8 @@ def traded(settings: PhotosConfig, keys: Iterable[str], light: str) -> list[str]
         "light": None if lit else settings.environment or "of one colour",
     }
     stay = ", ".join(f"{name} ({value})" for name, value in fixed.items() if value is not None)
-    ways = ["photos.texture=FILE"] * has["base_color"] + ["photos.environment=FILE"] * lit
+    laid = settings.start is None and any(each[-2:] == ["base_color", "data"] for each in words)
+    ways = ["photos.texture=FILE"] * laid + ["photos.environment=FILE"] * lit
     return [
         f"images hardly tell {', '.join(pairs)}, which are unknown together: what is known, give "
         f"({', '.join(ways)}); fixed: {stay or 'nothing'}"

@@ -100,7 +100,12 @@ def _named_file(folder: Path, cameras: str):
     """As ``_found``, of ``photos.cameras``: a file, or a folder that is asked as any other."""
     place = folder / cameras
     if place.is_dir():
-        return _found(place, f"photos.cameras={cameras}")
+        try:
+            return _found(place, f"photos.cameras={cameras}")
+        except InputError as error:
+            # A file that is advised is named in that folder.
+            told = str(error).replace(": photos.cameras=", f": photos.cameras={cameras}/")
+            raise InputError(told) from None
     if not place.is_file():
         raise InputError(f"photos.cameras={cameras}: no such file or folder in {folder}")
     # Any other JSON may be of nerfstudio's form.

@@ -18,6 +18,8 @@ from ...scenes import lathe, meshes
 from ...scenes.meshes import Surface
 from ..mesh_checks import LARGEST_OVERLAP, check_values, degenerate, overlap
 from ..mesh_files import upwards
+from ..shape_error import enclosed
+from ..topology import Topology
 from .base import Capture
 
 OBJECT = "object"
@@ -95,7 +97,7 @@ def _read(path: str, one: bool) -> dict[str, Surface]:
     vertices = np.concatenate([piece.vertices for piece in pieces])
     faces = np.concatenate([piece.faces + first for piece, first in zip(pieces, before)])
     flat = degenerate(vertices, faces)
-    faces = np.delete(faces, flat, axis=0).astype(np.uint32)
+    faces = _outward(vertices, np.delete(faces, flat, axis=0).astype(np.uint32))
     names = np.repeat([piece.material for piece in pieces], [len(piece.faces) for piece in pieces])
     names = np.delete(names, flat)
     bare = {piece.material for piece in pieces if piece.texcoords is None}
@@ -111,6 +113,15 @@ def _read(path: str, one: bool) -> dict[str, Surface]:
         _check_shared(path, found)
         return {OBJECT: joined(list(found.values()))}
     return dict(zip(_called(list(found)), found.values()))
+
+
+def _outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The faces of a closed mesh so that its normals point outwards: both sides are shown alike,
+    but a normal map's bumps are glTF's dents on a back."""
+    inner = vertices - vertices.mean(axis=0)
+    if enclosed(inner[faces]) >= 0 or Topology.of(vertices, faces).flaws():
+        return faces
+    return np.ascontiguousarray(faces[:, ::-1])
 
 
 @contextmanager
