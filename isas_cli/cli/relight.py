@@ -41,6 +41,10 @@ def main(
         raise InputError(f"--up {up}: valid: {', '.join(UPS)}, {CAMERA}")
     if turn is not None and not math.isfinite(turn):
         raise InputError(f"--turn {turn}: degrees")
+    if light is None and (up, turn) != (None, None):
+        raise InputError("--up and --turn say how the environment of --light stands: give --light")
+    if up == CAMERA and turn is not None:
+        raise InputError(f"--turn {turn:g}: with --up {CAMERA} a light stands to the camera")
     if width is not None and width < 1:
         raise InputError(f"--width {width}: at least 1")
     typed, arrays = resumption.result(folder)
@@ -63,7 +67,8 @@ def main(
             where = f"{pictures}: {camera.name}"
             mask = None if camera.hides else camera.mask  # which is to say where the object is
             turned = camera.name in over
-            found[camera.name] = relighting.of_picture(image, camera, mask, where, turned)
+            how_lit = turned, light is not None
+            found[camera.name] = relighting.of_picture(image, camera, mask, where, *how_lit)
             relit.write(output, camera.name, image)
     mean = relighting.mean(found)
     write_json(output / SCORES, {"views": found, "mean": mean, "light": light and str(light)})

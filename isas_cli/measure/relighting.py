@@ -2,8 +2,9 @@
 counts them (Kuang et al. 2023), so that numbers compare with its tables.
 
 Pictures are linear, ``(H, W, 3)``; ``mask (H, W)`` counts where it is above a half, without a rim
-of two pixels. A factor for each channel is fitted by least squares first: light and colour trade
-brightness. What the names do not tell:
+of two pixels. Under another light, and of base colours, a factor for each channel is fitted by
+least squares first: light and colour trade brightness. Under the light of the photographs none is.
+What the names do not tell:
 
 - squares are averaged over all pixels, those outside the mask as black ones, so that a small object
   scores higher;
@@ -39,10 +40,12 @@ _C1, _C2 = 0.01**2, 0.03**2
 _ENDINGS = (".exr", ".hdr", ".png")
 
 
-def pictures(image: np.ndarray, target: np.ndarray, mask: np.ndarray) -> dict[str, float]:
-    """``psnr_h``, ``psnr_l`` (dB) and ``ssim`` of a rendering under another light."""
+def pictures(
+    image: np.ndarray, target: np.ndarray, mask: np.ndarray, relit: bool = True
+) -> dict[str, float]:
+    """``psnr_h``, ``psnr_l`` (dB) and ``ssim`` of a rendering, ``relit``: under another light."""
     chosen = _inside(mask)
-    image, target = _fitted(image, target, chosen)
+    image, target = _fitted(image, target, chosen) if relit else _cut(image, target, chosen)
     shown = np.clip(target, 0, _WHITE)
     brighter = 1.0 if shown.mean() <= 1e-8 else images.srgb_encode(shown).mean() / shown.mean()
     both = (np.clip(each * brighter, 0, _BRIGHTEST) for each in (image, target))
@@ -108,19 +111,23 @@ def of_set(file: Path | str, folder: Path | str) -> dict[str, dict]:
 
 
 def of_picture(
-    image: np.ndarray, camera: Camera, mask: Path | None, where: str, turned: bool
+    image: np.ndarray, camera: Camera, mask: Path | None, where: str, turned: bool, relit: bool
 ) -> dict[str, float]:
-    """``pictures`` of a rendering of a ``camera``'s picture, whose ``mask`` may be another file.
-    ``turned``: whether it is turned as its file asks. Raises InputError, naming ``where``."""
+    """``pictures`` of a rendering of a ``camera``'s picture, whose ``mask`` may be another file;
+    where it is not ``relit`` as it was exposed. ``turned``: whether it is turned as its file asks.
+    Raises InputError, naming ``where``."""
     picture = images.load(camera.image, turned=turned).image
     both = picture, _mask(camera.image, mask, where, turned)
     if not camera.ideal:  # pixels that are not square
         both = resample(camera, camera.pinhole(), picture, both[1].astype(np.float32))
-    return _scored(image, *both, where)
+    exposed = image if relit else image * np.float32(camera.exposure)
+    return _scored(exposed, *both, where, relit)
 
 
-def _scored(image: np.ndarray, picture: np.ndarray, mask: np.ndarray, where: str) -> dict:
-    return pictures(image, *(_as_large(each, image, where) for each in (picture, mask)))
+def _scored(
+    image: np.ndarray, picture: np.ndarray, mask: np.ndarray, where: str, relit: bool = True
+) -> dict:
+    return pictures(image, *(_as_large(each, image, where) for each in (picture, mask)), relit)
 
 
 def mean(views: dict[str, dict]) -> dict[str, float]:
@@ -167,12 +174,17 @@ def _inside(mask: np.ndarray) -> np.ndarray:
     return found
 
 
-def _fitted(image: np.ndarray, target: np.ndarray, chosen: np.ndarray) -> list[np.ndarray]:
-    """Both, black where not ``chosen``; the first by the factors that bring it nearest."""
-    image, target = (
+def _cut(image: np.ndarray, target: np.ndarray, chosen: np.ndarray) -> list[np.ndarray]:
+    """Both, black where not ``chosen``."""
+    return [
         np.where(chosen[..., None], np.maximum(each, 0), 0).astype(np.float64)
         for each in (image, target)
-    )
+    ]
+
+
+def _fitted(image: np.ndarray, target: np.ndarray, chosen: np.ndarray) -> list[np.ndarray]:
+    """Both, black where not ``chosen``; the first by the factors that bring it nearest."""
+    image, target = _cut(image, target, chosen)
     # A channel of nothing is fitted as if it were white, and stays black.
     white = np.where((image**2).sum(axis=(0, 1)) > 1e-6, image, chosen[..., None])
     return [image * (white * target).sum(axis=(0, 1)) / (white**2).sum(axis=(0, 1)), target]

@@ -1,6 +1,7 @@
 """`isas relight`: a result against pictures that Mitsuba alone has made."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import mitsuba as mi
@@ -110,7 +111,7 @@ def test_the_other_light_is_taken(run, capsys):
     shown = images.read(run / "run/relit/view_1.exr")
     (_, camera), over = relight._cameras(run / "set", PhotosConfig())
     assert over == set()
-    again = relighting.of_picture(shown, camera, run / "set/masks/view_1.png", "", False)
+    again = relighting.of_picture(shown, camera, run / "set/masks/view_1.png", "", False, True)
     assert again == pytest.approx(found["views"]["view_1.exr"])
     for more in ([], ["--light", str(run / "sky.exr"), "--up=-y"]):
         assert scores(run, *more)["mean"]["psnr_h"] < found["mean"]["psnr_h"] - 6
@@ -187,6 +188,12 @@ def test_a_set_that_is_nowhere_is_one_line(run, capsys):
         (["--light", "."], "--light .: no environment for view_0.exr, such as view_0.exr"),
         (["--output", "/dev/null/x"], "/dev/null/x: cannot be written"),
         (["--up", "w"], "--up w: valid: x, y, z, -x, -y, -z, camera"),
+        (["--up", "z"], "--up and --turn say how the environment of --light stands: give --light"),
+        (["--turn", "90"], "--up and --turn say how the environment of --light stands"),
+        (
+            ["--light", ".", "--up", "camera", "--turn", "90"],
+            "--turn 90: with --up camera a light stands to the camera",
+        ),
         (["--width", "0"], "--width 0: at least 1"),
         (["--spp", "0"], "--spp 0: at least 1"),
         (["--width", "39"], "39 × 29 rendered, which does not go into its 40 × 30"),
@@ -221,5 +228,8 @@ def test_pixels_that_are_not_square_are_made_so(tmp_path):
     square = relit.cut(camera, None)
     assert (square.width, square.height, square.fx, square.fy) == (10, 8, 20, 20)
     images.write_png(tmp_path / "mask.png", np.full((16, 10, 3), 255, np.uint8))
-    found = relighting.of_picture(shown, camera, tmp_path / "mask.png", "", False)
+    found = relighting.of_picture(shown, camera, tmp_path / "mask.png", "", False, True)
+    assert found["psnr_h"] > 40
+    exposed = replace(camera, exposure=(2.0, 2.0, 2.0))
+    found = relighting.of_picture(shown / 2, exposed, tmp_path / "mask.png", "", False, False)
     assert found["psnr_h"] > 40

@@ -37,6 +37,18 @@ def test_a_factor_a_channel_and_what_lies_outside_do_not_count(target, mask, rng
     assert found["psnr"] > 250 and found["ssim"] == pytest.approx(1)
 
 
+def test_under_the_same_light_brightness_counts(target, mask):
+    """As the benchmark scores new views: no factor is fitted."""
+    found = relighting.pictures(0.5 * target, target, mask, relit=False)
+    inside = np.zeros((SIDE, SIDE, 1))
+    inside[6:18, 8:20] = 1
+    black = target * inside
+    black *= images.srgb_encode(black.clip(0, 1)).mean() / black.clip(0, 1).mean()
+    mse = np.mean((black.clip(0, 4) - (black / 2).clip(0, 4)) ** 2)
+    assert found["psnr_h"] == pytest.approx(-10 * np.log10(mse))
+    assert relighting.pictures(target, target, mask, relit=False)["psnr_l"] == np.inf
+
+
 def test_by_hand(target, mask, rng):
     """Pixel by pixel, as the benchmark's script has it."""
     image, inside = target * rng.uniform(0.7, 1.3, target.shape), np.zeros((SIDE, SIDE))
