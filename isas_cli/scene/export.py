@@ -21,6 +21,7 @@ from ..config.schema import SceneConfig
 from ..runtime import backend, images
 from ..runtime.errors import InputError
 from ..scenes import meshes
+from ..unknowns.optics import Lens
 from ..unknowns.parameters import as_numpy
 from ..unknowns.specs import parse
 from ..unknowns.unknowns import Unknowns
@@ -90,7 +91,7 @@ def _write(
     for key in dict.fromkeys(name for each in unknowns for name in each.kind.writes):
         found += Place(params, key, made_from, written).put(folder)
     _paint(loaded, folder / "painted")
-    told = found_cameras.put(written, views) if views is not None else []
+    told = [line for first, own in views for line in found_cameras.put(written, own, first)]
     told += _deepen(written, scene)
     # Found files keep their names.
     brought = {path.name: path.resolve() for path in found}
@@ -121,8 +122,9 @@ def _filled(
     scene: SceneConfig,
     taken: Photographs | None,
     arrays: dict[str, np.ndarray],
-) -> tuple[mi.Scene, Any, Unknowns, Views | None]:
-    """The scene with the result in it, what it was made from, and what was unknown of it."""
+) -> tuple[mi.Scene, Any, Unknowns, list[tuple[int, Views]]]:
+    """The scene with the result in it, what it was made from, what was unknown of it, and views
+    with unknowns of their own, each with the number of its first."""
     with backend.loading():
         loaded, made_from = instances.instantiate(*parsed())
     unknowns, views = _unknowns(scene, taken, loaded)
@@ -185,19 +187,28 @@ def _as_files(described: dict[str, Any], folder: Path, name: str) -> dict[str, A
 
 def _unknowns(
     scene: SceneConfig, taken: Photographs | None, loaded: mi.Scene
-) -> tuple[Unknowns, Views | None]:
-    """The unknowns in ``loaded``, and the views where these have unknowns of their own."""
+) -> tuple[Unknowns, list[tuple[int, Views]]]:
+    """The unknowns in ``loaded``, and the views where these have unknowns of their own, see
+    ``_filled``."""
     # Values are known: no start is needed, nor a file that it came from.
     anything = {"start": None, "range": [-math.inf, math.inf]}
     wanted = {key: replace(spec, **anything) for key, spec in scene.unknowns.items()}
-    of_views, poses = None, scene.poses
+    of_views, poses, views = None, scene.poses, []
     if taken is not None:
         poses = building.poses(taken, scene.poses)
         wanted = building.unknowns(taken, wanted, poses)
-        sizes = [(each.camera.width, each.camera.height) for each in taken.shown]
-        of_views = building.of_views(taken, Views.of(sizes))
-    found = parse(mi.traverse(loaded), wanted, False, poses, of_views)
-    return Unknowns(mi.traverse(loaded), found), of_views and of_views["views"]
+        sizes = [(each.camera.width, each.camera.height) for each in taken.all]
+        count = len(taken.shown)
+        of_views = building.of_views(taken, Views.of(sizes[:count]))
+        views.append((0, of_views["views"]))
+    found = Unknowns(
+        mi.traverse(loaded), parse(mi.traverse(loaded), wanted, False, poses, of_views)
+    )
+    if (lens := found.of(Lens)) is not None and taken is not None and taken.held:
+        held = replace(Views.of(sizes[count:]), given=building.given(taken.held))
+        lens.kind.follow(held, building.glass(taken).of_views(count, len(sizes)))
+        views.append((count, held))
+    return found, views
 
 
 def _paint(loaded: mi.Scene, folder: Path) -> None:

@@ -10,20 +10,21 @@ from scipy.spatial.transform import Rotation
 from .views import Views
 
 
-def put(state, views: Views) -> list[str]:
-    """Changes the sensors of a parsed scene; says what of ``views`` no sensor has."""
+def put(state, views: Views, first: int = 0) -> list[str]:
+    """Changes the sensors of a parsed scene from number ``first`` on; says what of ``views`` no
+    sensor has."""
     told = []
     if views.lens is not None:
         lenses = np.array(views.lens, np.float64).reshape(-1, 4)
         for number, lens in enumerate(lenses):
-            _see(_sensor(state, number), lens, views.sizes[number])
+            _see(_sensor(state, first + number), lens, views.sizes[number])
         if lenses[:, 3].any():
             bent = ", ".join(f"{each:.4g}" for each in lenses[:, 3])
             told.append(f"radial distortions are not in the file: k = {bent} of r (1 + k r²)")
     if views.motion is not None:
         motion = np.array(views.motion, np.float64).reshape(-1, 2, 3)
         for number, (turn, shift) in enumerate(motion):
-            _stand(_sensor(state, number), turn, shift)
+            _stand(_sensor(state, first + number), turn, shift)
     numbers = dr.arange(mi.UInt32, views.count)
     factors = np.array(views.brightness(numbers) * dr.ones(mi.Color3f, views.count)).T.tolist()
     if any(factor != 1 for each in factors for factor in each):

@@ -259,7 +259,10 @@ def _describe(entry: dict, painted: _Painted, tree: dict, samplers: list[dict]) 
     inside["baseColorFactor"] = painted.colour.factors.tolist()
     inside["roughnessFactor"], inside["metallicFactor"] = painted.rough.factors.tolist()
     entry["doubleSided"] = material.two_sided
-    opacity = material.opacity.texels
+    pixels = painted.colour.pixels
+    alpha = painted.colour.factors[3] * (np.ones(1) if pixels is None else pixels[..., 3])
+    # One that stands otherwise than the colour is written as its mean.
+    opacity = material.opacity.texels if np.ptp(alpha) else alpha
     if (opacity < 1).any():
         entry["alphaMode"] = "MASK" if np.isin(opacity, (0, 1)).all() else "BLEND"
     if material.extensions:
