@@ -115,12 +115,31 @@ def shortened(title: str, inches: float) -> str:
     return title[: room // 2 - 1] + "…" + title[len(title) - (room - room // 2) :]
 
 
-def read_reduced(path: Path, largest: int = LARGEST) -> np.ndarray | None:
-    """A frame as (H, W, 3), box-averaged to at most `largest` pixels a side; None if unreadable."""
+def read(path: Path) -> np.ndarray | None:
+    """A frame as (H, W, 3); None if unreadable."""
     try:
-        frame = images.read(path, finite=False)
+        return images.read(path, finite=False)
     except InputError:
         return None
+
+
+def read_reduced(path: Path, largest: int = LARGEST) -> np.ndarray | None:
+    """A frame ``reduced``; None if unreadable."""
+    frame = read(path)
+    return None if frame is None else reduced(frame, largest)
+
+
+def difference(path: Path, other: Path) -> np.ndarray | None:
+    """|frame − other frame|, then ``reduced``, as an error's own picture is: means of the frames
+    would have less noise than they. None where one is unreadable or the sizes differ."""
+    both = read(path), read(other)
+    if any(each is None for each in both) or both[0].shape != both[1].shape:
+        return None
+    return reduced(np.abs(both[0] - both[1]))
+
+
+def reduced(frame: np.ndarray, largest: int = LARGEST) -> np.ndarray:
+    """Box-averaged to at most ``largest`` pixels a side."""
     step = -(-max(frame.shape[:2]) // largest)
     height, width = (max(size // step, 1) for size in frame.shape[:2])
     cut = frame[: height * step, : width * step]

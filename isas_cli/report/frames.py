@@ -44,19 +44,25 @@ def write_sheets(folder: Path) -> list[Picture]:
 def _held_out(folder: Path) -> list[Picture]:
     """plots/held_out.png: views of which nothing was learnt, target, result and error."""
     rows: Frames = {}
-    for path in sorted(Path(folder).glob("frames/held_*.exr")):
-        match = _HELD.match(path.stem)
-        frame = cells.read_reduced(path) if match else None
-        if frame is not None:
-            rows.setdefault(f"held out {int(match.group(2))}", {})[match.group(1)] = frame
-    if not rows:
-        return []
-    for row in rows.values():
+    numbers = {
+        match.group(2)
+        for path in Path(folder).glob("frames/held_*.exr")
+        if (match := _HELD.match(path.stem))
+    }
+    for number in sorted(numbers, key=int):
+        row = {}
+        for what in ("target", "result", "weight"):
+            frame = cells.read(Path(folder) / "frames" / f"held_{what}_v{number}.exr")
+            row |= {} if frame is None else {what: frame}
         if len(row) == 3:
             # What does not count is black.
             counts = row.pop("weight") > 0
             row["target"], row["result"] = row["target"] * counts, row["result"] * counts
             row["error"] = np.abs(row["result"] - row["target"])
+        row = {what: cells.reduced(frame) for what, frame in row.items()}
+        rows |= {f"held out {int(number)}": row} if row else {}
+    if not rows:
+        return []
     exposure, words = cells.exposure(rows, ("target", "result"))
     scales = {"error": cells.error_scale([row["error"] for row in rows.values() if "error" in row])}
     path = Path(folder) / "plots" / "held_out.png"
@@ -89,10 +95,12 @@ def read(folder: Path, only_view: str | None = None) -> tuple[Frames, Frames]:
 
     Each row holds (H, W, 3) linear pictures by what they show, reduced to what a sheet needs (see
     `cells.read_reduced`); those that are missing or cannot be read are left out. `only_view` names
-    the one view to read.
+    the one view to read. Of it, and of textures, whose truth is known, also the error at the start,
+    ``before``, and of textures that of the result.
     """
     views: Frames = {}
     textures: Frames = {}
+    here = Path(folder) / "frames"
     for path in sorted(Path(folder).glob("frames/*.exr")):
         view, texture = _VIEW.match(path.stem), _TEXTURE.match(path.stem)
         if view and only_view not in (None, view.group(2)):
@@ -101,6 +109,16 @@ def read(folder: Path, only_view: str | None = None) -> tuple[Frames, Frames]:
         frame = cells.read_reduced(path) if match else None
         if match and frame is not None:
             rows.setdefault(match.group(2), {})[match.group(1)] = frame
+
+    def compare(row: dict, what: str, a: str, b: str) -> None:
+        error = cells.difference(here / f"{a}.exr", here / f"{b}.exr")
+        row |= {} if error is None else {what: error}
+
+    for name, row in textures.items():
+        compare(row, "before", f"start_{name}", f"truth_{name}")
+        compare(row, "error", f"result_{name}", f"truth_{name}")
+    for name, row in views.items() if only_view else ():
+        compare(row, "before", f"start_v{name}", f"target_v{name}")
     return views, textures
 
 
@@ -126,11 +144,7 @@ def _views_sheet(views: Frames, path: Path) -> Picture:
 
 def _textures_sheet(textures: Frames, path: Path) -> Picture:
     """One row for each unknown texture: truth, start, result and error (if the truth is known)."""
-    rows = {}
-    for name, row in sorted(textures.items()):
-        both = "truth" in row and "result" in row and row["truth"].shape == row["result"].shape
-        error = {"error": np.abs(row["result"] - row["truth"])} if both else {}
-        rows[key_of(name)] = {**row, **error}
+    rows = {key_of(name): row for name, row in sorted(textures.items())}
     columns = ["start", "result"]
     if any("truth" in row for row in rows.values()):
         columns = ["truth", *columns, "error"]

@@ -93,12 +93,13 @@ def times(runs: dict[str, list[Run]]) -> Chart | None:
     """Seconds by phase, median over the runs of each name, billed ones and others; None where no
     run has a summary."""
     panels, styles = [], {}
+    several = any(len(own) > 1 for own in runs.values())
     for half, (key, colours) in _HALVES.items():
         table = phases(runs, key)
         if len(table.columns):
             shades = matplotlib.colormaps[colours](np.linspace(0.7, 0.25, len(table.columns)))
             own = {_entry(table, p, half): Style(to_hex(s)) for p, s in zip(table, shades)}
-            panels.append(_stacked(table, list(own), half))
+            panels.append(_stacked(table, list(own), half, several))
             styles |= own
     if not panels:
         return None
@@ -106,8 +107,8 @@ def times(runs: dict[str, list[Run]]) -> Chart | None:
     return Chart("time", "Time by phase", note, [panels], styles)
 
 
-def _stacked(table: pandas.DataFrame, entries: list[str], half: str) -> Panel:
-    """Bars from left to right, a row for each method."""
+def _stacked(table: pandas.DataFrame, entries: list[str], half: str, several: bool) -> Panel:
+    """Bars from left to right, a row for each method, of which one has ``several`` runs."""
     ends = table.cumsum(axis=1)
     marks = [
         Bars(
@@ -125,7 +126,7 @@ def _stacked(table: pandas.DataFrame, entries: list[str], half: str) -> Panel:
     names = totals
     if len(table) > 1:
         names = [f"{shortened(name, 1.6)}, {total}" for name, total in zip(table.index, totals)]
-    title = f"{half} seconds" + (", median over runs" if len(table) > 1 else "")
+    title = f"{half} seconds" + (", median over runs" if several else "")
     return Panel(Axis("seconds"), rows_axis(names), marks, title, 1.0 + 0.35 * len(table))
 
 

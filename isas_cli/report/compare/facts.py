@@ -208,12 +208,12 @@ def _noise(floor: dict | None) -> str | None:
         return None
     if "unknown" in floor:
         return f"noise unknown: {floor['unknown']}"
+    told = f"noise of {floor['noise']:.2g} of their brightness"
     if "how" in floor:
-        return f"noise of {floor['noise']:.2g} of their brightness, {floor['how']}"
-    return (
-        f"noise of {floor['noise']:.2g} of their brightness; fitting it leaves an image error of "
-        f"{floor['image_rmse']:.2g}"
-    )
+        return f"{told}, {floor['how']}"
+    if "image_rmse" in floor:
+        told += f"; fitting it leaves an image error of {floor['image_rmse']:.2g}"
+    return told
 
 
 def number(value: float | None) -> str:

@@ -62,7 +62,7 @@ def _views_sheet(methods: dict[str, frames.Frames], styles: dict[str, Style]) ->
     found = {label: row.get("result") for label, row in methods.items()}
     errors = {label: row.get("error") for label, row in methods.items()}
     scale = cells.error_scale(_saved(errors))  # the start's, often far larger, is cut off
-    before = _difference(given.get("start"), given.get("target"))
+    before = _given(methods, "before")["before"]
     alike = [e for e in _saved(errors) if before is not None and e.shape == before.shape]
     if alike:  # pixels that do not count have no error, in any result
         before = before * np.any([error != 0 for error in alike], axis=0)
@@ -99,8 +99,8 @@ def _textures_sheet(
         found = {label: row.get("result") for label, row in own.items()}
         pictures[name] = {**given, **found}
         if given.get("truth") is not None:
-            every_one = {"start": given.get("start"), **found}
-            errors[name] = {k: _difference(v, given["truth"]) for k, v in every_one.items()}
+            errors[name] = {"start": _given(own, "before")["before"]}
+            errors[name] |= {label: row.get("error") for label, row in own.items()}
     of_methods = [row[label] for row in errors.values() for label in methods]
     scale = cells.error_scale([error for error in of_methods if error is not None])
     rows = []
@@ -127,13 +127,6 @@ def _given(methods: dict[str, dict[str, np.ndarray]], wanted: str) -> dict[str, 
 
 def _saved(row: dict[str, np.ndarray | None]) -> list[np.ndarray]:
     return [image for image in row.values() if image is not None]
-
-
-def _difference(image: np.ndarray | None, other: np.ndarray | None) -> np.ndarray | None:
-    """|image − other| (H, W, 3), None where one is missing or the sizes differ."""
-    if image is None or other is None or image.shape != other.shape:
-        return None
-    return np.abs(image - other)
 
 
 def _sheet(
