@@ -161,13 +161,26 @@ class Stepper:
     def taken(self) -> int:
         """Steps since the start, or since the latest unknown became finer; of those whose stage has
         begun."""
-        steps = [int(self.adam.state[key][3][0][0]) for key in self.unknowns.keys]
-        return min((number for number in steps if number), default=0)
+        return min(filter(None, map(self._taken, self.unknowns.keys)), default=0)
+
+    def _taken(self, key: str) -> int:
+        """Steps of an unknown at the present level."""
+        return int(self.adam.state[key][3][0][0])
 
     @property
     def untouched(self) -> list[str]:
-        """Keys of the unknowns none of whose entries has had a gradient so far."""
-        return [key for key, visits in self.visits.items() if not dr.any(visits > 0)]
+        """Keys of the unknowns that have been stepped, and none of whose entries has had a gradient
+        so far."""
+        return [
+            key
+            for key, visits in self.visits.items()
+            if self._taken(key) and not dr.any(visits > 0)
+        ]
+
+    @property
+    def filtering(self) -> bool:
+        """Whether the filter does something to some unknown."""
+        return any(type(each) is not OnUnknown for each in self.filtered.values())
 
     def rate(self, spent: float) -> float:
         """The learning rate of unknowns without one of their own, or of the first where all have
@@ -238,10 +251,10 @@ class Stepper:
 
     def _move(self, key: str, before, gradient: mi.Float, rate: float, share: float) -> None:
         """Put what the filter makes of Adam's step in its place. Traced."""
-        after, (count, first, second, _) = self.adam[key], self.adam.state[key][3]
-        t, (β1, β2) = mi.Float(count), (self.settings.beta_1, self.settings.beta_2)
-        corrected = dr.sqrt(1 - dr.power(mi.Float(β2), t)) / (1 - dr.power(mi.Float(β1), t))
-        corrected *= dr.opaque(mi.Float, rate)
+        after, (_, first, second, _) = self.adam[key], self.adam.state[key][3]
+        t, (β1, β2) = self._taken(key), (self.settings.beta_1, self.settings.beta_2)
+        # On the host: Adam's count is a literal, which would compile a kernel for every step.
+        corrected = dr.opaque(mi.Float, rate * math.sqrt(1 - β2**t) / (1 - β1**t))
         values = (flat(dr.detach(each)) for each in (before, after))
         step = Step(*values, gradient, flat(first), flat(second), corrected, share)
         self.adam[key] = unflat(before, self.filtered[key].moved(step))

@@ -38,8 +38,9 @@ def read(params: mi.SceneParameters, key: str):
 
 def moves_geometry(params: mi.SceneParameters, key: str) -> bool:
     """Whether the parameter changes what is visible. Mitsuba's flag alone would not do: it also
-    marks roughness, whose lobe is smooth inside the legal range, and environment maps."""
-    if isinstance(owner(params, key), (mi.BSDF, mi.Texture)):
+    marks roughness and a phase function's g, whose lobes are smooth inside the legal range, and
+    environment maps."""
+    if isinstance(owner(params, key), (mi.BSDF, mi.Texture, mi.PhaseFunction)):
         return False
     return bool(params.flags(key) & mi.ParamFlags.Discontinuous)
 
@@ -85,7 +86,8 @@ def own(kind: type, array: np.ndarray):
 def like(kind: type, array: np.ndarray):
     """``array`` as a Dr.Jit value of the type ``kind``, in memory of its own (``own``)."""
     if not dr.is_tensor_v(kind) and array.size == dr.size_v(kind) > 1:
-        return kind(*[float(x) for x in array])
+        # Opaque: literals would compile a kernel for every value that a gradient takes.
+        return kind(*[dr.opaque(mi.Float, float(x)) for x in array])
     entries = own(mi.Float, array.reshape(-1).astype(np.float32, copy=False))
     if dr.is_tensor_v(kind):
         return kind(entries, array.shape)

@@ -29,6 +29,7 @@ from isas_cli.engine.evaluate import Evaluator
 from isas_cli.engine.loop import Loop
 from isas_cli.engine.optimiser import Stepper
 from isas_cli.estimators.two_path import TwoPath
+from isas_cli.filters.laplacian import Laplacian
 from isas_cli.runtime.budget import Budget
 
 BLOCK = 20  # iterations
@@ -41,7 +42,7 @@ def loop(p, name: str) -> Loop:
     loss, batch = losses.L2(), 256
     looking_often(sampler)
     sampler = sampler.on(p, loss, batch)
-    stepper = Stepper(p.unknowns, OptimizerConfig())
+    stepper = Stepper(p.unknowns, OptimizerConfig(), Laplacian())
     evaluator = Evaluator(p, loss, 50, 2, 1)
     budget, estimator = Budget(iterations=10_000), TwoPath(p, loss, batch)
     made = Loop(p, sampler, stepper, evaluator, budget, estimator, 1, 1)

@@ -131,6 +131,17 @@ def test_untouched_entries_keep_still():
     assert np.flatnonzero(before != after).tolist() == [7]
 
 
+def test_what_has_not_moved_yet_is_not_called_without_a_gradient():
+    p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5})
+    p.unknowns[ROUGHNESS].during = (0.5, 1.0)
+    stepper = Stepper(p.unknowns, settings())
+    nothing = {k: unflat(v, mi.Float(0) * flat(v)) for k, v in stepper.values.items()}
+    stepper.step(nothing, 0.0)
+    assert stepper.untouched == [TEXTURE]
+    stepper.step(nothing, 0.7)
+    assert stepper.untouched == [TEXTURE, ROUGHNESS]
+
+
 @pytest.mark.parametrize(
     "schedule, at_start, half_way, at_end",
     [
