@@ -70,7 +70,14 @@ class Choices:
                 f"integrator {problem.integrator.name} cannot: leave it out"
             )
         footprint.check(problem, self.estimator.batch)
-        self.prior.on(problem.unknowns)
+        beside = ["a prior"] if self.prior.on(problem.unknowns) is not None else []
+        beside += ["estimator.blurred"] if self.estimator.whole else []
+        beside += [f"'{u.key}', found by differences," for u in problem.unknowns if u.kind.aside]
+        if self.profile and beside:
+            raise InputError(
+                f"profile=true takes path replay's step apart, and {beside[0]} is no part of it: "
+                "leave one of them out"
+            )
 
 
 _GROUPS = ("loss", "sampler", "estimator", "prior", "effects")

@@ -98,10 +98,17 @@ def measure(evaluator: "Evaluator", seed: int) -> Floor | None:
     )
 
 
-def photographs(problem: "Problem") -> dict | None:
-    """What a record says of photographs' noise; None where the targets are none."""
+def told(problem: "Problem", floor: Floor | None) -> dict | None:
+    """What a record says of the targets' noise, and of the ``floor`` that it makes where that is
+    known; None where nothing tells it."""
+    if floor is not None:
+        return floor.record
     if problem.photographed is None:
-        return None
+        if problem.variance is None or not np.all(np.isfinite(problem.variance)):
+            return None
+        images = np.array(problem.targets).reshape(-1, 3)
+        whole = math.sqrt(float(np.mean(problem.variance, dtype=np.float64)))
+        return {"noise": noise(images, problem.variance), "pixel_rms": whole}
     deviation, how = problem.photographed
     if deviation is None:
         return {"unknown": how}

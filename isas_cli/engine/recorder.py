@@ -11,11 +11,12 @@ import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from ..config.schema import Config, OptimizerConfig
+from ..effects.settings import Effects
 from ..records import KEY_PREFIX, VALUE_PREFIX, RunWriter, manifest, safe_name, trackers
 from ..rendering.renderer import Renderer
 from ..runtime.errors import InputError
 from . import ends, held_out
-from .floor import photographs
+from .floor import told
 from .loop import Hooks, Loop
 from .pictures import Pictures
 from .resumption import Continuation
@@ -69,7 +70,6 @@ class Recorder:
         """Begin the record: configuration, manifest, a checkpoint of the start, and the pictures
         that are known by now. ``writer``: of a folder that is ``claimed``; None claims it."""
         loop, typed = self.loop, self.typed
-        floor = loop.floor
         with loop.clock.unbilled("writing"):
             self._take(writer or self.claimed())
             self._config(self.cfg)
@@ -81,7 +81,7 @@ class Recorder:
                     typed.target.seed,
                     loop.plan.statements,
                     loop.plan.record(),
-                    photographs(loop.whole) if floor is None else floor.record,
+                    told(loop.whole, loop.floor),
                 )
             )
         self._checkpoint()
@@ -268,9 +268,11 @@ class Recorder:
                 for key in self.loop.stepper.untouched
             ]
             for key, doubt in self._doubts().items():
+                kept = f"meshes/good_{safe_name(key)}.*"
                 if key in self._good:
-                    kept = f"meshes/good_{safe_name(key)}.*"
                     doubt += f"; {kept} is as of iteration {self._good[key][0]['iteration']}"
+                elif any(self.folder.glob(kept)):
+                    doubt += f"; {kept} is as it was before this run went on"
                 warnings.append(doubt)
             warnings += ends.astray(*self.ends)
         plan, last = self.loop.plan, self.loop.last or {}
@@ -316,6 +318,18 @@ class Recorder:
                     f"optimizer.{name}={asked:g} has no effect: rates fall by schedule "
                     f"{' and '.join(sorted(self.loop.stepper.falls))}"
                 )
+        if (name := self.cfg.optimizer.filter.name) not in ("none", "laplacian"):
+            if not self.loop.stepper.filtering:
+                notes.append(
+                    f"optimizer.filter={name} has no effect: no unknown has entries side by side"
+                )
+        for name in ("tolerance", "derivative_tolerance"):
+            asked = self.cfg.effects.get(name, usual := getattr(Effects(), name))
+            if asked != usual and not self.loop.plan.seconds:
+                notes.append(
+                    f"effects.{name}={asked:g} has no effect: nothing was measured that it decides "
+                    "on, which takes effects=auto and a budget of 10 seconds or more, of time alone"
+                )
         if self._resumed and (old := [x for x in _DERIVED if (self.folder / x).exists()]):
             notes.append(f"made before this run went on, and not anew: {', '.join(old)}")
         if self.loop.converged:
@@ -342,12 +356,15 @@ class Recorder:
         return {key: doubt for key, doubt in found.items() if doubt}
 
     def _keep_good(self) -> None:
-        """Of what is doubted, files of the last value that was not."""
-        for key in self._doubts().keys() & self._good.keys():
-            for extension, content in (
-                self.loop.problem.unknowns[key].kind.files(self._good[key][1]).items()
-            ):
-                self.writer.mesh(f"good_{safe_name(key)}.{extension}", content)
+        """Of what is doubted, files of the last value that was not; those of an earlier end, where
+        there has been none since."""
+        doubts = self._doubts()
+        for unknown in (u for u in self.loop.problem.unknowns if u.kind.doubtful):
+            files: dict | None = {}
+            if unknown.key in doubts:
+                _, array = self._good.get(unknown.key, (None, None))
+                files = None if array is None else unknown.kind.files(array)
+            self.writer.good(safe_name(unknown.key), files)
 
     @property
     def ends(self) -> tuple[dict, dict]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 from ..config.schema import Config
@@ -72,6 +73,8 @@ class Workshop:
 
         def estimating(finish: bool) -> Gradients:
             on = plan.on(self.problem, finish=finish)
+            # What an estimator warns of is no matter of others on the same problem.
+            on = dataclasses.replace(on, warnings=[*on.warnings])
             key = *how, on.integrator.paths, on.kept
             return self._once("estimator", key, lambda: estimator.on(on, loss))
 
@@ -103,6 +106,7 @@ class Workshop:
             )
         if plan.seconds:
             loop.clock.billed_seconds["probe"] = plan.seconds
+            loop.position.paths = plan.traced
         return loop
 
     def _evaluator(self, loss, typed: Config) -> Evaluator:

@@ -46,10 +46,9 @@ _MADE_FILES = (
     "result/scene.*",
 )
 # Of a killed run.
-_LEFT_OVER = (
-    *(f"{where}.*.tmp" for where in ("", "frames/", "meshes/", "plots/", "checkpoint/")),
-    "meshes/good_*",  # of a run that failed
-)
+_WRITTEN = "", "frames/", "meshes/", "plots/", "checkpoint/"
+_LEFT_OVER = tuple(f"{where}.*.tmp" for where in _WRITTEN)
+_GOOD = "meshes/good_"  # what is doubted, as it was before
 
 
 class RunWriter:
@@ -72,7 +71,7 @@ class RunWriter:
                 if not overwrite:
                     message = "already holds a run; choose another folder with hydra.run.dir=DIR"
                     raise InputError(f"{self.folder} {message}")
-                for pattern in RECORD_FILES + _MADE_FILES + _LEFT_OVER:
+                for pattern in (*RECORD_FILES, *_MADE_FILES, *_LEFT_OVER, f"{_GOOD}*"):
                     for old in self.folder.glob(pattern):
                         old.unlink()
         except OSError as error:
@@ -190,6 +189,16 @@ class RunWriter:
         write_exr(path, image, channels, metadata, data)
         if exposure is not None:
             write_preview(path.with_suffix(".png"), image, exposure, metadata, data)
+
+    def good(self, name: str, files: dict[str, bytes] | None) -> None:
+        """meshes/good_<name>.<extension>: a shape as it was before it is doubted; ``files`` by
+        extension, none of one that is not, None of one that keeps what there is."""
+        if files is None:
+            return
+        for old in self.folder.glob(f"{_GOOD}{name}.*"):
+            old.unlink()
+        for extension, content in files.items():
+            self.mesh(f"good_{name}.{extension}", content)
 
     def mesh(self, name: str, content: bytes) -> None:
         """meshes/<name>: a shape for other programs."""

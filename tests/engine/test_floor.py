@@ -120,6 +120,12 @@ def test_a_run_with_clean_targets_does_not(tmp_path):
     assert set(run.manifest["targets"]) == {"noise", "pixel_rms", "image_rmse", "parameter_rmse"}
 
 
+def test_the_noise_is_told_where_nothing_foretells_what_it_leaves(tmp_path):
+    run = ran(tmp_path, *TINY, "target.spp=64", "budget.iterations=1", "scene.weights=equal")
+    assert set(run.manifest["targets"]) == {"noise", "pixel_rms"}
+    assert 0 < run.manifest["targets"]["noise"] < 1
+
+
 def test_one_setting_says_how_clean_targets_are():
     assert TargetConfig().wanted == TargetConfig(noise=0.03).wanted == 0.03
     assert TargetConfig(spp=4).wanted is None

@@ -15,6 +15,7 @@ from runs_for_tests import ran
 from samplers_for_tests import pixel_samplers
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
+import isas_cli
 from isas_cli import losses, records
 from isas_cli.config.compose import compose, instantiate
 from isas_cli.config.schema import OptimizerConfig
@@ -24,6 +25,7 @@ from isas_cli.engine.loop import Hooks, Loop
 from isas_cli.engine.optimiser import Stepper
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.runtime.budget import Budget
+from isas_cli.runtime.errors import InputError
 
 BATCH = 128
 NAMES = ["drawing", "primal", "adjoint", "scatter", "Adam", "update", "stage 1", "host"]
@@ -247,3 +249,17 @@ def test_the_command_prints_it_and_the_record_stays_the_same(tmp_path, capfd):
     for name in values[0].files:
         if name.startswith("array/value"):
             np.testing.assert_allclose(values[0][name], values[1][name], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "more, told",
+    [("prior=smoothness", "a prior"), ("estimator.blurred=true", "estimator.blurred")],
+)
+def test_what_a_step_does_besides_is_refused(tmp_path, more, told):
+    settings = ["scene=pottery", "size=tiny", "profile=true", f"hydra.run.dir={tmp_path}"]
+    if "blurred" in more:
+        settings.append(
+            "scene.unknowns={jar.bsdf.base_color.data: {blur: {start: 0.1, end: 0.05}}}"
+        )
+    with pytest.raises(InputError, match=f"profile=true takes .* and {told} is no part of it"):
+        isas_cli.run(*settings, more)

@@ -99,6 +99,8 @@ def test_equal_settings_share_and_different_ones_do_not():
     assert made("sampler=ours", "sampler.floor=0.1").sampler is not a.sampler
     assert made("estimator.batch=128").estimator is not a.estimator
     assert made("loss=l1").estimator is not a.estimator
+    a.problem.warnings.append("of its estimator alone")
+    assert not made("loss=l1").problem.warnings and not p.warnings
 
 
 def test_a_turn_is_about_a_slice_long_and_the_order_rotates(monkeypatch, tmp_path, no_page):

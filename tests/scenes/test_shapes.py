@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 import trimesh
+from runs_for_tests import resumed
 from test_tiny_scenes import SHAPES, SMALL
 
 import isas_cli
@@ -73,6 +74,12 @@ def test_a_rate_of_100_ends_with_finite_numbers_and_says_what_happened(tmp_path)
     mesh = trimesh.load(tmp_path / "meshes" / "truth_figure.vertices.ply", process=False)
     truth = Sampled.of(np.array(mesh.vertices), np.array(mesh.faces), 2)
     assert shape_error.apart(apart, truth)["chamfer"] == pytest.approx(row["parameter_rmse"], 0.02)
+    # It stays where the run goes on and is never good again.
+    kept = (tmp_path / "meshes" / "good_figure.vertices.ply").read_bytes()
+    again = resumed(tmp_path, "budget.iterations=12")
+    assert (tmp_path / "meshes" / "good_figure.vertices.ply").read_bytes() == kept
+    (said,) = (text for text in again.summary["warnings"] if "folded" in text)
+    assert said.endswith("meshes/good_figure.vertices.* is as it was before this run went on")
 
 
 def test_samplers_that_read_moments_are_refused(tmp_path):
