@@ -17,7 +17,16 @@ from ..rendering import black_box, coverage, integrators, light, picture_edges, 
 from ..rendering.black_box import Places
 from ..runtime import backend
 from ..runtime.errors import InputError
-from ..scene import built, flat, lenses, mesh_checks, outside, scene_file, stand_ins
+from ..scene import (
+    built,
+    flat,
+    lenses,
+    mesh_checks,
+    outside,
+    scene_file,
+    sensor_checks,
+    stand_ins,
+)
 from ..scene.outside import Outside
 from ..scene.photos import building, importing, noise, photographs
 from ..scene.problem import Problem
@@ -114,6 +123,8 @@ def bare(
             *_wrong(params, found),
             *_flat_densities(found, adapted),
             *_traded(unknowns, truth_known),
+            *_products(unknowns),
+            *(sensor_checks.doubts(loaded) if scene.path is not None else ()),
             *(building.traded(taken.settings, unknowns.keys) if taken is not None else ()),
         ],
         flat=single,
@@ -262,6 +273,19 @@ def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:
         for role in ("light", "colour")
     )
     return [f"light ({light}) and colour ({colour}) can trade brightness: {told}"]
+
+
+def _products(unknowns: Unknowns) -> list[str]:
+    """Factors of what is unknown as well, of which images tell the product alone."""
+    keys, found = unknowns.keys, []
+    for key in keys:
+        head, _, last = key.rpartition(".")
+        other = next((k for k in keys if k != key and k.startswith(f"{head}.")), None)
+        if last == "scale" and head and other is not None:
+            found.append(
+                f"'{key}' multiplies '{other}', and images tell their product alone: leave one out"
+            )
+    return found
 
 
 def _other_pictures(scene: mi.Scene, integrator: integrators.Integrator) -> list[str]:

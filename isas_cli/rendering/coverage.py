@@ -59,6 +59,9 @@ def fill_in(problem: Problem, seed: int) -> None:
             unknown.seen = seen
         elif not problem.unknowns.moving:
             by, way = _short(problem.integrator)
+            if problem.mask is not None:
+                by += " in a pixel that counts"
+                way += "let masks and weights leave pixels that show it, "
             raise InputError(
                 f"scene.unknowns['{unknown.key}']: no view sees it{by}, so no image can tell its "
                 f"value; {way}turn a camera towards it or take it off the list"

@@ -24,6 +24,8 @@ _FORMAT = 4
 _MISSED = 1.05
 # Pixels: of photographs no wider than this an object may well fill none.
 _COARSE = 16
+# Of a picture's pixels: fewer at the end of what its file can say pass for highlights.
+_CLIPPED = 0.001
 
 
 def render(
@@ -121,7 +123,8 @@ def load(
                 f"{name} lists {_counted(len(files), 'file')} for "
                 f"{_counted(len(sizes), 'sensor')}: one per sensor"
             )
-    read = [_sized(images.read(Path(f)), f"target {f}", size) for f, size in zip(paths, sizes)]
+    loaded = [images.load(Path(f)) for f in paths]
+    read = [_sized(p.image, f"target {f}", size) for p, f, size in zip(loaded, paths, sizes)]
     if grey := [str(each) for each in paths if images.grey(each)]:
         one = len(grey) == 1
         problem.warnings.append(
@@ -129,20 +132,58 @@ def load(
             "colours: red, green and blue are each compared with that one channel, which is wrong "
             "where the view has colours, as of a film of pixel_format luminance: give it in rgb"
         )
-    pixels = np.concatenate([r.reshape(-1) for r in read])
+    counts = [np.ones(image.shape[:2], np.float32) for image in read]
     mask = None
     if masks is not None:
-        loaded = [
+        counts = [
             _sized(images.read_mask(Path(f)), f"mask {f}", size) for f, size in zip(masks, sizes)
         ]
-        mask = np.concatenate([m.reshape(-1) for m in loaded])
+        mask = np.concatenate([m.reshape(-1) for m in counts])
         if not mask.sum() > 0:
             raise InputError("scene.masks hide every pixel: at least one must be above 0")
+    problem.warnings += _clear(paths, read, counts) + _clipped(paths, loaded, counts)
+    pixels = np.concatenate([r.reshape(-1) for r in read])
     hashed = hashlib.blake2b(pixels.tobytes(), digest_size=16)
     if mask is not None:
         hashed.update(mask.tobytes())
     device_mask = None if mask is None else mi.Float(mask)
     return mi.Float(pixels), device_mask, hashed.hexdigest()
+
+
+def _clear(paths: Sequence[str], read: list[np.ndarray], counts: list[np.ndarray]) -> list[str]:
+    """Colours that are not multiplied by their alpha are, in place: what is not there is black, as
+    where a rendering shows nothing. Says so where such pixels count."""
+    found = []
+    for path, image, own in zip(paths, read, counts):
+        if images.multiplied(path) or (alpha := images.read_alpha(path)) is None:
+            continue
+        image *= alpha[..., None]
+        if (own[alpha < 1] > 0).any():
+            found.append(str(path))
+    if not found:
+        return []
+    told = (
+        f"what is transparent in {', '.join(found)} counts as black, as where nothing is rendered"
+    )
+    return [f"{told}: scene.masks leaves it out"]
+
+
+def _clipped(
+    paths: Sequence[str], loaded: list[images.Picture], counts: list[np.ndarray]
+) -> list[str]:
+    """That light is lost, where pixels that count are as bright as their file can say."""
+    found = []
+    for path, picture, own in zip(paths, loaded, counts):
+        if images.counted(path):
+            share = float(np.mean((picture.brightest >= 1) & (own > 0)))
+            found += [f"{path} ({share:.1%} of its pixels)"] if share > _CLIPPED else []
+    if not found:
+        return []
+    return [
+        f"targets are as bright as their files can say in {', '.join(found)}: where the scene is "
+        "brighter that is cut off, and what makes it comes out too dark: give EXR, or scene.masks "
+        "that hide it"
+    ]
 
 
 def _counted(number: int, what: str) -> str:

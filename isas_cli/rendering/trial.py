@@ -77,4 +77,6 @@ def _traced(problem: Problem, differentiated: bool) -> Callable[[], None]:
 def untraceable(where: str, error: RuntimeError) -> InputError:
     """That Mitsuba cannot trace the scene, in what was said first in a chain of errors."""
     first = str(undone.root(error)).strip().splitlines()[0]
-    return InputError(f"{where}: Mitsuba cannot trace paths through it: {first}")
+    way = "; isas renders red, green and blue: give such a colour as <rgb …>"
+    way = way if "spectral" in first else ""
+    return InputError(f"{where}: Mitsuba cannot trace paths through it: {first}{way}")

@@ -98,7 +98,8 @@ class Kind:
     why it is not, where estimators take differences of renderings instead, or nothing.
     ``uniform``: whether Adam divides the steps of all entries by one number, and steps go along
     ``smoothed``. ``texture``: whose texels, laid out on meshes, are the unknown; the meshes are
-    checked for it. ``colours``: whether its pictures of three channels show any. ``role``:
+    checked for it. ``colours``: whether its pictures of three channels show any. ``raw``: whether
+    the scene takes its files' numbers as they are. ``role``:
     ``light``, ``colour`` or nothing, see ``Unknowns.traded``. ``doubtful``: whether ``doubt`` may
     have something to say.
     """
@@ -118,6 +119,7 @@ class Kind:
     settings: str = ""
     texture: mi.Texture | None = None
     colours: bool = True
+    raw: bool = False
     uniform: bool = False
     doubtful: bool = False
     doublings: int = 0
@@ -209,7 +211,8 @@ class Kind:
         """The start that the configuration calls ``spec``: a file. Raises InputError, naming
         ``where``."""
         # What is no colour is stored as it is, whatever the file is of.
-        picture = images.read(Path(spec), linear=None if self.role else True)
+        decoded = self.role and not self.raw
+        picture = images.read(Path(spec), linear=None if decoded else True)
         if self.present.shape[-1] == 1 and (picture == picture[..., :1]).all():
             picture = picture[..., :1]
         if picture.shape != self.present.shape:

@@ -146,11 +146,11 @@ class Pose(Kind):
         return self.parts * self.each
 
     def _scale(self) -> float:
-        """How large the numbers are that this pose's are added to, in its own unit: coordinates, of
-        at least 1, and for a rotation or a size the angle, or the doublings, by which its longest
-        arm moves as far."""
+        """How large the numbers are that this pose's are added to, in its own unit: coordinates,
+        and for a rotation or a size the angle, or the doublings, by which its longest arm moves as
+        far."""
         points = np.concatenate([item.places() for item in self._rest.values()])
-        coordinates = max(1.0, float(np.abs(points).max()))
+        coordinates = float(np.abs(points).max()) or 1.0
         if self.spec.kind == "translation":
             return coordinates
         arms = points - np.asarray(self.spec.origin, float)

@@ -24,6 +24,7 @@ class Texture(Kind):
     def __init__(self, key: str, loaded: Loaded):
         super().__init__(key, loaded)
         self.texture = owner(loaded.params, key)
+        self.raw = "raw = 1" in str(self.texture)
         place = f"{key.rpartition('.')[0]}.to_uv"
         turned = np.eye(3)
         if place in loaded.params:

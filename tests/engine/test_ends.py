@@ -1,5 +1,7 @@
 """What is said of results at an end of their range, and of derivatives that are not right."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from runs_for_tests import QUIET, ran
@@ -7,7 +9,7 @@ from scenes_for_tests import ROUGHNESS, TEXTURE, dictionary, without_targets
 from xml_for_tests import camera, paths
 
 from isas_cli.config.schema import UnknownConfig
-from isas_cli.engine import ends
+from isas_cli.engine import assemble, ends
 
 KEY = "ball.bsdf.brdf_0.weight.value"
 BLEND = f"""<scene version="3.0.0">{paths(4)}{camera("0,1.2,4", fov=45)}<emitter type="constant"/>
@@ -60,3 +62,22 @@ def test_a_run_says_that_it_did_not_leave_its_start(tmp_path, capsys):
     (note,) = ran(tmp_path / "run", *run, *QUIET, "estimator.batch=256").summary["notes"]
     assert note.startswith(f"'{KEY}' ended at the high end of its range, 1, where it began")
     assert note in capsys.readouterr().err.replace("\n", " ")
+
+
+def test_settings_without_effect_are_said(tmp_path):
+    file = tmp_path / "blend.xml"
+    file.write_text(BLEND)
+    run = ["scene=file", f"scene.path={file}", f"scene.unknowns={{{KEY}: {{start: 0.7}}}}"]
+    run += ["target.spp=4", "budget.iterations=2", "optimizer.filter=gaussian"]
+    run += ["optimizer.filter.width=0.1", "effects.tolerance=0.1", *QUIET, "estimator.batch=256"]
+    notes = ran(tmp_path / "run", *run).summary["notes"]
+    assert any(note.startswith("optimizer.filter=gaussian has no effect") for note in notes)
+    assert any(note.startswith("effects.tolerance=0.1 has no effect") for note in notes)
+
+
+def test_a_factor_of_what_is_unknown_is_said():
+    told = lambda *keys: assemble._products(SimpleNamespace(keys=list(keys)))
+    assert told("sky.data", "lamp.scale", "jar.bsdf.roughness.value") == []
+    assert told("sky.data", "sky.scale") == [
+        "'sky.scale' multiplies 'sky.data', and images tell their product alone: leave one out"
+    ]

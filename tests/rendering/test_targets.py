@@ -5,6 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from isas_cli.scenes import kirby
+from PIL import Image
 from scenes_for_tests import ROUGHNESS, TEXTURE, dictionary, problem, without_targets
 from shapes_for_tests import ball, shaped
 
@@ -188,6 +189,50 @@ def test_a_given_target_without_colours_is_said(tmp_path, channels):
     told = p.warnings[len(before) :]
     assert len(told) == (channels == ["Y"])
     assert all("no colours" in each and str(files[0]) in each for each in told)
+
+
+def test_what_is_transparent_in_a_target_is_black(tmp_path):
+    """A PNG's colours stand beside its alpha; those of an EXR are over black already."""
+    p = problem({ROUGHNESS: 0.5})
+    sides, files, masks = [], [], []
+    for ending in ("png", "exr"):
+        files = [str(tmp_path / f"{n}.{ending}") for n in range(len(p.film_sizes))]
+        for file, (width, height) in zip(files, p.film_sizes):
+            alpha = np.where(np.arange(width) < width // 2, 0.5, 1.0) * np.ones((height, 1))
+            colours = np.full((height, width, 3), 0.25) * (
+                alpha[..., None] if ending == "exr" else 1
+            )
+            if ending == "exr":
+                images.write_exr(file, np.dstack([colours, alpha]), [*"RGBA"], {})
+            else:
+                stored = np.dstack([images.srgb_encode(colours), alpha])
+                Image.fromarray(np.rint(255 * stored).astype(np.uint8)).save(file)
+        before = len(p.warnings)
+        sides.append(np.array(targets.load(p, files, None)[0]))
+        told = p.warnings[before:]
+        assert len(told) == (ending == "png") and all("counts as black" in each for each in told)
+    assert np.allclose(*sides, atol=0.004)
+    files = [file.replace("exr", "png") for file in files]
+    for n, (width, height) in enumerate(p.film_sizes):
+        masks.append(str(tmp_path / f"mask{n}.png"))
+        whole = np.uint8(255) * (np.arange(width) >= width // 2) * np.ones((height, 1), np.uint8)
+        Image.fromarray(whole).save(masks[-1])
+    before = len(p.warnings)
+    targets.load(p, files, masks)
+    assert p.warnings[before:] == []
+
+
+def test_light_that_a_target_s_file_cannot_say_is_said(tmp_path):
+    p = problem({ROUGHNESS: 0.5})
+    files = [str(tmp_path / f"{n}.png") for n in range(len(p.film_sizes))]
+    for file, (width, height) in zip(files, p.film_sizes):
+        pixels = np.full((height, width, 3), 120, np.uint8)
+        pixels[0, 0, 1] = 255
+        Image.fromarray(pixels).save(file)
+    before = len(p.warnings)
+    targets.load(p, files, None)
+    (told,) = p.warnings[before:]
+    assert "as bright as their files can say" in told and files[0] in told
 
 
 def test_targets_of_what_unknowns_write_otherwise_are_others():

@@ -1,5 +1,6 @@
 """Unknowns by which no derivative is taken: who says so, why, and what would help."""
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -120,6 +121,9 @@ def test_paths_that_are_too_short_are_named_as_a_cause(depth, words):
     made = problem(key, depth=depth, behind=behind)
     with pytest.raises(InputError, match=words):
         coverage.fill_in(made, 0)
+    made.mask = dr.full(mi.Float, 1, made.views.total)
+    with pytest.raises(InputError, match="in a pixel that counts.*let masks and weights leave"):
+        coverage.fill_in(made, 1)
 
 
 def test_a_problem_that_misses_nothing_says_nothing():

@@ -14,11 +14,13 @@ from runs_for_tests import ran
 from scenes_for_tests import without_targets
 from xml_for_tests import camera, paths
 
+from isas_cli.config.schema import UnknownConfig
 from isas_cli.rendering import coverage
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime import images
 from isas_cli.scene import scene_file
 from isas_cli.unknowns.parameters import flat
+from isas_cli.unknowns.specs import parse
 
 LEVEL = 1e-4
 # The smallest wrong share of a directional derivative that must be visible.
@@ -191,6 +193,10 @@ def test_pictures_and_colours_arrive_linear(tmp_path, monkeypatch, rng):
         np.testing.assert_allclose(found, wanted, atol=1e-6)
         found = np.array(params[f"{name}.bsdf.roughness.data"])
         np.testing.assert_allclose(found, wanted[..., :1], atol=1e-6)
+        # So is a start that is such a file.
+        key = f"{name}.bsdf.base_color.data"
+        (unknown,) = parse(params, {key: UnknownConfig(start="colour.png")}, True)
+        np.testing.assert_allclose(unknown.start, wanted, atol=1e-5)
     colour = np.array(params["c.bsdf.base_color.value"]).ravel()
     np.testing.assert_allclose(colour, [0.5, 0.25, 0.1])
     np.testing.assert_allclose(np.array(params["sky.radiance.value"]).ravel(), [0.5, 0.2, 4])

@@ -1,0 +1,41 @@
+"""What sensors of a user's own cut away, and places that 32 bits do not tell apart."""
+
+import mitsuba as mi
+import pytest
+
+from isas_cli.scene import sensor_checks
+
+
+def scene(far: float = 1e4, at: float = 0.0, size: float = 1.0) -> mi.Scene:
+    to = mi.ScalarTransform4f
+    view = to().look_at([at, 0, 4 * size], [at, 0, 0], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": 64, "height": 64, "rfilter": {"type": "box"}}
+    ball = to().translate([at, 0, 0]).scale(size)
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "eye": {"type": "perspective", "far_clip": far, "to_world": view, "film": film},
+            "sky": {"type": "constant"},
+            "ball": {"type": "sphere", "to_world": ball},
+        }
+    )
+
+
+def test_a_scene_that_is_seen_whole_and_near_the_origin_is_no_matter():
+    assert sensor_checks.doubts(scene()) == []
+    assert sensor_checks.doubts(scene(far=20, at=3.0)) == []
+    assert sensor_checks.doubts(scene(size=1e-3, at=1e-2)) == []
+
+
+def test_what_the_far_plane_cuts_off_is_said():
+    (told,) = sensor_checks.doubts(scene(size=5000.0))
+    assert told.startswith("sensor eye: its far_clip cuts off the surfaces that ")
+    assert "up to 1.9 times as far away" in told
+    (some,) = sensor_checks.doubts(scene(far=3.5))
+    assert "times as far away" in some
+
+
+@pytest.mark.parametrize("at", [4e6, -4e6])
+def test_coordinates_that_32_bits_do_not_tell_apart_are_said(at):
+    (told,) = sensor_checks.doubts(scene(at=at))
+    assert "what it sees lies 4e+06 units from the origin" in told and "0.25 units apart" in told
