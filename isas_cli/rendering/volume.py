@@ -38,8 +38,9 @@ def medium_of(scene: mi.Scene, keys: Iterable[str] = ()) -> mi.Medium | None:
     """The medium, where ``trace`` simulates all that there is: one shape, a convex shell without a
     surface of its own around one medium, which fills it and whose extinction is alike in all
     channels, and a sky. ``keys``: of the scene's parameters that are unknown; none may be of the
-    phase function, which is not differentiated. Nor may a medium that is the same all over be of
-    microflakes, whose extinction is another one in each direction: Mitsuba tells no largest."""
+    phase function, which is not differentiated. Nor may it be of microflakes: their extinction is
+    another one in each direction, and Mitsuba draws directions otherwise than their density says,
+    so that paths that go by that density show something else."""
     shapes = scene.shapes()
     if len(shapes) != 1 or scene.environment() is None or len(scene.emitters()) != 1:
         return None
@@ -50,8 +51,7 @@ def medium_of(scene: mi.Scene, keys: Iterable[str] = ()) -> mi.Medium | None:
     inside = shell.interior_medium()
     if not (convex and bare) or inside is None or shell.exterior_medium() is not None:
         return None
-    flakes = mi.has_flag(inside.phase_function().flags(), mi.PhaseFunctionFlags.Microflake)
-    if flakes and inside.class_name() == "HomogeneousMedium":
+    if mi.has_flag(inside.phase_function().flags(), mi.PhaseFunctionFlags.Microflake):
         return None
     params = mi.traverse(scene)
     ends = [(holder, word) for key in keys for holder, word, _ in fed(params, key)]

@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from runs_for_tests import QUIET, ran
 from scenes_for_tests import render_targets, without_targets
 from volumes_for_tests import (
     ALBEDO,
@@ -22,6 +23,7 @@ from volumes_for_tests import (
     through_the_middle,
     uneven,
 )
+from xml_for_tests import camera
 
 from isas_cli import losses
 from isas_cli.config.schema import UnknownConfig
@@ -305,8 +307,14 @@ def fog(extinction, bsdf=None, **more) -> dict:
             {"box.interior_medium.phase_function.weight.value.value": 0.5},
             False,
         ),
+        (
+            fog(GREY, phase={"type": "hg", "g": 0.5}),
+            {"box.interior_medium.phase_function.g": 0.3},
+            False,
+        ),
     ],
-    ids=["grey", "albedo", "three unknown", "coloured", "glass", "half", "blend", "phase unknown"],
+    ids=[*("grey", "albedo", "three unknown", "coloured", "glass", "half", "blend")]
+    + ["phase unknown", "g unknown"],
 )
 def test_what_is_more_than_a_grey_medium_is_left_to_mitsuba(whole, unknowns, own):
     p = without_targets(whole, unknowns or {"sky.radiance.value": 0.5})
@@ -333,3 +341,21 @@ def test_coloured_fog_looks_as_mitsuba_has_it():
     p.unknowns.write(p.unknowns.truths())
     radiance, _ = p.integrator.primal(p.scene, rays.stream(mi.UInt32(3), N), through_the_middle(p))
     np.testing.assert_allclose(np.array(radiance).mean(axis=1), SKY, rtol=0.02)
+
+
+def test_the_direction_that_fog_scatters_in_is_found(tmp_path):
+    """By a lamp behind it, which hardly shows where light is scattered backwards."""
+    file = tmp_path / "fog.xml"
+    file.write_text(f"""<scene version="3.0.0"><integrator type="volpath">
+<integer name="max_depth" value="6"/></integrator>{camera("0,0,5", fov=40)}
+<shape type="rectangle"><transform name="to_world"><rotate y="1" angle="0"/>
+<translate z="-3"/></transform><emitter type="area"><rgb name="radiance" value="4"/></emitter>
+</shape><shape type="cube" id="box"><bsdf type="null"/><medium name="interior"
+type="homogeneous"><float name="albedo" value="0.9"/><float name="sigma_t" value="1"/>
+<phase type="hg"><float name="g" value="0.6"/></phase></medium></shape></scene>""")
+    run = ran(
+        *(tmp_path / "run", "scene=file", f"scene.path={file}", "target.spp=256", *QUIET),
+        "scene.unknowns={box.interior_medium.phase_function.g: {start: 0, lr: 0.05}}",
+        *("sampler=uniform", "estimator.batch=1024", "budget.iterations=60"),
+    )
+    assert run.history["parameter_rmse"].iloc[-1] < 0.1 * 0.6
