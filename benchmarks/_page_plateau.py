@@ -53,6 +53,7 @@ def facts(results: Path) -> dict:
         "cost": costs(results),
         "variance": variances(results / "plateau_variance.csv"),
         "residual": variances(results / "plateau_residual.csv"),
+        "offsets": offsets(results / "plateau_offsets.csv"),
         "authors": authors(results / "prdpt_shadows.csv"),
         "black_box": black_box(results / "black_box.csv"),
     }
@@ -107,6 +108,20 @@ def black_box(path: Path) -> list[dict]:
         row["factors"] = sorted(float(each) for each in table["factor"].unique())
         row["at_end"] = row["factor"] in (row["factors"][0], row["factors"][-1])
         rows.append(row | {"iterations": int(own["iterations"].median())})
+    return rows
+
+
+def offsets(path: Path) -> list[dict]:
+    """By task and share of the budget, of each other way to draw a pair's offsets the variance over
+    that of ours: ratio, low, high."""
+    rows = []
+    for (task, progress), own in pandas.read_csv(path).groupby(["task", "progress"], sort=False):
+        row = {"task": task, "progress": progress}
+        for side in own[own["side"] != "separate"].to_dict("records"):
+            row[side["side"]] = [
+                1 / side[key] for key in ("variance", "variance_high", "variance_low")
+            ]
+        rows.append(row)
     return rows
 
 

@@ -7,14 +7,17 @@ budget. Sides in turn, the order rotating; of one scheme with the same offsets. 
 over the steps until the next. `--of residual`: instead, 8 paths for uniform pixels, and the
 residual from one rendering (the paper's) or from two on both sides, of as many paths together;
 where there are several unknowns, but on sort, with its 150, from two with separate pairs, of 8
-paths together or as many as the pairs have on one side.
+paths together or as many as the pairs have on one side. `--of offsets`, not on sort: separate pairs
+whose offset along the entry is drawn in proportion to the kernel's derivative, the other of a pair
+opposite (ours and the paper's), or by itself on its side, or uniform within four widths and
+opposite; one path in each of 16,384 uniform pixels.
 
 Variance: that of the first side (uniform pixels, a path each; one) over the side's, the geometric
 mean over the entries, with the 95 % interval of a bootstrap over the steps. Gain: the same of
 variance × time; the time is the median over the rounds. It says nothing of other numbers of paths a
 step. The residual has paths of its own: 2 a pixel where the pair's renderings have one, as many as
 one of these otherwise.
-Writes results/plateau_variance.csv, or plateau_residual.csv.
+Writes results/plateau_variance.csv, plateau_residual.csv or plateau_offsets.csv.
 """
 
 from __future__ import annotations
@@ -31,15 +34,19 @@ import pages
 import pandas
 from _plateau_table import TASKS, asked
 
+from isas_cli.unknowns import smoothing
+
 RESULTS = Path(__file__).parent / "results"
 OUTPUTS = {
     "pixels": RESULTS / "plateau_variance.csv",
     "residual": RESULTS / "plateau_residual.csv",
+    "offsets": RESULTS / "plateau_offsets.csv",
 }
 PATHS = 16384  # a rendering
 SPP = (1, 4, 16)
 PROGRESS = (0.35, 0.9)
 RESAMPLED = 400
+WIDEST = 4.0  # in widths: beyond is 1 / 3000 of the kernel's derivative
 
 
 def residuals(task: str, paths: int) -> dict[str, list[str]]:
@@ -65,7 +72,42 @@ def pixels(task: str, paths: int) -> dict[str, list[str]]:
     return found
 
 
-SIDES = {"pixels": pixels, "residual": residuals}
+def offsets(task: str, paths: int) -> dict[str, list[str]]:
+    """Overrides by name."""
+    common = [f"estimator.batch={paths}", "sampler.residual_spp=2"]
+    return {name: [*common, f"sampler.scheme={name}"] for name in ("separate", *SCHEMES)}
+
+
+def independent(σ: np.ndarray, count: int, rng: np.random.Generator) -> list:
+    """As `smoothing.separate`, but the two of a pair have offsets of their own, one on each side,
+    along the entry."""
+    found = smoothing.separate(σ, count, rng)
+    for pair, other in zip(found, smoothing.separate(σ, count, rng)):
+        along = pair.weight > 0
+        pair.minus[along] = other.minus[along]
+    return found
+
+
+def uniform(σ: np.ndarray, count: int, rng: np.random.Generator) -> list:
+    """As `smoothing.separate`, but the offset τ along the entry is uniform within `WIDEST` widths,
+    and weighs |∂κ/∂τ| over that density; stratified as there."""
+    found = []
+    for pair, u in zip(smoothing.separate(σ, count, rng), _strata(σ.size, count, rng)):
+        along, r = pair.weight > 0, WIDEST * u
+        pair.plus[along], pair.minus[along] = r * σ[along], -r * σ[along]
+        weight = pair.weight * WIDEST * r * np.exp(-(r**2) / 2)
+        found.append(smoothing.Pair(pair.plus, pair.minus, weight))
+    return found
+
+
+def _strata(entries: int, count: int, rng: np.random.Generator) -> np.ndarray:
+    return np.concatenate(
+        [(rng.permutation(count) + rng.random(count)) / count for _ in range(entries)]
+    )
+
+
+SCHEMES = {"independent": independent, "uniform": uniform}
+SIDES = {"pixels": pixels, "residual": residuals, "offsets": offsets}
 
 
 def look(loop, values: dict, progress: float, base: int) -> float:
@@ -77,7 +119,7 @@ def look(loop, values: dict, progress: float, base: int) -> float:
     for number in range(3):
         found = sampler.look(values, base, number, None, progress)
         loop._weights = sampler.blended(loop._weights, found)
-    loop._spread()
+    loop._spread(loop._weights)
     return (time.perf_counter() - begun) / 3 / refresh if refresh else 0.0
 
 
@@ -124,6 +166,10 @@ def child(task: str, chosen: argparse.Namespace) -> None:
     backend.start()
     from _plateau_cost import loops
 
+    from isas_cli.estimators import plateau
+
+    plateau.SCHEMES |= SCHEMES
+
     common = [f"scene={task}", "sampler=plateau", "target.spp=256", "budget.seconds=1"]
     common += ["~scene.method"]
     common += ["size=tiny"] if chosen.quick else []
@@ -156,6 +202,8 @@ def main() -> None:
         return child(chosen.tasks[0], chosen)
     output = OUTPUTS[chosen.of]
     for task in chosen.tasks:
+        if task == "sort" and chosen.of == "offsets":
+            continue  # 150 entries: as many pairs a step
         # A process each: several scenes in one slow each other.
         command = [sys.executable, __file__, *sys.argv[1:], "--child"]
         command = [word for word in command if word not in TASKS] + [task]
