@@ -101,6 +101,15 @@ def test_focal_lengths_and_angles(tmp_path, told):
     np.testing.assert_allclose((camera.fx, camera.fy), FOCAL)
 
 
+def test_what_a_frame_says_of_its_focal_length_stands_before_the_top(tmp_path):
+    """In whichever words: instant-ngp reads the top first, then the frame."""
+    photo_sets.transforms(Files(tmp_path, POSES), fl_x=2 * FOCAL, fl_y=3 * FOCAL)
+    change(tmp_path, lambda c: c["frames"][0].update(camera_angle_x=angle(0)))
+    one, other = reading.read(str(tmp_path)).cameras[:2]
+    np.testing.assert_allclose((one.fx, one.fy), FOCAL)
+    assert (other.fx, other.fy) == (2 * FOCAL, 3 * FOCAL)
+
+
 @pytest.mark.parametrize("name", ["images\\view_0.png", ".\\images\\view_0", "./images/view_0"])
 def test_paths_of_windows_and_without_endings(tmp_path, name):
     content = photo_sets.transforms(Files(tmp_path, POSES))

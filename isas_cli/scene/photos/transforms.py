@@ -163,9 +163,10 @@ def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
     def of(name: str, otherwise: float) -> float:
         return number(both[name], f"{where}: {name}") if name in both else otherwise
 
-    fx = _focal(both, where, "x", width)
-    fy = _focal(both, where, "y", height)
-    if fx is None and fy is None:
+    # As instant-ngp has it: what a frame says of either axis stands before the top's of both.
+    told = (_focals(each, where, width, height) for each in (frame, top))
+    focals = next((each for each in told if each is not None), None)
+    if focals is None:
         raise InputError(f"{where}: none of fl_x, camera_angle_x, x_fov says its focal length")
     return Camera(
         name=name,
@@ -173,8 +174,8 @@ def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
         mask=listed_mask(root, frame.get("mask_path"), f"{where}: mask_path"),
         width=width,
         height=height,
-        fx=fx if fx is not None else fy,
-        fy=fy if fy is not None else fx,
+        fx=focals[0],
+        fy=focals[1],
         cx=of("cx", width / 2),
         cy=of("cy", height / 2),
         lens=lens,
@@ -217,14 +218,22 @@ def _lens(both: dict, where: str) -> Lens:
     return models.lens(model, values)
 
 
-def _focal(both: dict, where: str, axis: str, size: int) -> float | None:
+def _focals(told: dict, where: str, width: int, height: int) -> tuple[float, float] | None:
+    """Pixels, along x and y, of what a frame or the top says; None where that is nothing."""
+    fx, fy = _focal(told, where, "x", width), _focal(told, where, "y", height)
+    if fx is None and fy is None:
+        return None
+    return (fy if fx is None else fx), (fx if fy is None else fy)
+
+
+def _focal(told: dict, where: str, axis: str, size: int) -> float | None:
     """Pixels, along one axis; None where nothing says it. ``camera_angle_x`` is in radians, as
-    NeRF's, ``x_fov`` in degrees, as instant-ngp's."""
+    NeRF's, ``x_fov`` in degrees, as instant-ngp's, which asks for them in this order."""
     radians, degrees = f"camera_angle_{axis}", (f"{axis}_fov", f"fov_{axis}")
-    for name in (f"fl_{axis}", radians, *degrees):
-        if name not in both:
+    for name in (*degrees, f"fl_{axis}", radians):
+        if name not in told:
             continue
-        value = number(both[name], f"{where}: {name}")
+        value = number(told[name], f"{where}: {name}")
         if name.startswith("fl"):
             return value
         if name == radians and not 0 < value < math.pi:
