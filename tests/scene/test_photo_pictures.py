@@ -201,14 +201,15 @@ def test_a_missing_picture(tmp_path, form):
     assert "1 of the views are left out" in told and "1.png" in told
 
 
-def test_pictures_in_another_folder(tmp_path):
+@pytest.mark.parametrize("above", ["./images/", "images\\", "C:\\Users\\a\\images\\"])
+def test_pictures_in_another_folder(tmp_path, above):
     """As they are called in the cameras' file, or as that file's own folder is replaced."""
     content = photo_sets.transforms(Files(tmp_path, POSES))
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     for number, frame in enumerate(content["frames"]):
         save(elsewhere / f"{number}.jpg", RAMP)
-        frame["file_path"] = f"./images/{number}.png"
+        frame["file_path"] = f"{above}{number}.png"
     photo_sets.write(tmp_path / "transforms.json", content)
     for asked in ("elsewhere", str(elsewhere)):
         taken = loaded(tmp_path, images=asked)
@@ -216,8 +217,8 @@ def test_pictures_in_another_folder(tmp_path):
         assert likeness(taken.shown[0].image, RAMP)
     with pytest.raises(InputError, match="photos.images=gone: no such folder"):
         loaded(tmp_path, images="gone")
-    for frame in content["frames"]:
-        frame["file_path"] = f"{frame['file_path'][9:10]}/0.png"
+    for number, frame in enumerate(content["frames"]):
+        frame["file_path"] = f"{number}/0.png"
     photo_sets.write(tmp_path / "transforms.json", content)
     with pytest.raises(InputError, match=r"0.jpg is the picture of two views, 0/0.png and 1/0.png"):
         loaded(tmp_path, images="elsewhere")

@@ -195,12 +195,12 @@ def below(folders: Iterable[Path], name: str, where: str) -> Path:
 def _below(folder: Path, name: str) -> Path | None:
     """``name`` in a folder that stands for the first of its own ones, or for several of them, also
     with another ending."""
-    parts = [part for part in Path(name).parts if part not in (".", "..", "/")]
-    for first in range(len(parts)):
-        path = folder.joinpath(*parts[first:])
-        for each in (path, path.with_suffix("")):
-            if (found := _file(folder, str(each.relative_to(folder)), name)) is not None:
-                return found
+    for spelt in dict.fromkeys((name, name.replace("\\", "/"))):  # as Windows parts folders
+        parts = [part for part in Path(spelt).parts if part not in (".", "..", "/")]
+        for path in (folder.joinpath(*parts[first:]) for first in range(len(parts))):
+            for each in (path, path.with_suffix("")):
+                if (found := _file(folder, str(each.relative_to(folder)), name)) is not None:
+                    return found
     return None
 
 
