@@ -11,6 +11,10 @@ from isas_cli.scene.photos import photographs
 
 PLACES = [(2.0, 0.9, 2.0), (1.6, 1.1, 2.4), (2.4, 0.8, 1.6), (1.9, 1.4, 1.9), (2.2, 0.5, 2.2)]
 POSES = [look_at(place, (0.0, 0.0, 0.0)) for place in PLACES]
+AROUND = [
+    look_at((2.6 * np.cos(a), (-1) ** k * 1.2, 2.6 * np.sin(a)), (0.0, 0.0, 0.0))
+    for k, a in enumerate(np.radians(np.arange(20, 380, 45)))
+]
 HALF = np.array([0.5, 0.4, 0.3])
 
 
@@ -59,10 +63,37 @@ def test_a_view_that_looks_elsewhere(tmp_path, at):
 def test_a_mesh_whose_up_is_another(tmp_path):
     """As programs whose up is z export what stands in a world whose up is y."""
     turn = trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0])
-    around = np.radians(np.arange(20, 380, 45))
-    places = [(2.6 * np.cos(a), (-1) ** k * 1.2, 2.6 * np.sin(a)) for k, a in enumerate(around)]
-    poses = [look_at(place, (0.0, 0.0, 0.0)) for place in places]
-    pictures = [picture(pose) for pose in poses]
-    assert told(tmp_path, poses, pictures=pictures) == []
-    (line,) = told(tmp_path, poses, turn, pictures)
+    pictures = [picture(pose) for pose in AROUND]
+    assert told(tmp_path, AROUND, pictures=pictures) == []
+    (line,) = told(tmp_path, AROUND, turn, pictures)
     assert "if the mesh's axes x, y, z become" in line and "mirrored" not in line
+
+
+def apart(scale: float = 1.0, turn: float = 0.0) -> np.ndarray:
+    found = trimesh.transformations.rotation_matrix(turn, [0.3, 1, 0.2])
+    found[:3, :3] *= scale
+    return found
+
+
+def mirror(pose) -> np.ndarray:
+    """The box, each view of which has waves of its own."""
+    shown, wave = picture(pose), np.sin(np.indices(SIZE[::-1])[1] * (0.5 + pose[0, 3] / 9))
+    return np.where(shown == np.float32(0.9), shown, 0.3 + 0.2 * wave[..., None]).astype(np.float32)
+
+
+@pytest.mark.parametrize("turn", [apart(1.4, 0.6), apart(0.5), apart(1.9)])
+def test_a_mesh_that_stands_elsewhere(tmp_path, turn):
+    (line,) = told(tmp_path, AROUND, turn, [picture(pose) for pose in AROUND])
+    assert "unlike, and its outline lies on no edges of theirs" in line
+
+
+def test_pictures_that_were_cropped(tmp_path):
+    """By 7 pixels to one side and 5 to another, so that their principal point is elsewhere."""
+    pictures = [np.roll(picture(pose), (-5, -7), (0, 1)) for pose in AROUND]
+    (line,) = told(tmp_path, AROUND, pictures=pictures)
+    assert "cropped" in line
+
+
+def test_a_mirror_is_not_doubted(tmp_path):
+    """No two views show its places alike, but its outline is where it should be."""
+    assert told(tmp_path, AROUND, pictures=[mirror(pose) for pose in AROUND]) == []

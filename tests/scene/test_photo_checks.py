@@ -46,12 +46,12 @@ def test_the_chessboard(called, tmp_path):
 
 def test_an_outline_is_where_the_object_ends(tmp_path):
     """Of a ball, seen from outside: a closed curve through the points whose rays touch it."""
-    from isas_cli.scene.photos.sheet import _Edges
+    from isas_cli.scene.photos.edges import Outline
 
     photo_sets.transforms(Files(tmp_path, POSES))
     taken = photographs.load(PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.4]))
     camera = taken.shown[0].camera
-    lines = _Edges(taken.surface).outline(camera)
+    lines = Outline(taken.surface).seen(camera)
     distance = np.linalg.norm(camera.centre)
     rotation = camera.to_world[:3, :3]
     pixels = lines.reshape(-1, 2)

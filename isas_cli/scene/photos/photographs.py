@@ -112,7 +112,7 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     told += [] if parts is None else material.check(settings, parts)
     found = Photographs(*made, capture, parts, settings, told, colour)
     told += outlines.doubts(found.all, found.surface, settings.mesh is None)
-    told += alike.doubts(found.all, found.surface)
+    told += alike.doubts(found.all, found.surface, hulled)
     told += precision.doubts(found.all, found.surface)
     return found
 

@@ -10,9 +10,8 @@ from PIL import Image, ImageDraw, PngImagePlugin
 from ...runtime import images
 from ...runtime.cache import digest
 from ...runtime.files import write_atomically
-from ...scenes.meshes import Surface
-from .camera import Camera
 from .checks import View
+from .edges import Outline
 from .photographs import Photographs
 
 # Pixels; more views than that are thinned out evenly.
@@ -26,8 +25,8 @@ def write(checked: list[View], photographs: Photographs, path: Path, folder: Pat
     """Writes the sheet of the set in ``folder`` as PNG; returns how many views are on it."""
     chosen = np.unique(np.linspace(0, len(checked) - 1, min(_MOST, len(checked))).round())
     surface = photographs.surface
-    edges = None if surface is None else _Edges(surface)
-    cells = [_cell(checked[int(n)], photographs, edges) for n in chosen]
+    outline = None if surface is None else Outline(surface)
+    cells = [_cell(checked[int(n)], photographs, outline) for n in chosen]
     columns = min(len(cells), 5)
     rows = [cells[n : n + columns] for n in range(0, len(cells), columns)]
     heights = [max(cell.height for cell in row) + _GAP for row in rows]
@@ -57,7 +56,7 @@ def _mark(folder: Path) -> str:
     return digest(str(folder.resolve()))
 
 
-def _cell(view: View, photographs: Photographs, edges: "_Edges | None") -> Image.Image:
+def _cell(view: View, photographs: Photographs, outline: Outline | None) -> Image.Image:
     """One photograph, its name below."""
     shown, camera = view.photograph, view.photograph.camera
     light = shown.image * np.where(shown.mask > 0, 1, _DIMMED)[..., None]
@@ -67,8 +66,8 @@ def _cell(view: View, photographs: Photographs, edges: "_Edges | None") -> Image
     cell = Image.new("RGB", (size[0], size[1] + _TEXT), (24, 24, 24))
     cell.paste(small, (0, 0))
     draw = ImageDraw.Draw(cell)
-    if edges is not None:
-        for (x0, y0), (x1, y1) in edges.outline(camera) * scale:
+    if outline is not None:
+        for (x0, y0), (x1, y1) in outline.seen(camera) * scale:
             draw.line((x0, y0, x1, y1), fill=_LINE, width=1)
     if photographs.capture.points is not None:
         pixels, depth = camera.project(photographs.capture.points)
@@ -86,31 +85,3 @@ def _cell(view: View, photographs: Photographs, edges: "_Edges | None") -> Image
     # Pillow's own font has no other letters.
     draw.text((2, size[1] + 2), told[-52:].encode("ascii", "replace").decode(), fill=(220,) * 3)
     return cell
-
-
-class _Edges:
-    """The edges of a mesh and the triangles at each."""
-
-    def __init__(self, surface: Surface):
-        # Vertices of a seam differ by their rounding.
-        size = np.ptp(surface.vertices, axis=0).max()
-        rounded = np.round(surface.vertices / size, 6)
-        _, first, number = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-        self.places = surface.vertices[first].astype(np.float64)
-        faces = number.ravel()[surface.faces]
-        pairs = [faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]
-        ends = np.sort(np.concatenate(pairs), axis=1)
-        self.ends, of = np.unique(ends, axis=0, return_inverse=True)
-        self._of, self._faces = of.ravel(), faces
-        self._count = np.bincount(self._of)
-
-    def outline(self, camera: Camera) -> np.ndarray:
-        """Edges between a triangle that faces the camera and one that does not, and open ends:
-        ``(E, 2, 2)`` pixels. What lies before them is not asked."""
-        a, b, c = (self.places[self._faces[:, corner]] for corner in range(3))
-        towards = np.sign(np.einsum("fk,fk->f", np.cross(b - a, c - a), camera.centre - a))
-        total = np.bincount(self._of, weights=np.tile(towards, 3))
-        border = (self._count == 1) | (np.abs(total) < self._count)
-        pixels, depth = camera.project(self.places)
-        ends = self.ends[border]
-        return pixels[ends[(depth[ends] > 0).all(axis=1)]]
