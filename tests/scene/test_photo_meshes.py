@@ -1,6 +1,7 @@
 """Meshes as people have them: several materials, several nodes; and the sphere in place of one."""
 
 import json
+import struct
 
 import mitsuba as mi
 import numpy as np
@@ -187,3 +188,75 @@ def test_what_is_said_of_shapes(tmp_path):
     assert "photos.background=false, unless" in said(tmp_path, *pose, "photos.background=true")
     single = said(tmp_path, *pose, "photos.test=[view_1,view_2]")
     assert "some texture shows a single view" in single and "background=true" not in single
+
+
+CORNER = np.array([[0, 0], [1, 0], [1, 1], [0, 0], [1, 1], [0, 1]])
+
+
+def glb(folder, texture: np.ndarray, **primitive) -> str:
+    """A square of two triangles with texture coordinates of any type, ``(6, 4)``, of which the last
+    two fill up what accessors have to be multiples of."""
+    places = np.column_stack([CORNER, np.zeros(6)]).astype("<f4")
+    kind = {"f": 5126, "B": 5121, "H": 5123}[texture.dtype.char]
+    tree = {
+        "asset": {"version": "2.0"},
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, **primitive}]}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 6, "type": "VEC3"},
+            {"bufferView": 1, "componentType": kind, "count": 6, "type": "VEC2"},
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": 72},
+            {"buffer": 0, "byteOffset": 72, "byteLength": texture.nbytes},
+        ],
+        "buffers": [{"byteLength": 72 + texture.nbytes}],
+        "materials": [{"name": "paint"}],
+    }
+    tree["bufferViews"][1]["byteStride"] = texture.strides[0]
+    tree["accessors"][1]["normalized"] = kind != 5126
+    if "extensions" in primitive:
+        tree["extensionsRequired"] = list(primitive["extensions"])
+    text, data = json.dumps(tree).encode(), places.tobytes() + texture.tobytes()
+    text += b" " * (-len(text) % 4)
+    path = folder / "mesh.glb"
+    path.write_bytes(
+        struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(data), len(text), b"JSON")
+        + text
+        + struct.pack("<I4s", len(data), b"BIN\0")
+        + data
+    )
+    return str(path)
+
+
+@pytest.mark.parametrize("primitive", [{}, {"material": 0}], ids=["bare", "painted"])
+@pytest.mark.parametrize("kind", ["f4", "u1", "u2"])
+def test_texture_coordinates_of_gltf(tmp_path, kind, primitive):
+    """Without a material, too, and of whole numbers that stand for 0 to 1. glTF's v is downwards,
+    as Mitsuba's."""
+    most = 1 if kind == "f4" else np.iinfo(kind).max
+    texture = np.column_stack([CORNER[:, :1], 1 - CORNER[:, 1:], np.zeros((6, 2))]) * most
+    path = glb(tmp_path, texture.astype(kind), **primitive)
+    assert as_in_the_file(parts(path)["object"], 0, 1)
+
+
+def test_compressed_gltf(tmp_path):
+    extension = {"EXT_meshopt_compression": {}}
+    path = glb(tmp_path, np.zeros((6, 4), "f4"), extensions=extension)
+    with pytest.raises(InputError, match="compressed by meshopt: export it without compression"):
+        parts(path)
+
+
+@pytest.mark.parametrize("first", range(6))
+@pytest.mark.parametrize("up", ["{0} {1} 0", "0 {0} {1}", "{1} {0} {0}"])
+def test_faces_with_notches(tmp_path, first, up):
+    """An L, from whichever corner, as one face: of area 3, seen from the same side."""
+    ell = np.roll([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]], first, axis=0)
+    text = "".join(f"v {up.format(*each)}\nvt {each[0]} {each[1]}\n" for each in ell)
+    (tmp_path / "ell.obj").write_text(f"{text}f -6/1 2/2 3/3 4/4 5/5 6/6\n")
+    part = parts(str(tmp_path / "ell.obj"))["object"]
+    a, b, c = np.moveaxis(part.texcoords[part.faces].astype(float), 1, 0)
+    doubled = np.linalg.det(np.stack([b - a, c - a], axis=1))
+    assert len(doubled) == 4 and np.isclose(np.abs(doubled).sum(), 6)
+    assert (doubled < 0).all()  # v is downwards

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import logging
 import re
 from collections.abc import Iterator
@@ -20,6 +19,7 @@ from ..mesh_checks import LARGEST_OVERLAP, check_values, degenerate, overlap
 from ..mesh_files import upwards
 from ..shape_error import enclosed
 from ..topology import Topology
+from . import glb, obj
 from .base import Capture
 
 OBJECT = "object"
@@ -153,9 +153,10 @@ def _pieces(file: Path) -> list[_Piece]:
     import trimesh
 
     if file.suffix.lower() == ".obj":
-        scene, order = _of_obj(file)
+        scene, order = obj.load(file)
     else:
-        scene = trimesh.load_scene(file, process=False)
+        packed = file.suffix.lower() in (".glb", ".gltf")
+        scene = glb.load(file) if packed else trimesh.load_scene(file, process=False)
         order = list(scene.geometry)
     found, materials = [], {}
     # In the file's order, which its graph of nodes has not.
@@ -168,8 +169,10 @@ def _pieces(file: Path) -> list[_Piece]:
         if not isinstance(mesh, trimesh.Trimesh):
             continue  # points, or a line
         mesh = mesh.copy()
+        uv = glb.given(mesh)
         mesh.apply_transform(place)  # which turns triangles of mirrored nodes round
-        vertices, uv = np.asarray(mesh.vertices, np.float32), getattr(mesh.visual, "uv", None)
+        vertices = np.asarray(mesh.vertices, np.float32)
+        uv = getattr(mesh.visual, "uv", None) if uv is None else uv
         material = getattr(mesh.visual, "material", None)
         label = getattr(material, "name", None) or ""
         # Files have several without a name, or of one.
@@ -181,52 +184,6 @@ def _pieces(file: Path) -> list[_Piece]:
             texcoords = upwards(np.asarray(uv, np.float32))
         found.append(_Piece(called, vertices, np.asarray(mesh.faces), texcoords))
     return found
-
-
-class _Materials:
-    """In place of a file of materials, which may be missing and of which names alone are asked."""
-
-    def __init__(self, names: list[str]):
-        # One more that nothing uses: of a single one trimesh does not tell the rest apart.
-        self._text = "".join(f"newmtl {name}\nKd 1 1 1\n" for name in [*filter(None, names), "-"])
-
-    def __getitem__(self, name: str) -> bytes:
-        return self._text.encode()
-
-
-def _of_obj(file: Path):
-    """Its scene as trimesh has it, and the names of its materials in order. Raises what that
-    raises, and ValueError."""
-    import trimesh
-
-    text = file.read_text(encoding="utf-8", errors="replace")
-    names = _check_some(text)
-    if len(names) < 2:
-        return trimesh.load_scene(file, process=False), names
-    # Materials part a file only where it names a file of them.
-    stream = io.BytesIO(f"mtllib materials.mtl\n{text}".encode())
-    scene = trimesh.load_scene(stream, file_type="obj", process=False, resolver=_Materials(names))
-    return scene, names
-
-
-def _check_some(text: str) -> list[str]:
-    """The materials of an OBJ file's faces. Raises ValueError where of one some faces have texture
-    coordinates and others none: they would be left away."""
-    material, kinds = "", {}
-    for line in text.splitlines():
-        word, *rest = line.split() or [""]
-        if word == "usemtl":
-            material = line.split(maxsplit=1)[1].strip() if rest else ""
-        elif word == "f" and rest:
-            corner = rest[0].split("/")
-            kinds.setdefault(material, set()).add(len(corner) > 1 and corner[1] != "")
-    for name, found in kinds.items():
-        if len(found) > 1:
-            raise ValueError(
-                f"of {f'material {name}' if name else 'its faces'} only some have texture "
-                "coordinates: unwrap all of them, or none"
-            )
-    return list(kinds)
 
 
 def _part(whole: Surface, chosen: np.ndarray, bare: bool) -> Surface:
