@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from PIL import Image
 from runs_for_tests import ran
+from scipy.ndimage import binary_dilation
 from test_photo_outline import FOCAL, HEIGHT, RADIUS, WIDTH, ball, covered, pose  # noqa: F401
 
 from isas_cli.cli.app import main
@@ -244,8 +245,46 @@ def test_labels_that_are_no_outline_are_named(ball):  # noqa: F811
         Image.fromarray(label).save(ball / f"masks/{number}.png")
         Image.fromarray(picture[..., :3]).save(ball / f"{number}.png")
     aside(ball, slice(None, None, 2), 3.0)
-    with pytest.raises(InputError, match="png holds several values, .* as labels are"):
+    with pytest.raises(InputError, match="png holds several values, as labels are"):
         load(ball)
+
+
+def masked(folder, of) -> None:
+    """Masks in place of alpha: ``of`` where the ball is."""
+    (folder / "masks").mkdir()
+    for number in range(14):
+        picture = np.array(Image.open(folder / f"{number}.png"))
+        made = of(picture[..., 3] > 127).astype(np.uint8)
+        Image.fromarray(made).save(folder / f"masks/{number}.png")
+        Image.fromarray(picture[..., :3]).save(folder / f"{number}.png")
+
+
+def test_a_rim_that_nobody_labelled_is_not_the_object(ball):  # noqa: F811
+    """PASCAL VOC's labels: 1, and 255 around it."""
+    around(ball)
+    masked(ball, lambda inside: np.where(inside ^ binary_dilation(inside), 255, inside))
+    with pytest.raises(
+        InputError, match=r"as labels are, and half .*\(1 of 255\): save the object"
+    ):
+        load(ball)
+
+
+def test_inverted_masks_are_refused(ball):  # noqa: F811
+    """Of what is around the object a hull can be made, too."""
+    around(ball)
+    masked(ball, lambda inside: 255 * ~inside)
+    with pytest.raises(InputError, match="in 14 of 14 pictures, .* masks are inverted; save"):
+        load(ball)
+
+
+@pytest.mark.parametrize("step, said", [(16, True), (30, False)])
+def test_views_of_one_side_are_said(ball, step, said):  # noqa: F811
+    content = json.loads((ball / "transforms.json").read_text())
+    for number, frame in enumerate(content["frames"]):
+        frame["transform_matrix"] = pose(np.radians(step * number)).tolist()
+    (ball / "transforms.json").write_text(json.dumps(content))
+    told = [line for line in load(ball).warnings if "look from one side, within 48 deg" in line]
+    assert bool(told) == said
 
 
 def test_pictures_without_an_end_of_the_object_are_no_hull(ball):  # noqa: F811

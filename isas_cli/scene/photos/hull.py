@@ -25,6 +25,7 @@ _SPECK = 0.01
 # 115 of a box of 14,620 triangles, 4 makes 7).
 _GAP, _COST = 1 / 128, 4.0
 _SMOOTHED = 10  # passes
+_ONE_SIDE = 60.0  # degrees between views, below which the hull is a wedge
 
 
 def made(photographs: list[Photograph], voxels: int) -> tuple[dict[str, np.ndarray], list[str]]:
@@ -33,15 +34,41 @@ def made(photographs: list[Photograph], voxels: int) -> tuple[dict[str, np.ndarr
 
     ``photographs``: with ``part``. ``voxels``: of the grid on which it is cut out, along the hull's
     longest side. Raises InputError where the views do not enclose the object, and where nothing
-    lies within all outlines.
+    lies within all outlines, and for masks that are inverted.
     """
+    _check_sides(photographs)
     key = digest("hull", _FORMAT, voxels, *map(_hashed, photographs))
     found = cached(f"hull-{key}", lambda: _made(photographs, voxels))
     fit = coherence.Coherence(*(found.pop(each.name) for each in fields(coherence.Coherence)))
     told = fit.told([each.camera.name for each in photographs])
     if dropped := int(found.pop("dropped")):
         told.append(f"photos.start=hull: {dropped} small pieces of the hull are left out")
+    if (angle := _angle(photographs)) < _ONE_SIDE:
+        told.append(
+            f"photos.start=hull: all views look from one side, within {angle:.0f} degrees: how "
+            "deep the object is they do not tell; take views from more sides, or give photos.mesh"
+        )
     return found, told
+
+
+def _check_sides(photographs: list[Photograph]) -> None:
+    """Raises InputError where masks of most views fill the border of their pictures and leave out
+    the middle."""
+    over = [each.camera for each in photographs if outlines.inverted(each.part)]
+    if len(over) > len(photographs) / 2:
+        raise InputError(
+            f"photos.start=hull: in {len(over)} of {len(photographs)} pictures, first "
+            f"{over[0].name}, the object is all around, by alpha or masks, and not in the middle: "
+            "masks are inverted; save the object as white and all else as black, or, if they say "
+            "what does not count, give photos.mesh"
+        )
+
+
+def _angle(photographs: list[Photograph]) -> float:
+    """Between the two views that look in the most unlike directions, degrees."""
+    ways = np.array([each.camera.to_world[:3, 2] for each in photographs])
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    return float(np.degrees(np.arccos(np.clip(ways @ ways.T, -1, 1).min())))
 
 
 def _hashed(photograph: Photograph) -> list:
@@ -171,8 +198,8 @@ def _unfit(photographs: list[Photograph], odd: list[int]) -> str:
     dark = [each for each in photographs if each.white is not None and each.white < outlines.DARK]
     if dark:
         return (
-            f"{dark[0].camera.mask} holds several values, none above {dark[0].white:.2g} of white, "
-            "as labels are: save the object as white and all else as black"
+            f"{dark[0].camera.mask} holds several values, as labels are, and "
+            f"{outlines.labelled(dark[0])}: save the object as white and all else as black"
         )
     if odd:
         names = [photographs[view].camera.name for view in odd]

@@ -41,7 +41,7 @@ class Photograph:
     says of its colours that could not be heeded, or None; ``variance``: of a pixel's noise, or None
     where the photograph does not tell (``noise.of_one``); ``part (H, W)``: how much of each pixel
     the object fills, where that counts (``photos.background=black``), -1 where nothing says it;
-    ``white``: the largest value of its mask's file, or None without one."""
+    ``white``: what most of its mask's file is that is not black, or None without one."""
 
     camera: Camera
     image: np.ndarray
@@ -114,7 +114,9 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
             f"{camera.image}: no pixel counts ({told or 'all outside after undistortion'}): "
             "leave this view out, or mend its mask"
         )
-    white = None if given is None or camera.hides else float(given.max())
+    white = None
+    if given is not None and not camera.hides:
+        white = float(np.median(given[given > 0])) if given.any() else 0.0
     return Photograph(target, image, mask, lost, picture.doubt, variance, part, white)
 
 

@@ -19,8 +19,11 @@ _POINTS = 4000
 _DOUBTED, _INVERTED = 0.3, 0.8
 # What an alpha or mask is at least, or at most, that is the same everywhere.
 _FULL, _EMPTY = 0.99, 0.01
-# A mask's largest value below which it holds labels, or 8 bits in a file of 16, not weights.
+# What most of a mask is that is not black; below, it holds labels, or 8 bits in a file of 16, not
+# weights: VOC's have 1 for the object, and 255 for the rim that nobody labelled.
 DARK = 0.25
+# Of a picture's border, what an inverted mask fills at least.
+_AROUND = 0.9
 # By how much an object may be larger or smaller than alpha or masks show it. Where parts of
 # it are crowded, or thin, extents differ by a tenth.
 _SIZED = 1.3
@@ -48,6 +51,23 @@ def facing(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     place = a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
     return place, (normal / np.maximum(area, 1e-30)[:, None])[chosen]
+
+
+def labelled(photograph: "Photograph") -> str:
+    """What a dark mask mostly is, in words."""
+    white = photograph.white
+    return f"half of what is not black is at most {white:.2g} of white ({white * 255:.3g} of 255)"
+
+
+def inverted(part: np.ndarray) -> bool:
+    """Whether a mask fills the border of its picture and not the middle. ``part``: how much of each
+    pixel the object fills, -1 where nothing says it."""
+    border = np.concatenate([part[0], part[-1], part[:, 0], part[:, -1]])
+    border = border[border >= 0]
+    high, wide = (number // 3 for number in part.shape)
+    middle = part[high : 2 * high + 1, wide : 2 * wide + 1]
+    around = border.size > 0 and (border > 0.5).mean() >= _AROUND
+    return bool(around and (middle > 0.5).mean() < 0.5)
 
 
 def empty(part: np.ndarray) -> bool:
@@ -116,9 +136,9 @@ def doubts(
     if dark:
         found.append(
             f"the masks of {len(dark)} of {len(photographs)} pictures, first "
-            f"{dark[0].camera.mask}, hold several values, none above {dark[0].white:.2g} of white: "
-            "labels, or 8 bits in a file of 16? Pixels count as much as they are white: save what "
-            "counts as white"
+            f"{dark[0].camera.mask}, hold several values, and {labelled(dark[0])}: labels, or 8 "
+            "bits in a file of 16? Pixels count as much as they are white: save what counts as "
+            "white"
         )
     masked = [
         p for p in photographs if p.part is not None or p.lost.get("masked by its file") is not None
