@@ -44,7 +44,7 @@ def main(arguments: list[str]) -> int:
         console.print(table)
     for note in taken.capture.notes:
         console.print(f"note: {note}", highlight=False, markup=False)
-    for warning in [*checks.warnings(checked, taken), *_unlike(taken)]:
+    for warning in [*checks.warnings(checked, taken), *_unlike(taken), *_lit(taken)]:
         console.print(f"warning: {warning}", highlight=False, markup=False)
     folder = reading.folder_of(folders[0])
     output = output or _place(folder)
@@ -84,6 +84,18 @@ def _unlike(taken: photographs.Photographs) -> list[str]:
         f"the same places of the object are up to {factor:.3g} times as bright in {bright} as in "
         f"{dark}: exposed unlike (photos.exposure=scale finds a factor each), or the light moved, "
         "or the surface is glossy"
+    ]
+
+
+def _lit(taken: photographs.Photographs) -> list[str]:
+    """Whether the light goes with the camera, where no environment can."""
+    factor = None if taken.surface is None else brightness.moved(taken.all, taken.surface)
+    if factor is None:
+        return []
+    return [
+        f"the same places of the object are about {factor:.2g} times as bright or dark by how they "
+        "are turned to the camera: the light moved with it, as of a turntable or a flash; isas has "
+        "one light for all views, and shadows and highlights go into the texture"
     ]
 
 

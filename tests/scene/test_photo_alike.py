@@ -7,7 +7,7 @@ import trimesh
 from photo_sets import CENTRE, FOCAL, SIZE, Files, look_at
 
 from isas_cli.config.schema import PhotosConfig
-from isas_cli.scene.photos import photographs
+from isas_cli.scene.photos import brightness, photographs
 
 PLACES = [(2.0, 0.9, 2.0), (1.6, 1.1, 2.4), (2.4, 0.8, 1.6), (1.9, 1.4, 1.9), (2.2, 0.5, 2.2)]
 POSES = [look_at(place, (0.0, 0.0, 0.0)) for place in PLACES]
@@ -18,8 +18,9 @@ AROUND = [
 HALF = np.array([0.5, 0.4, 0.3])
 
 
-def picture(pose) -> np.ndarray:
-    """Of a box with waves on it, before white."""
+def picture(pose, lamp=None) -> np.ndarray:
+    """Of a box with waves on it, before white. ``lamp``: where light comes from, in the camera's
+    axes; else it comes from everywhere."""
     rows, columns = np.indices(SIZE[::-1]) + 0.5
     rays = np.stack([(columns - CENTRE[0]) / FOCAL, (rows - CENTRE[1]) / FOCAL, 1 + 0 * rows], -1)
     rays = rays @ pose[:3, :3].T
@@ -27,6 +28,10 @@ def picture(pose) -> np.ndarray:
     near, far = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
     x, y, z = np.moveaxis(pose[:3, 3] + rays * near[..., None], -1, 0)
     wave = 0.4 + 0.3 * np.sin(7 * x + 2) * np.sin(8 * y + 1) + 0.25 * np.sin(9 * z + 5 * x)
+    if lamp is not None:
+        place = np.stack([x, y, z], axis=-1) / HALF
+        facing = np.eye(3)[np.abs(place).argmax(axis=-1)] * np.sign(place)
+        wave = (0.6 + 0.2 * wave) * (0.3 + 0.7 * np.clip(facing @ pose[:3, :3] @ lamp, 0, 1))
     shown = np.where(near < far, np.clip(wave, 0.02, 1), 0.9)
     return np.repeat(shown[..., None], 3, axis=2).astype(np.float32)
 
@@ -97,3 +102,14 @@ def test_pictures_that_were_cropped(tmp_path):
 def test_a_mirror_is_not_doubted(tmp_path):
     """No two views show its places alike, but its outline is where it should be."""
     assert told(tmp_path, AROUND, pictures=[mirror(pose) for pose in AROUND]) == []
+
+
+@pytest.mark.parametrize("lamp", [None, (0.9, -0.3, -0.3)])
+def test_a_light_that_goes_with_the_camera(tmp_path, lamp):
+    """As of a turntable, or a flash."""
+    photo_sets.transforms(Files(tmp_path, AROUND, [picture(pose, lamp) for pose in AROUND]))
+    trimesh.creation.box(2 * HALF).export(tmp_path / "box.ply")
+    asked = PhotosConfig(str(tmp_path), mesh=str(tmp_path / "box.ply"), saturated=None)
+    taken = photographs.load(asked)
+    factor = brightness.moved(taken.all, taken.surface)
+    assert factor is None if lamp is None else factor > 1.1

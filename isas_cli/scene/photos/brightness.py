@@ -28,6 +28,10 @@ _TINTED = 1.1  # the same of a colour beside green
 # Places seen from the side, at a smaller cosine, are taken for others, and those that look away are
 # hidden; exposures are known to this share at best, and at worst where they are said to be told.
 _ASLANT, _NEAR, _VAGUE = 0.2, 0.01, 0.2
+# Views that a place must be in; what of its variance a light that goes with the camera must account
+# for (of a box on a turntable it is 0.9, of 70 sets whose light stands still at most 0.3, of glossy
+# balls), and by how much of its brightness.
+_OFTEN, _GOES, _LIT = 3, 0.6, 0.1
 _MOST = 40  # views that all others are compared with, evenly among them
 
 
@@ -125,6 +129,42 @@ def tinted(photographs: list[Photograph], surface: Surface) -> tuple[float, str,
             names = (photographs[each].camera.name for each in (high, low))
             worst = float(np.exp(factor)), *names
     return worst
+
+
+def moved(photographs: list[Photograph], surface: Surface) -> float | None:
+    """By how much, as a factor of a standard deviation, places are brighter and darker by how they
+    are turned to the camera; None where that does not tell what they differ by. It does where the
+    light goes with the camera: on a turntable, or as its flash.
+
+    Of a place's logarithms, less their means over views, and each view's own exposure: how much of
+    their variance a plane over the normal in the camera's axes accounts for.
+    """
+    photographs = photographs[:: -(-len(photographs) // _MOST)]
+    _, normals = outlines.facing(surface)
+    logs = shown(photographs, surface)
+    seen = np.isfinite(logs)
+    chosen = seen.sum(axis=0) >= _OFTEN
+    logs, seen, normals = logs[:, chosen], seen[:, chosen], normals[chosen]
+    if seen.sum() < _SHARED * len(photographs):
+        return None
+
+    def apart_of(values: np.ndarray) -> np.ndarray:
+        means = np.sum(values, axis=0, where=seen) / seen.sum(axis=0)
+        return (values - means)[seen]
+
+    left = apart_of(np.where(seen, logs, 0.0))
+    most = _SURE * _NORMAL * np.median(np.abs(left))
+    left = np.clip(left, -most, most)
+    views = np.eye(len(photographs))[:-1, :, None] * np.ones(seen.shape[1])
+    turned = np.stack([normals @ each.camera.to_world[:3, :3] for each in photographs])
+    before = np.stack([apart_of(each) for each in views], axis=1)
+    more = np.stack([apart_of(turned[..., axis]) for axis in range(3)], axis=1)
+    spread = [
+        float(np.var(left - told @ np.linalg.lstsq(told, left, rcond=None)[0]))
+        for told in (before, np.hstack([before, more]))
+    ]
+    by = np.sqrt(max(spread[0] - spread[1], 0.0))
+    return float(np.exp(by)) if by > _LIT and spread[1] < (1 - _GOES) * spread[0] else None
 
 
 def told(
