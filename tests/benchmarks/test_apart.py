@@ -33,8 +33,8 @@ def test_claims_of_a_task_hold_by_what_arrives():
         return told | {"parameter_mse": error, "pace": 8.0}
 
     by = {"cup": {"plateau": row(0.005, 4, 1e-6), "mitsuba": row(0.3, 0, 1e-5)}}
-    found = {each["claim"][:8]: each["holds"] for each in _page_plateau.claims(by)}
+    found = {each["claim"][:8]: each["holds"] for each in _page_plateau.claims(by, [])}
     assert found == {"arrives ": "yes", "its squa": "no", "an itera": "yes"}
     by["cup"]["mitsuba"] = row(0.005, 5, 1e-3)
-    found = {each["claim"][:8]: each["holds"] for each in _page_plateau.claims(by)}
+    found = {each["claim"][:8]: each["holds"] for each in _page_plateau.claims(by, [])}
     assert found["arrives "] == "no" and found["its squa"] == "yes"
