@@ -33,7 +33,7 @@ _LIGHTS = (((1, 1), _PICKED), ((4, 4), _PICKED), ((1, 1), 1), ((4, 1), _PICKED))
 # A budget of so many seconds can pay for a probe, which takes at most this share of it and at most
 # so many seconds.
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
-_FORMAT = 22
+_FORMAT = 24
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from ..scene.problem import Problem
 from ..unknowns.parameters import as_numpy
 from . import structure
 
-_LANES = 1 << 13
+_LANES, _LONG = 1 << 13, 1.0  # pixels of an estimate; of half as many where there are less seconds
 # A kind of path is measured for so many seconds, or for its part of what is allowed (about as many
 # kinds as are usual), by estimates of the gradient between these numbers.
 _SECONDS, _PARTS = 0.25, 9
@@ -90,7 +90,8 @@ class Probe:
         self.problem, self.loss, self.seed, self.allowed = problem, loss, seed, allowed
         self.values = problem.unknowns.starts()
         self.pixels = PixelDistribution.uniform(Tiles.over(problem.views))
-        self.lanes = min(_LANES, problem.views.total)
+        # A short look at each of several questions is worth more than a long one at the first.
+        self.lanes = min(_LANES if allowed >= _LONG else _LANES // 2, problem.views.total)
         self.seconds, self.paths = 0.0, 0
         integrator = problem.integrator
         whole = integrator.max_depth
