@@ -276,8 +276,8 @@ def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:
 
 
 def _products(unknowns: Unknowns) -> list[str]:
-    """Factors of what is unknown as well, of which images tell the product alone."""
-    keys, found = unknowns.keys, []
+    """Factors of lights that are unknown as well, of which images tell the product alone."""
+    keys, found = [u.key for u in unknowns if u.kind.role == "light"], []
     for key in keys:
         head, _, last = key.rpartition(".")
         other = next((k for k in keys if k != key and k.startswith(f"{head}.")), None)

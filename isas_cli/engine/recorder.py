@@ -15,8 +15,7 @@ from ..effects.settings import Effects
 from ..records import KEY_PREFIX, VALUE_PREFIX, RunWriter, manifest, safe_name, trackers
 from ..rendering.renderer import Renderer
 from ..runtime.errors import InputError
-from . import ends, held_out
-from .floor import told
+from . import ends, floor, held_out
 from .loop import Hooks, Loop
 from .pictures import Pictures
 from .resumption import Continuation
@@ -81,7 +80,7 @@ class Recorder:
                     typed.target.seed,
                     loop.plan.statements,
                     loop.plan.record(),
-                    told(loop.whole, loop.floor),
+                    floor.told(loop.whole, loop.floor),
                 )
             )
         self._checkpoint()
@@ -360,11 +359,11 @@ class Recorder:
         there has been none since."""
         doubts = self._doubts()
         for unknown in (u for u in self.loop.problem.unknowns if u.kind.doubtful):
-            files: dict | None = {}
-            if unknown.key in doubts:
-                _, array = self._good.get(unknown.key, (None, None))
-                files = None if array is None else unknown.kind.files(array)
-            self.writer.good(safe_name(unknown.key), files)
+            if unknown.key not in doubts:
+                self.writer.good(safe_name(unknown.key), {})
+            elif unknown.key in self._good:
+                _, array = self._good[unknown.key]
+                self.writer.good(safe_name(unknown.key), unknown.kind.files(array))
 
     @property
     def ends(self) -> tuple[dict, dict]:

@@ -190,11 +190,9 @@ class RunWriter:
         if exposure is not None:
             write_preview(path.with_suffix(".png"), image, exposure, metadata, data)
 
-    def good(self, name: str, files: dict[str, bytes] | None) -> None:
-        """meshes/good_<name>.<extension>: a shape as it was before it is doubted; ``files`` by
-        extension, none of one that is not, None of one that keeps what there is."""
-        if files is None:
-            return
+    def good(self, name: str, files: dict[str, bytes]) -> None:
+        """meshes/good_<name>.<extension>, in place of such as there are: a shape as it was before
+        it was doubted; ``files`` by extension, none of one that is not."""
         for old in self.folder.glob(f"{_GOOD}{name}.*"):
             old.unlink()
         for extension, content in files.items():

@@ -162,10 +162,10 @@ def _clear(paths: Sequence[str], read: list[np.ndarray], counts: list[np.ndarray
             found.append(str(path))
     if not found:
         return []
-    told = (
-        f"what is transparent in {', '.join(found)} counts as black, as where nothing is rendered"
-    )
-    return [f"{told}: scene.masks leaves it out"]
+    return [
+        f"what is transparent in {', '.join(found)} counts as black, as where nothing is rendered: "
+        "scene.masks leaves it out"
+    ]
 
 
 def _clipped(

@@ -41,8 +41,9 @@ def write_sheets(folder: Path) -> list[Picture]:
     return [*made, *_turntables(folder)]
 
 
-def _held_out(folder: Path) -> list[Picture]:
-    """plots/held_out.png: views of which nothing was learnt, target, result and error."""
+def held_out(folder: Path) -> Frames:
+    """Of views of which nothing was learnt target, result and error, reduced; what does not count
+    is black."""
     rows: Frames = {}
     numbers = {
         match.group(2)
@@ -55,12 +56,17 @@ def _held_out(folder: Path) -> list[Picture]:
             frame = cells.read(Path(folder) / "frames" / f"held_{what}_v{number}.exr")
             row |= {} if frame is None else {what: frame}
         if len(row) == 3:
-            # What does not count is black.
             counts = row.pop("weight") > 0
             row["target"], row["result"] = row["target"] * counts, row["result"] * counts
             row["error"] = np.abs(row["result"] - row["target"])
         row = {what: cells.reduced(frame) for what, frame in row.items()}
         rows |= {f"held out {int(number)}": row} if row else {}
+    return rows
+
+
+def _held_out(folder: Path) -> list[Picture]:
+    """plots/held_out.png, of what ``held_out`` has."""
+    rows = held_out(folder)
     if not rows:
         return []
     exposure, words = cells.exposure(rows, ("target", "result"))

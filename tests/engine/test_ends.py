@@ -76,8 +76,14 @@ def test_settings_without_effect_are_said(tmp_path):
 
 
 def test_a_factor_of_what_is_unknown_is_said():
-    told = lambda *keys: assemble._products(SimpleNamespace(keys=list(keys)))
-    assert told("sky.data", "lamp.scale", "jar.bsdf.roughness.value") == []
-    assert told("sky.data", "sky.scale") == [
+    def told(**roles: str) -> list[str]:
+        names = {key.replace("_", "."): role for key, role in roles.items()}
+        return assemble._products(
+            [SimpleNamespace(key=k, kind=SimpleNamespace(role=role)) for k, role in names.items()]
+        )
+
+    assert told(sky_data="light", lamp_scale="light") == []
+    assert told(bumps_scale="", bumps_nested_reflectance="colour") == [], "a bump map's height"
+    assert told(sky_data="light", sky_scale="light") == [
         "'sky.scale' multiplies 'sky.data', and images tell their product alone: leave one out"
     ]

@@ -42,7 +42,7 @@ def loop(p, name: str) -> Loop:
     loss, batch = losses.L2(), 256
     looking_often(sampler)
     sampler = sampler.on(p, loss, batch)
-    stepper = Stepper(p.unknowns, OptimizerConfig(), Laplacian())
+    stepper = Stepper(p.unknowns, OptimizerConfig(), Laplacian(coarsest=2))
     evaluator = Evaluator(p, loss, 50, 2, 1)
     budget, estimator = Budget(iterations=10_000), TwoPath(p, loss, batch)
     made = Loop(p, sampler, stepper, evaluator, budget, estimator, 1, 1)

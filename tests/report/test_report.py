@@ -6,6 +6,7 @@ import json
 import math
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from matplotlib.figure import Figure
 
 from isas_cli import report
 from isas_cli.records import SCHEMA_VERSION, RunWriter, load, safe_name
-from isas_cli.report import cells, figures, inside, page, plots
+from isas_cli.report import cells, figures, frames, inside, page, plots
 from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
 
@@ -214,6 +215,21 @@ def test_large_and_thin_frames_are_reduced_by_their_mean(tmp_path):
     assert cells.read_reduced(tmp_path / "b.exr").shape == (1, 512, 3)
 
 
+def test_errors_are_taken_before_frames_are_reduced(tmp_path):
+    """Of what alternates from pixel to pixel nothing is left in the means."""
+    checks = np.indices((1024, 1024)).sum(axis=0)[..., None] % 2 * np.ones(3, np.float32)
+    (tmp_path / "frames").mkdir()
+    for name in ("start_v00", "held_result_v00", "result_jar", "start_jar"):
+        images.write_exr(tmp_path / "frames" / f"{name}.exr", checks, ["R", "G", "B"], {})
+    for name in ("target_v00", "held_target_v00", "truth_jar"):
+        images.write_exr(tmp_path / "frames" / f"{name}.exr", 0.5 + 0 * checks, [*"RGB"], {})
+    images.write_exr(tmp_path / "frames" / "held_weight_v00.exr", 0 * checks + 1, [*"RGB"], {})
+    views, textures = frames.read(tmp_path, "00")
+    found = [views["00"]["before"], textures["jar"]["before"], textures["jar"]["error"]]
+    found.append(frames.held_out(tmp_path)["held out 0"]["error"])
+    assert all(each.shape == (512, 512, 3) and each.min() == 0.5 == each.max() for each in found)
+
+
 def test_the_exposure_brings_the_targets_99th_percentile_to_white():
     target = np.linspace(0, 8, 12 * 16 * 3).reshape(12, 16, 3)
     rows = {"view 0": {"target": target, "result": 100 * target}}
@@ -279,3 +295,11 @@ def test_a_folder_without_a_run_is_refused(tmp_path):
     with pytest.raises(InputError, match="holds no run"):
         report.write(tmp_path)
     assert not any(tmp_path.iterdir())
+
+
+def test_a_chart_of_several_runs_says_that_it_has_medians():
+    """Of one method, too."""
+    runs = [SimpleNamespace(summary={"seconds_by_phase": {"step": s}}) for s in (1.0, 3.0)]
+    for own, told in ((runs, True), (runs[:1], False)):
+        ((panel, *_),) = inside.times({"a": own}).grid
+        assert ("median over runs" in panel.title) == told

@@ -312,6 +312,29 @@ def test_photographs_are_exported_with_their_cameras_where_they_were_found(tmp_p
         assert dr.norm(dr.cross(got.o - wanted.o, wanted.d))[0] < 5e-4
 
 
+def test_views_held_out_see_by_the_lens_that_was_found(tmp_path):
+    """That of the views beside them, whose camera is the same."""
+    photo_sets.transforms(photo_sets.Files(tmp_path, photo_sets.POSES))
+    trimesh.creation.box((0.8, 0.5, 0.6)).export(tmp_path / "box.ply")
+    settings = ["scene=photos", f"photos.path={tmp_path}", f"photos.mesh={tmp_path / 'box.ply'}"]
+    settings += ["photos.lens=[focal]", "photos.test=[view_0.exr]", "photos.sky=4"]
+    cfg = schema.typed(compose(translate(settings))).scene
+    arrays = {
+        "object.bsdf.brdf_0.base_color.value": np.array([0.2, 0.5, 0.7]),
+        "sky.data": np.ones((4, 8, 3)),
+        "lens": np.array([[0.0]]),
+    }
+    fields = []
+    for lens in (0.0, 3.0):
+        arrays["lens"][:] = lens
+        found = {key: array.astype(np.float32) for key, array in arrays.items()}
+        path, _ = export.write(cfg, found, tmp_path / f"lens{lens}")
+        sensors = mi.load_file(str(path), optimize=False).sensors()
+        fields.append([float(mi.traverse(each)["x_fov"][0]) for each in sensors])
+    assert len(fields[0]) == 3 and np.ptp(fields[0]) < 1e-4 and np.ptp(fields[1]) < 1e-4
+    assert abs(fields[0][0] - fields[1][0]) > 0.5
+
+
 def test_what_cannot_be_exported_is_one_line(folder, tmp_path, refused):
     arrays = {ROUGH: np.array([0.25], np.float32)}
     with pytest.raises(InputError, match="the scene's own files are: take another --output"):

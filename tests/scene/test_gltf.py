@@ -418,6 +418,25 @@ def test_what_gltf_cannot_say_is_named_in_one_line(folder):
     assert gold["metallicFactor"] == 1 and gold["roughnessFactor"] == pytest.approx(0.1**0.5)
 
 
+def test_an_opacity_that_is_left_at_its_mean_cuts_nothing_out(folder):
+    """Its picture stands otherwise than the colour's: holes would be all of it or none."""
+    holes = np.ones((4, 4, 1), np.float32)
+    holes[1:] = 0
+    images.write_exr(folder / "holes.exr", holes, ["Y"], {})
+    leaf = """<shape type="rectangle" id="leaf"><bsdf type="mask">
+      <texture type="bitmap" name="opacity"><string name="filename" value="holes.exr"/>
+        <boolean name="raw" value="true"/><string name="wrap_mode" value="{wrap}"/></texture>
+      <bsdf type="diffuse"><texture type="bitmap" name="reflectance">
+        <string name="filename" value="paint.exr"/></texture></bsdf></bsdf></shape>"""
+    for wrap, mode, told in (("repeat", "MASK", False), ("clamp", "BLEND", True)):
+        file, _, said = exported(folder, leaf.format(wrap=wrap))
+        assert file.parts["leaf"].material["alphaMode"] == mode
+        assert any("but for its mean" in line for line in said) == told
+        if told:
+            alpha = file.parts["leaf"].material["pbrMetallicRoughness"]["baseColorFactor"][3]
+            assert alpha == pytest.approx(0.25)
+
+
 def test_a_flipped_shape_is_seen_from_within(folder):
     file, _, _ = exported(folder, SHOWCASE)
     part = file.parts["world"]

@@ -159,6 +159,11 @@ def test_what_images_hardly_tell_apart_is_said_once(shown):
     (told,) = [w for w in built([*shown, *settings])[1].warnings if "images hardly tell" in w]
     assert "metallic from base colour, roughness from light, which are unknown together" in told
     assert told.endswith("fixed: normals (the mesh's)") and "photos.texture=FILE" in told
+    bare = f"photos.mesh={file(shown, 'bare.obj')}"
+    (told,) = [
+        w for w in built([*shown, bare, "photos.metallic=true"])[1].warnings if " hardly tell" in w
+    ]
+    assert "photos.texture" not in told, "which a mesh without texture coordinates cannot take"
     known = ["photos.texture=" + file(shown, "four.png"), "photos.normals=map"]
     (told,) = [w for w in built([*shown, *known])[1].warnings if "images hardly tell" in w]
     assert "tell normals from light" in told and "base colour (" in told and "four.png" in told

@@ -260,3 +260,18 @@ def test_faces_with_notches(tmp_path, first, up):
     doubled = np.linalg.det(np.stack([b - a, c - a], axis=1))
     assert len(doubled) == 4 and np.isclose(np.abs(doubled).sum(), 6)
     assert (doubled < 0).all()  # v is downwards
+
+
+@pytest.mark.parametrize("at", [0.0, 5e4])
+def test_a_closed_mesh_that_is_inside_out_is_turned(tmp_path, at):
+    """And an open one, which has no inside, is as its file says."""
+    box = trimesh.creation.box((1, 2, 3))
+    box.apply_translation([at, -at, at])
+    for whole in (True, False):
+        faces = box.faces if whole else box.faces[:8]
+        trimesh.Trimesh(box.vertices, faces[:, ::-1], process=False).export(tmp_path / "box.ply")
+        (found,) = parts(str(tmp_path / "box.ply")).values()
+        corners = found.vertices[found.faces].astype(np.float64)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        out = corners.mean(axis=1) - [at, -at, at]
+        assert (np.sign((normals * out).sum(axis=1)) == (1 if whole else -1)).all()

@@ -239,6 +239,11 @@ def test_storage_that_is_wrong(tmp_path):
         InputError, match="a.yml and b.xml are all files with a camera_matrix: photos.camera"
     ):
         reading.read(str(tmp_path))
+    (tmp_path / "calib").mkdir()
+    for name in ("a.yml", "b.xml"):
+        (tmp_path / "calib" / name).write_text((tmp_path / name).read_text())
+    with pytest.raises(InputError, match="photos.cameras=calib/a.yml takes one"):
+        reading.read(str(tmp_path), None, "calib")
     for name, text in (
         ("a.yml", "camera_matrix: [1, 2"),
         ("a.yml", "camera_matrix: !!python/object/apply:os.getcwd []"),

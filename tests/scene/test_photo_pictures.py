@@ -124,6 +124,20 @@ def test_masks_go_with_their_pictures(tmp_path, tagged):
     assert not loaded(tmp_path).shown[0].mask[:10].any()
 
 
+@pytest.mark.parametrize("orientation", [6, 8])
+def test_an_upright_mask_is_turned_back_to_a_picture_as_it_is_stored(tmp_path, orientation):
+    """As programs write it that heed the picture's tag."""
+    save(tmp_path / "0.jpg", RAMP, orientation)
+    mask = np.ones((*SIZE[::-1], 3), np.float32)
+    mask[:10, :5] = 0
+    (tmp_path / "masks").mkdir()
+    save(tmp_path / "masks/0.png", STORED[14 - orientation](mask))
+    listed(tmp_path, "transforms", ["0.jpg"])
+    (only,) = loaded(tmp_path).shown
+    assert likeness(only.image, RAMP)
+    assert not only.mask[:10, :5].any() and only.mask[10:].all() and only.mask[:, 5:].all()
+
+
 def test_a_profile_is_heeded_and_what_cannot_be_is_said_once(tmp_path):
     flat = np.full((*SIZE[::-1], 3), (200, 60, 90), np.uint8)
     for number in range(3):

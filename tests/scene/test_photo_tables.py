@@ -92,6 +92,28 @@ def test_what_pictures_say_of_themselves(tmp_path):
         assert exif.read(tmp_path / name) is None
 
 
+def test_alpha_that_ends_the_object_is_named(called, tmp_path):
+    (tmp_path / "set").mkdir()
+    content = photo_sets.transforms(Files(tmp_path / "set", POSES))
+    clear = np.full((*SIZE[::-1], 4), 120, np.uint8)
+    clear[:, : SIZE[0] // 2, 3] = 255
+    for number, frame in enumerate(content["frames"]):
+        frame["file_path"] = f"{number}.png"
+        Image.fromarray(clear).save(tmp_path / "set" / f"{number}.png")
+    photo_sets.write(tmp_path / "set" / "transforms.json", content)
+    trimesh.creation.icosphere(2, 0.4).export(tmp_path / "ball.ply")
+    for background in ("black", "false"):
+        lines = called("set", "photos.mesh=ball.ply", f"photos.background={background}")
+        assert " alpha " in row(lines, "3: 0.png")
+
+
+@pytest.mark.parametrize(
+    "time, shown", [(0.4, "0.4"), (0.5, "0.5"), (0.3, "0.3"), (0.25, "1/4"), (1 / 125, "1/125")]
+)
+def test_times_as_cameras_show_them(time, shown):
+    assert str(exif.Taken(time, 8.0, 100)) == f"{shown} s f/8 ISO 100"
+
+
 def test_the_command_line_runs(called, tmp_path):
     """Its last line, word for word as a shell takes it, composes to the same settings."""
     folder = tmp_path / "my set"

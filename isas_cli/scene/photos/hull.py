@@ -93,8 +93,7 @@ def _made(photographs: list[Photograph], voxels: int) -> dict[str, np.ndarray]:
     field, dropped = _cleaned(field, size, photographs, fit)
     vertices, faces, _, _ = marching_cubes(field, 0.0, allow_degenerate=False)
     vertices = origin + size * _evened(vertices, faces)
-    # Around the middle: far from it the rounding of a sum over triangles is more than the volume.
-    if enclosed((vertices - vertices.mean(axis=0))[faces]) < 0:
+    if enclosed(vertices[faces]) < 0:
         faces = faces[:, ::-1]
     return {"dropped": np.array(dropped), **vars(fit), **_unwrapped(vertices, faces)}
 

@@ -118,8 +118,7 @@ def _read(path: str, one: bool) -> dict[str, Surface]:
 def _outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """The faces of a closed mesh so that its normals point outwards: both sides are shown alike,
     but a normal map's bumps are glTF's dents on a back."""
-    inner = vertices - vertices.mean(axis=0)
-    if enclosed(inner[faces]) >= 0 or Topology.of(vertices, faces).flaws():
+    if enclosed(vertices[faces]) >= 0 or Topology.of(vertices, faces).flaws():
         return faces
     return np.ascontiguousarray(faces[:, ::-1])
 
