@@ -11,6 +11,8 @@ drawn, and that it bends no mean. A loss: that its derivative is its own.
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import os
 
 import numpy as np
@@ -100,15 +102,25 @@ def test_a_run_s_errors_are_numbers(tmp_path):
     assert all(np.isfinite(values).all() for values in run.parameters().values())
 
 
-def test_a_run_goes_on_with_the_same_bits(tmp_path):
+def test_a_run_goes_on_with_the_same_bits(tmp_path, monkeypatch):
+    """After it was stopped: what follows the budget would follow a shorter one otherwise."""
     import isas_cli
     from isas_cli.cli.app import main
+    from isas_cli.runtime import interrupt
+
+    @contextlib.contextmanager
+    def early(*_):
+        asked = itertools.count()
+        yield lambda: next(asked) >= 3
 
     words = settings("evaluation.count=1", "budget.iterations=6")
     whole = isas_cli.run(*words, f"hydra.run.dir={tmp_path / 'whole'}")
     folder = tmp_path / "parts"
-    isas_cli.run(*words[:-1], "budget.iterations=3", f"hydra.run.dir={folder}")
-    assert main(["run", f"resume={folder}", "budget.iterations=6"]) == 0
+    with monkeypatch.context() as changed:
+        changed.setattr(interrupt, "graceful", early)
+        stopped = isas_cli.run(*words, f"hydra.run.dir={folder}")
+    assert stopped.summary is not None and 0 < stopped.summary["iterations"] < 6
+    assert main(["run", f"resume={folder}"]) == 0
     parts = isas_cli.load(folder)
     for key, values in whole.parameters().items():
         assert np.array_equal(values, parts.parameters()[key]), key
@@ -195,13 +207,14 @@ def _gradients(problem, distribution, seed: int) -> np.ndarray:
 def test_its_derivative_is_that_of_its_value(part):
     import mitsuba as mi
 
-    rng, step = np.random.default_rng(1), 1e-3
-    image, target = rng.uniform(0, 4, (3, 500)), rng.uniform(0, 4, (3, 500))
+    rng, step, lanes = np.random.default_rng(1), 1e-3, _lanes(part)
+    image, target, along = (rng.uniform(low, 4, (3, 500 * lanes)) for low in (0, 0, -4))
     up, down = (
-        np.array(part.value(mi.Color3f(image + s), mi.Color3f(target)), np.float64)
+        np.array(part.value(mi.Color3f(image + s * along), mi.Color3f(target)), np.float64)
         for s in (step, -step)
     )
     found = np.array(part.derivative(mi.Color3f(image), mi.Color3f(target)), np.float64)
+    found = (found * along).reshape(3, 500, lanes).sum(axis=2)
     off = np.abs(found - (up - down) / (2 * step)) > 0.02 + 0.02 * np.abs(found)
     assert off.mean() < 0.01, "beyond its kinks"
 
@@ -210,19 +223,31 @@ def test_its_derivative_is_that_of_its_value(part):
 def test_linear_says_whether_its_derivative_is(part):
     import mitsuba as mi
 
-    samples, target = np.random.default_rng(2).exponential(1, (3, 10_000)), mi.Color3f(0.7)
-    mean = np.array(part.derivative(mi.Color3f(samples), target), np.float64).mean(axis=1)
-    at_mean = np.array(part.derivative(mi.Color3f(samples.mean(axis=1)), target)).reshape(3)
-    assert np.allclose(mean, at_mean, rtol=1e-3, atol=1e-4) == part.linear
+    rng, lanes = np.random.default_rng(2), _lanes(part)
+    samples, target = rng.exponential(1, (3, 10_000, lanes)), rng.uniform(0.5, 1, (3, lanes))
+
+    def derivative(images: np.ndarray) -> np.ndarray:
+        targets = np.broadcast_to(target[:, None], images.shape)
+        given = (mi.Color3f(np.ascontiguousarray(x.reshape(3, -1))) for x in (images, targets))
+        return np.array(part.derivative(*given), np.float64).reshape(images.shape)
+
+    mean, at_mean = derivative(samples).mean(axis=1), derivative(samples.mean(axis=1)[:, None])
+    assert np.allclose(mean, at_mean[:, 0], rtol=1e-3, atol=1e-4) == part.linear
 
 
 @of("loss")
 def test_it_measures_what_it_is(part):
     import mitsuba as mi
 
-    image, target = mi.Color3f(0.9, 0.2, 3.0), mi.Color3f(0.7)
+    rng, lanes = np.random.default_rng(3), _lanes(part)
+    image, target = (mi.Color3f(rng.uniform(0, 3, (3, lanes))) for _ in range(2))
     found, own = (
         np.array(x) for x in (part.measured(image, image, target), part.value(image, target))
     )
     assert np.allclose(found, own, rtol=1e-4)
-    assert np.all(np.array(part.curvature(target)) > 0)
+    assert np.all(np.array(part.pixelwise.curvature(target)) > 0)
+
+
+def _lanes(loss) -> int:
+    """Pixels of a window, or 1."""
+    return loss.windows.count if loss.windows else 1

@@ -40,6 +40,8 @@ def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
     chosen = _chosen(along, names, folder)
     typed, _ = experiment.checked(cfg)
     machine, (choices,) = experiment.started([cfg], typed)
+    if choices.loss.windows:
+        raise InputError(f"{folder}: loss={cfg.loss.name}: a landscape is of losses of pixels")
     with interrupt.prompt(), Display(Budget(iterations=1)) as display:
         phases = experiment.Phases(display)
         problem = experiment.built(typed, phases)

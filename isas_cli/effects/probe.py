@@ -87,7 +87,8 @@ class Probe:
     so far; all without compiling."""
 
     def __init__(self, problem: Problem, loss, seed: int, allowed: float = math.inf):
-        self.problem, self.loss, self.seed, self.allowed = problem, loss, seed, allowed
+        self.problem, self.seed, self.allowed = problem, seed, allowed
+        self.loss = loss.pixelwise
         self.values = problem.unknowns.starts()
         self.pixels = PixelDistribution.uniform(Tiles.over(problem.views))
         # A short look at each of several questions is worth more than a long one at the first.

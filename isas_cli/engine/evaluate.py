@@ -13,6 +13,7 @@ from ..records import KEY_PREFIX, VALUE_PREFIX
 from ..rendering import contours, rays
 from ..rendering.renderer import Renderer
 from ..runtime import streams
+from ..runtime.errors import InputError
 from ..scene.problem import Problem
 from . import floor
 from .floor import Floor
@@ -48,15 +49,34 @@ class Evaluator:
     ):
         self.problem, self.loss, self.spp, self.seed = problem, loss, spp, seed
         self.unresolved = False
+        windows = loss.windows
+        if windows is not None:
+            pixels = max(1, pixels // windows.count)
         counting = np.arange(problem.views.total, dtype=np.uint32)
+        # Of what all pixels count, what their windows do.
+        self._whole = 1.0
         if problem.mask is not None:
-            counting = counting[np.array(problem.mask) > 0]
+            counted = mask = np.array(problem.mask)
+            if windows is not None:
+                counted = windows.weights(mask, problem.views)
+                self._whole = counted.sum(dtype=np.float64) / mask.sum(dtype=np.float64)
+                if not self._whole:
+                    raise InputError(
+                        f"no window of {windows.side} × {windows.side} pixels has a weight "
+                        "throughout: take a smaller loss.side"
+                    )
+            counting = counting[counted > 0]
         count = min(pixels, counting.size)
         rng = np.random.default_rng(streams.seed(seed, 0, "evaluation_place"))
         strata = (np.arange(count) + rng.random(count)) * (counting.size / count)
         if count < counting.size:
             counting = counting[np.minimum(strata.astype(np.int64), counting.size - 1)]
         self.pixels = mi.UInt32(counting)
+        if windows is not None:
+            middle = problem.views.locate(self.pixels)
+            *place, _ = windows.spread(problem.views, *middle, counting.size)
+            self.pixels = problem.views.index(*place)
+            dr.eval(self.pixels)
         self.renderer = Renderer(problem, renderer)
         self.target = dr.gather(mi.Color3f, problem.targets, self.pixels)
         self.references = (self.target, self.target)
@@ -109,13 +129,16 @@ class Evaluator:
         if self.problem.mask is not None:
             weight = dr.gather(mi.Float, self.problem.mask, self.pixels)
         squared = dr.sum((first - self.references[0]) * (second - self.references[1])) * weight
-        loss = dr.sum(self.loss.measured(first, second, self.target)) * weight
-        norm = 3.0 * dr.width(self.pixels)
-        if self.problem.mask is not None:
-            norm = 3.0 * float(dr.sum(weight)[0])
-        mean = float(dr.sum(squared)[0]) / norm
+        loss = dr.sum(self.loss.measured(first, second, self.target))
+        counted, windows = weight, self.loss.windows
+        if windows is not None and self.problem.mask is not None:
+            counted = windows.least(weight)
+        mean = _mean(squared, weight)
         self.unresolved = mean < 0
-        result = {"loss": float(dr.sum(loss)[0]) / norm, "image_rmse": math.sqrt(max(0.0, mean))}
+        result = {
+            "loss": self._whole * _mean(loss * counted, counted),
+            "image_rmse": math.sqrt(max(0.0, mean)),
+        }
         known = self._outlines() | self.parameter_errors(values) | self._scaled(values)
         return result | known | self.few(values)
 
@@ -189,3 +212,9 @@ class Evaluator:
         if unknowns.unit is not None:
             return dict.fromkeys(unknowns.keys, 1.0)
         return {u.key: u.error(u.start) or u.scale for u in unknowns}
+
+
+def _mean(sums: mi.Float, weight: mi.Float) -> float:
+    """Over pixels and their three channels; ``weight``: what each counts, or one for all."""
+    total = dr.sum(weight + dr.zeros(mi.Float, dr.width(sums)))
+    return float(dr.sum(sums)[0]) / (3.0 * float(total[0]))

@@ -9,6 +9,7 @@ import numpy as np
 from ..rendering import rays
 from ..rendering.kernels import recorded
 from ..rendering.pixels import PixelDistribution
+from ..runtime.errors import InputError
 from ..scene.problem import Problem
 from ..unknowns.parameters import as_numpy
 from ..unknowns.unknowns import Unknown
@@ -33,6 +34,11 @@ class Aside:
     def __init__(self, problem: Problem, loss, batch: int, freeze: bool):
         self.problem, self.batch = problem, batch
         self.unknowns = [u for u in problem.unknowns if u.kind.aside]
+        if self.unknowns and loss.windows is not None:
+            raise InputError(
+                f"scene.unknowns: '{self.unknowns[0].key}' is found by differences of pixels by "
+                "themselves: take loss=l2, relative_l2 or l1"
+            )
         integrator = problem.integrator
 
         def shown(scene, sensors, views, leaves, distribution, targets, mask, seeds):

@@ -89,6 +89,8 @@ class Estimator:
     plannable: ClassVar[bool] = True
     # Whether it moves or blurs unknowns as a whole, so that none may grow by levels.
     whole: ClassVar[bool] = False
+    # Whether it takes losses that read windows of pixels.
+    of_windows: ClassVar[bool] = False
     # Whether it asks for pictures alone, and so could do with any renderer's.
     black_box: ClassVar[bool] = False
     # Whether it follows edges in photographs.
@@ -131,6 +133,11 @@ class Estimator:
             raise InputError(
                 f"{self.chosen} differentiates paths, and scene=external has none: take "
                 "estimator=plateau or finite_differences"
+            )
+        if loss.windows is not None and not self.of_windows:
+            raise InputError(
+                f"{self.chosen} takes losses of pixels by themselves: take loss=l2, relative_l2 or "
+                "l1, or estimator=two_path"
             )
         # What it cannot differentiate comes first: with no sampler could it.
         problem = self.on(problem, loss).problem

@@ -34,6 +34,7 @@ class Settings(Estimator):
     name: ClassVar[str] = "two_path"
     gives: ClassVar[frozenset[str]] = frozenset(("forward", "backward", "moments"))
     replays: ClassVar[bool] = True
+    of_windows: ClassVar[bool] = True
 
     freeze: bool = True
     crossed: bool = True
@@ -81,6 +82,8 @@ class TwoPath(Gradients):
     (``unknowns.cameras``), and by numbers that Mitsuba does not differentiate by a plain one
     (``aside``).
 
+    Of a loss of windows, a draw is the window around a pixel: all of its pixels have both paths.
+
     Symbols: N → ``batch`` (pixels a step; 2 N light paths, more with derivative sampling);
     p → ``PixelDistribution``; θ → ``problem.unknowns``, whose gradients receive the estimate.
     Bias: none for losses with linear derivative (``loss.linear``) and p > 0 wherever
@@ -103,6 +106,15 @@ class TwoPath(Gradients):
                 "does not differentiate visibility: take estimator=silhouettes for meshes, or "
                 "sampler=plateau (or the baselines sampler=mitsuba and sampler=finite_differences)"
             )
+        windows = loss.windows
+        drawn = batch
+        if windows is not None:
+            drawn = batch // windows.count
+            if not drawn:
+                raise InputError(
+                    f"estimator.batch={batch}: less than the {windows.count} pixels of a window"
+                )
+            batch = drawn * windows.count
         self.problem, self.loss, self.batch = problem, loss, batch
         integrator = problem.integrator
         if missed := undone.missed(problem):
@@ -125,13 +137,17 @@ class TwoPath(Gradients):
             scene, sensors, views, leaves, distribution, targets, mask, seeds, share, lost, jitter
         ):
             with dr.suspend_grad():
-                view, column, row, probability = distribution.draw(batch, seeds[0])
+                view, column, row, probability = distribution.draw(drawn, seeds[0])
+                if windows is not None:
+                    dr.eval(view, column, row, probability)
+                    view, column, row, window = windows.spread(views, view, column, row, drawn)
+                    probability = dr.gather(mi.Float, probability, window)
                 pixel = views.index(view, column, row)
                 # Once for all kernels that follow: each would search the CDF again.
                 dr.eval(view, column, row, pixel, probability)
 
                 target = dr.gather(mi.Color3f, targets, pixel)
-                scale = share / (probability * batch)
+                scale = share / (probability * drawn)
                 random = [rays.stream(seed, batch) for seed in seeds[1:3]]
                 spawned, weights = zip(
                     *(rays.spawn(sensors, views, view, column, row, each) for each in random)
@@ -141,8 +157,11 @@ class TwoPath(Gradients):
                 def adjoints(radiances: list) -> list:
                     shown.extend(radiances)
                     for radiance, weight in zip(radiances, weights):
-                        residual = loss.derivative(radiance * weight, target)
-                        residual = rays.masked(residual, mask, pixel)
+                        seen = radiance * weight
+                        if windows is not None:
+                            dr.eval(seen)
+                        residual = loss.derivative(seen, target)
+                        residual = rays.masked(residual, mask, pixel, windows)
                         residuals.append(residual)
                         missed.append(~dr.all(dr.isfinite(residual)))
                     # With the next kernel: counted in one of its own, the paths would be traced

@@ -8,6 +8,7 @@ import mitsuba as mi
 from ..runtime import streams
 from ..scene.lenses import Lenses
 from ..scene.views import Views
+from .windows import Windows
 
 _NEWTON = 4  # steps to undo a radial distortion: single precision, of a tenth and more of a picture
 
@@ -37,9 +38,15 @@ def radiance(integrator, scene: mi.Scene, sensors, views: Views, place, sampler)
     return integrator.primal(scene, sampler, ray)[0] * weight
 
 
-def masked(values, mask: mi.Float | None, pixel: mi.UInt32):
-    """``values`` times what their pixels count. Traced."""
-    return values if mask is None else values * dr.gather(mi.Float, mask, pixel)
+def masked(
+    values, mask: mi.Float | None, pixel: mi.UInt32, windows: Windows | None = None
+) -> mi.Color3f:
+    """``values`` times what their pixels count, or their windows: as the least of their pixels.
+    Traced."""
+    if mask is None:
+        return values
+    weight = dr.gather(mi.Float, mask, pixel)
+    return values * (weight if windows is None else dr.repeat(windows.least(weight), windows.count))
 
 
 def through(

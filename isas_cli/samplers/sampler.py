@@ -256,7 +256,7 @@ class Sampler:
         blurred: Blurred | None = None,
     ) -> OnImages:
         """The sampler at work on the images of ``problem``, see ``OnImages``."""
-        return self.works(self, problem, loss, batch, freeze, blurred)
+        return self.works(self, problem, loss.pixelwise, batch, freeze, blurred)
 
     @property
     def name(self) -> str:

@@ -14,6 +14,7 @@ import yaml
 from processes import started, until
 from samplers_for_tests import pixel_samplers
 from scenes_for_tests import TEXTURE, problem
+from xml_for_tests import camera, paths
 
 from isas_cli.cli import app
 from isas_cli.cli import variance as command
@@ -145,6 +146,8 @@ def test_all_samplers_are_the_default_and_the_references_come_first():
         (["prior=smoothness"], "no use for it"),
         (["+evaluation.count=3"], "no use for it"),
         (["frames.spp=3"], "no use for it"),
+        (["report=false"], "no use for it"),
+        (["loss=structure"], "what single pixels contribute"),
         (["optimizer.lt=1"], "did you mean 'optimizer.lr'"),
         (["contestants=[{sampler:ours,estimator.batch:9}]"], "give it once, as KEY=VALUE"),
         (["contestants=[{sampler.floor:0.1}]"], "each needs its sampler"),
@@ -196,3 +199,15 @@ def test_what_is_finished_stays_after_ctrl_c(tmp_path):
     assert found[1]["ratio_to_uniform_high"] != ""
     assert out == f"variance: {folder}\n" and (folder / "densities_v00.png").is_file()
     assert not list(folder.glob(".*.tmp"))
+
+
+def test_what_is_found_by_differences_is_refused(isas):
+    """Path replay's own derivative by it is another one than a run follows."""
+    floor = f"""<scene version="3.0.0">{paths(3)}{camera()}
+    <shape type="rectangle" id="wall"><bsdf type="roughplastic"><float name="alpha" value="0.2"/>
+    </bsdf></shape><emitter type="constant"/></scene>"""
+    Path("wall.xml").write_text(floor)
+    unknown = 'scene.unknowns={"wall.bsdf.alpha": {"start": 0.4}}'
+    words = "scene=file", "scene.path=wall.xml", unknown, "target.spp=4"
+    status, _, err = isas("variance", *words)
+    assert status == 2 and "isas: scene.unknowns: 'wall.bsdf.alpha' is found by differences" in err

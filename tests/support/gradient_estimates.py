@@ -43,8 +43,9 @@ def shared_settings(name: str) -> tuple[str, frozenset[str]]:
 
 
 def unbiased_losses() -> list[str]:
-    """Names of the losses that claim an unbiased gradient from single samples."""
-    return [name for name in options("loss") if configured("loss", name).linear]
+    """Names of the losses of single pixels that claim an unbiased gradient from single samples."""
+    made = {name: configured("loss", name) for name in options("loss")}
+    return [name for name, loss in made.items() if loss.linear and loss.windows is None]
 
 
 class Gradients:

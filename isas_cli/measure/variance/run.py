@@ -78,6 +78,11 @@ def run(plan: Plan) -> int:
                 "estimator.blurred=true: isas variance measures the gradient of the sharp loss: "
                 "leave it out"
             )
+        if any(choices.loss.windows for choices in made.values()):
+            raise InputError(
+                "isas variance measures what single pixels contribute: take loss=l2, relative_l2 "
+                "or l1"
+            )
         # The papers' estimator: what a pixel contributes, and so the best pmf, is known of it.
         estimator = replace(estimator, crossed=False)
         problem = estimator.differentiated(built(typed, phases, made.values()))
@@ -88,6 +93,11 @@ def run(plan: Plan) -> int:
                 "exposures, poses and lenses of views have derivatives that no path carries, and "
                 "isas variance measures those of paths: take photos.exposure=fixed, "
                 "photos.refine=false, photos.lens=[]"
+            )
+        if aside := [u.key for u in problem.unknowns if u.kind.aside]:
+            raise InputError(
+                f"scene.unknowns: '{aside[0]}' is found by differences, and isas variance measures "
+                "derivatives of paths: leave it out"
             )
         bench, contestants, best = _prepared(plan, made, typed, problem, phases)
         with interrupt.graceful(display.interrupted) as stop:
