@@ -37,6 +37,17 @@ from ..unknowns.parameters import own, owner, read
 from ..unknowns.specs import narrow_blurs, parse
 from ..unknowns.unknowns import Unknown, Unknowns
 
+# Of unknowns: the role of what is multiplied, how a factor's key ends, and how then the other's
+# goes on: scales of lights, the slide of a spot, the weight of a material within others.
+_FACTORS = (
+    ("light", r"\.scale$", "."),
+    ("light", r"\.intensity\.value$", ".texture."),
+    ("colour", r"\.weight\.(value|data)$", ".bsdf_"),
+)
+# Of targets: what is too dark to have a colour, as a share of the mean, and the difference of
+# channels, as a share of their mean, that is one.
+_DARK, _COLOURED = 0.2, 0.1
+
 
 def bare(
     scene: SceneConfig, parsed: Callable[..., list[Unknown]] = parse
@@ -158,6 +169,7 @@ def problem(
     elif scene.targets is not None:
         phase("targets")
         result.set_targets(*targets.load(result, scene.targets, scene.masks))
+        result.warnings += _greys(result)
     phase("coverage")
     # Not the run's own seed: runs are compared over the same entries.
     coverage.fill_in(result, target.seed)
@@ -260,6 +272,24 @@ def _untold(taken: photographs.Photographs, unknowns: Unknowns) -> list[str]:
     return found
 
 
+def _greys(problem: Problem) -> list[str]:
+    """Of colours that are one number, where targets have colours."""
+    keys = [u.key for u in problem.unknowns if u.kind.role == "colour" and u.start.size == 1]
+    if not keys:
+        return []
+    pixels = np.array(problem.targets, np.float32).reshape(-1, 3)
+    if problem.mask is not None:
+        pixels = pixels[np.array(problem.mask) > 0]
+    bright = pixels[pixels.mean(axis=1) > _DARK * pixels.mean()]
+    if not len(bright) or np.median(np.ptp(bright, axis=1) / bright.mean(axis=1)) < _COLOURED:
+        return []
+    told = ", ".join(f"'{key}'" for key in keys)
+    return [
+        f"{told}: one number for all channels, a grey, and the targets have colours: give an <rgb> "
+        "in the file where colours are to be found"
+    ]
+
+
 def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:
     """That lights and colours are unknown together, whose scale images hardly tell."""
     traded = unknowns.traded
@@ -276,22 +306,26 @@ def _traded(unknowns: Unknowns, truth_known: bool) -> list[str]:
 
 
 def _products(unknowns: Unknowns) -> list[str]:
-    """Factors of lights that are unknown as well, of which images tell the product alone."""
-    keys, found = [u.key for u in unknowns if u.kind.role == "light"], []
-    for key in keys:
-        head, _, last = key.rpartition(".")
-        other = next((k for k in keys if k != key and k.startswith(f"{head}.")), None)
-        if last == "scale" and head and other is not None:
-            found.append(
-                f"'{key}' multiplies '{other}', and images tell their product alone: leave one out"
-            )
+    """Factors that are unknown as well as what they multiply, whose product alone images tell."""
+    found = []
+    for role, factor, of in _FACTORS:
+        keys = [u.key for u in unknowns if u.kind.role == role]
+        for key in (u.key for u in unknowns):
+            head = re.sub(factor, "", key)
+            other = next((k for k in keys if k != key and k.startswith(head + of)), None)
+            if head != key and other is not None:
+                found.append(
+                    f"'{key}' multiplies '{other}', and images tell their product alone, or little "
+                    "more: leave one out"
+                )
     return found
 
 
 def _other_pictures(scene: mi.Scene, integrator: integrators.Integrator) -> list[str]:
-    """Where a file's own integrator shows something else; never of a medium alone."""
-    alone = isinstance(integrator, integrators.Medium) or integrator.black_box
-    return [] if alone else stand_ins.warnings(scene, integrator.mitsuba)
+    """Where a file's own integrator shows something else."""
+    if isinstance(integrator, integrators.Medium):
+        return stand_ins.within(scene)
+    return [] if integrator.black_box else stand_ins.warnings(scene, integrator.mitsuba)
 
 
 def _flat_densities(found: list[Unknown], integrator: integrators.Integrator) -> list[str]:

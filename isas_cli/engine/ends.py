@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..unknowns.parameters import as_numpy
 from ..unknowns.unknowns import Unknowns
 from .evaluate import OUTLINE
+from .optimiser import FEW, Stepper
 
-# Numbers of an unknown at most, of which this is said: of a texture some texels are black.
-_FEW = 16
 _NEAR = 1e-6
 # Of an outline's distance from alpha or masks, as a share of their area: what is said.
 _OFF = 0.05
+# Of the way that steps could have gone, all in one direction, what is said; after so many.
+_STRAIGHT, _STEPS = 0.6, 50
 
 
 def reached(unknowns: Unknowns, values: dict) -> list[str]:
     """What is to be said of ``values``, the leaves by key. Nothing of a truth that lies there."""
     said = []
     for unknown in unknowns:
-        if unknown.start.size > _FEW:
+        if unknown.start.size > FEW:
             continue
         found = unknown.kind.whole(values[unknown.key]).reshape(-1)
         begun = unknown.start.reshape(-1)
@@ -39,6 +41,26 @@ def reached(unknowns: Unknowns, values: dict) -> list[str]:
             said.append(
                 f"'{unknown.key}' ended at the {word} end of its range, {end:.4g}{which}"
                 f"{more if stayed else ''}"
+            )
+    return said
+
+
+def underway(stepper: Stepper) -> list[str]:
+    """What is to be said of few numbers that still moved as fast as their rates let them."""
+    said = []
+    for key, begun in stepper.begun.items():
+        unknown, reach = stepper.unknowns[key], stepper.reach[key]
+        now = as_numpy(stepper.values[key])
+        moved = float(np.abs(now - begun).max())
+        # A way that may be shorter the other way round, or that ended at an end, is another matter.
+        ended = any(_at(now, x).any() for x in (unknown.low, unknown.high) if np.isfinite(x))
+        if stepper.steps < _STEPS or unknown.kind.period or ended:
+            continue
+        if moved > _STRAIGHT * reach > 0:
+            said.append(
+                f"'{key}' moved by {moved:.3g}, of the {reach:.3g} that its rate allows, in one "
+                "direction: it was still on its way, or came to its end just now; give it a larger "
+                "lr, or more time"
             )
     return said
 

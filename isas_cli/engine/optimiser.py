@@ -18,6 +18,7 @@ from ..unknowns.unknowns import Unknown, Unknowns
 
 # Of a gradient's entry in units of ``Stepper.scale``: the square of a larger one is infinite, and a
 # second moment that was infinite once holds its entry still for good.
+FEW = 16  # numbers of an unknown at most, of which a run tells where it ends
 _LARGEST = 1e18
 # Times the largest root mean square of an unknown's entries so far, which divides all of them:
 # larger entries are cut to it. Derivatives by the place of a surface that is seen nearly edge on
@@ -110,6 +111,10 @@ class Stepper:
         self.filtered = {key: self._filtering(key, values[key]) for key in self.unknowns.keys}
         self.nonfinite, self.touched = mi.UInt64(0), mi.UInt64(0)
         self.steps = 0  # at coarser levels too, unlike ``taken``
+        # Of few numbers, since this process took them up: where they were, and how far they could
+        # have gone by now, had all steps been along one way.
+        self.begun: dict[str, np.ndarray] = {}
+        self.reach = dict.fromkeys(values, 0.0)
         # The steps that each entry has taken part in, for the moments' bias corrections.
         self.visits = {key: dr.zeros(mi.Float, dr.width(flat(values[key]))) for key in values}
         # Opaque: as literals they would be compiled into the first step.
@@ -202,12 +207,16 @@ class Stepper:
     def step(self, gradients: dict, spent: float) -> None:
         """One Adam step along ``gradients`` (by key, any scale). Evaluates the new values."""
         gradients = self._directed(gradients)
+        if not self.begun:
+            few = (u.key for u in self.unknowns if u.start.size <= FEW)
+            self.begun = {key: as_numpy(dr.detach(self.adam[key])) for key in few}
         rates, gradient, bad, touched = {}, {}, mi.UInt64(0), mi.UInt64(0)
         for unknown in self.unknowns:
             key = unknown.key
             if not unknown.moves(spent):
                 continue
             rates[key] = self._rate(unknown, spent)
+            self.reach[key] += rates[key]
             # Opaque, because the factor differs from run to run and would compile anew.
             entries = flat(gradients[key]) * dr.opaque(mi.Float, self.scale[key])
             finite = dr.abs(entries) < _LARGEST  # NaN is not

@@ -274,6 +274,7 @@ class Recorder:
                     doubt += f"; {kept} is as it was before this run went on"
                 warnings.append(doubt)
             warnings += ends.astray(*self.ends)
+            warnings += ends.underway(self.loop.stepper)
         plan, last = self.loop.plan, self.loop.last or {}
         if self.left_out and plan and not plan.finish:
             if self.left_out > last.get("image_rmse", math.inf):

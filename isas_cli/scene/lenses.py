@@ -169,6 +169,7 @@ def _side_by_side(sensor: mi.Sensor) -> list:
     params, found = mi.traverse(sensor), {}
     for key in params.keys():
         holder = owner(params, key)
-        if isinstance(holder, mi.Sensor) and holder is not sensor and key.count(".") == 1:
-            found.setdefault(key.partition(".")[0], holder)
+        # What a camera itself holds has no dot in its name; what it is called may.
+        if isinstance(holder, mi.Sensor) and holder is not sensor:
+            found.setdefault(key.rpartition(".")[0], holder)
     return list(found.values())

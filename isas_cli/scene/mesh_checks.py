@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 SMALLEST_AREA = 1e-12
 # Repeats of an unknown texture beyond this count are taken for damage, not for tiling; of others,
 # which may be in metres, from where float32 tells no fraction of a texel.
+_BARE = ("SDFGrid",)  # shapes of Mitsuba's without texture coordinates
 LARGEST_TEXCOORD, LARGEST_UNUSED = 1000.0, 1e6
 # Of an OBJ file that has coordinates for only some faces, Mitsuba leaves the others' as they lie in
 # memory.
@@ -108,11 +109,20 @@ def check_scene(scene: mi.Scene, textures: dict[str, mi.Texture]) -> list[str]:
     import mitsuba as mi
 
     warnings, charts = [], {key: {} for key in textures}
-    for shape in scene.shapes():
+    # With those of groups, which are no shapes of the scene.
+    every = [each for each in mi.traverse(scene).hierarchy if isinstance(each, mi.Shape)]
+    for shape in every:
         values = mi.traverse(shape)
-        if "vertex_positions" not in values:
-            continue  # a sphere, a rectangle, …: made by Mitsuba
         name = shape.id()
+        if "vertex_positions" not in values:
+            # A sphere, a rectangle, …: made by Mitsuba. Of a group's, others hold it.
+            painted = _textures_of(values, textures) if shape.class_name() in _BARE else ()
+            for key, _ in painted:
+                raise InputError(
+                    f"shape {name}: has no texture coordinates, which '{key}' needs: make a mesh "
+                    "of it and unwrap that"
+                )
+            continue
         vertices, faces = (
             np.array(values[key]).reshape(-1, 3) for key in ("vertex_positions", "faces")
         )

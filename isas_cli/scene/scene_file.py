@@ -52,6 +52,7 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str
         settings, state = parse(path)
         own = _unwrapped(state, path)
         kind = own[0].props.plugin_name() if own else None
+        blind = any(map(_takes_no_bsdf_samples, own))
         described = _integrator(own, state, path, max_depth)
         description = "".join(str(node.props) for node in state.nodes)
         for node in state.nodes:
@@ -62,6 +63,7 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str
         raise InputError(f"scene.path={path}: holds no <scene>")
     integrator = loaded.integrator() or mi.load_dict(described)
     integrator.stands_for = kind
+    integrator.blind = blind
     return loaded, integrator, description
 
 
@@ -85,7 +87,8 @@ def parse(path: str) -> tuple[mi.parser.ParserConfig, mi.parser.ParserState]:
         mi.parser.transform_upgrade(settings, state)
         file_checks.check(state, f"scene.path={path}")
     for node in state.nodes:
-        if node.props.plugin_name() == "bitmap" and "format" not in node.props:
+        # As the file's own numbers are, where nothing else is said: whole ones have no derivative.
+        if node.props.plugin_name() == "bitmap" and node.props.get("format", "auto") == "auto":
             node.props["format"] = "variant"
     return settings, state
 
@@ -101,6 +104,11 @@ def _said(path: str) -> Iterator[None]:
         if _SPECTRAL in text:
             text += " (isas renders red, green and blue: give this colour as <rgb>)"
         raise InputError(f"scene.path={path}: Mitsuba cannot load it: {text}") from error
+
+
+def _takes_no_bsdf_samples(node) -> bool:
+    usual = node.props.get("shading_samples", 1)
+    return node.props.plugin_name() == "direct" and node.props.get("bsdf_samples", usual) == 0
 
 
 def _properties(described: dict) -> mi.Properties:

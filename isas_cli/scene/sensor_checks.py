@@ -36,7 +36,8 @@ def doubts(scene: mi.Scene) -> list[str]:
         largest = np.maximum(points, np.abs(np.array(ray.o)).max(axis=0))
         apart = np.linalg.norm(np.array(ray.d) - np.array(beside.d), axis=0) * t
         apart += np.linalg.norm(np.array(ray.o) - np.array(beside.o), axis=0)
-        seen = np.isfinite(t)
+        # The rays of a meter are one, or all alike: its pixels have no width.
+        seen = np.isfinite(t) & (apart > 0)
         step = np.spacing(largest[seen].astype(np.float32))
         off = step / np.maximum(apart[seen], 1e-30)
         if seen.any() and np.median(off) > _OFF:

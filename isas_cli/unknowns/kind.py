@@ -207,12 +207,15 @@ class Kind:
         """What ``leaf`` stands for, in the shape of the unknown."""
         return as_numpy(self.fine(leaf, self.present.shape))
 
+    @property
+    def decoded(self) -> bool:
+        """Whether the numbers of a picture file are decoded as colours: data stay as stored."""
+        return bool(self.role) and not self.raw
+
     def start(self, spec: str, where: str) -> np.ndarray:
         """The start that the configuration calls ``spec``: a file. Raises InputError, naming
         ``where``."""
-        # What is no colour is stored as it is, whatever the file is of.
-        decoded = self.role and not self.raw
-        picture = images.read(Path(spec), linear=None if decoded else True)
+        picture = images.read(Path(spec), linear=None if self.decoded else True)
         if self.present.shape[-1] == 1 and (picture == picture[..., :1]).all():
             picture = picture[..., :1]
         if picture.shape != self.present.shape:

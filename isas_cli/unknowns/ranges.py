@@ -87,6 +87,7 @@ _UNITS = {
 }
 
 _LIGHTS = ("radiance", "intensity", "irradiance")
+_AIMS = ("direction", "_angle", "beam_width")
 _COLOURS = ("base_color", "reflectance", "albedo", "diffuse", "specular")
 _COLOURS += ("diffuse_reflectance", "specular_reflectance")
 _COLOURS += ("specular_transmittance", "transmittance")
@@ -127,8 +128,10 @@ def fed(params: mi.SceneParameters, key: str) -> list[tuple[mi.Object, str, floa
 def role(params: mi.SceneParameters, key: str) -> str:
     """``light`` or ``colour``, which brightness can move between, or nothing."""
     ends = fed(params, key)
-    if any(isinstance(holder, mi.Emitter) or word in _LIGHTS for holder, word, _ in ends):
-        return "light"
+    lit = [word for holder, word, _ in ends if isinstance(holder, mi.Emitter) or word in _LIGHTS]
+    if lit:
+        # Where a light points, and how wide, is no brightness.
+        return "" if all(word.endswith(_AIMS) for word in lit) else "light"
     return "colour" if any(word in _COLOURS for _, word, _ in ends) else ""
 
 

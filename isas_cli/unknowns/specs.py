@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import mitsuba as mi
@@ -206,6 +207,11 @@ def _unfit(params: mi.SceneParameters, key: str, valid: list[str]) -> str:
         )
     if key in params and (reason := routes.refusal(params, key)):
         return f"'{key}': {reason}; valid: {', '.join(valid)}"
+    if key in params and key.endswith(".data") and not is_float(params[key]):
+        return (
+            f"'{key}' holds whole numbers, by which nothing is differentiated: take the format of "
+            f"this bitmap out of the file; valid: {', '.join(valid)}"
+        )
     if key in params and moves_geometry(params, key):
         return (
             f"'{key}' moves geometry, whose visibility path replay does not differentiate; move "
@@ -224,9 +230,15 @@ def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
     if reason:
         raise InputError(f"{where}.start: {reason}")
     start = kind.normal(start)
-    if spec.lr is not None and not spec.lr > 0:
-        raise InputError(f"{where}.lr={spec.lr}: must be above 0")
+    if spec.lr is not None and not 0 < spec.lr < math.inf:
+        raise InputError(f"{where}.lr={spec.lr}: must be a finite number above 0")
     truth = kind.present if truth_known else None
+    if truth is not None and not np.all(np.isfinite(truth)):
+        count = int((~np.isfinite(truth)).sum())
+        raise InputError(
+            f"{where}: the scene's own value, the truth: {count} of its {truth.size} numbers are "
+            "not finite: mend its file"
+        )
     if truth is not None and (truth.min() < low or truth.max() > high):
         raise InputError(
             f"{where}: the scene's own value, the truth, is outside its range "

@@ -32,6 +32,11 @@ class Texture(Kind):
         wraps = _repeats(self.texture, self.present, turned)
         self.axes = ((0, wraps), (1, wraps))
 
+    @property
+    def decoded(self) -> bool:
+        """As Mitsuba does with the texture's own file, whatever is in it."""
+        return not self.raw
+
     def pictures(self, array: np.ndarray) -> dict[str, np.ndarray]:
         return picture(array)
 

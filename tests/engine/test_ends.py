@@ -10,6 +10,7 @@ from xml_for_tests import camera, paths
 
 from isas_cli.config.schema import UnknownConfig
 from isas_cli.engine import assemble, ends
+from isas_cli.runtime import images
 
 KEY = "ball.bsdf.brdf_0.weight.value"
 BLEND = f"""<scene version="3.0.0">{paths(4)}{camera("0,1.2,4", fov=45)}<emitter type="constant"/>
@@ -77,13 +78,60 @@ def test_settings_without_effect_are_said(tmp_path):
 
 def test_a_factor_of_what_is_unknown_is_said():
     def told(**roles: str) -> list[str]:
-        names = {key.replace("_", "."): role for key, role in roles.items()}
+        names = {
+            key.replace("_", ".").replace("bsdf.", "bsdf_"): role for key, role in roles.items()
+        }
         return assemble._products(
             [SimpleNamespace(key=k, kind=SimpleNamespace(role=role)) for k, role in names.items()]
         )
 
     assert told(sky_data="light", lamp_scale="light") == []
     assert told(bumps_scale="", bumps_nested_reflectance="colour") == [], "a bump map's height"
-    assert told(sky_data="light", sky_scale="light") == [
-        "'sky.scale' multiplies 'sky.data', and images tell their product alone: leave one out"
-    ]
+    (scale,) = told(sky_data="light", sky_scale="light")
+    assert scale.startswith("'sky.scale' multiplies 'sky.data', and images tell their product")
+    (slide,) = told(spot_intensity_value="light", spot_texture_data="light")
+    assert "'spot.intensity.value' multiplies 'spot.texture.data'" in slide
+    assert told(spot_intensity_value="light", lamp_texture_data="light") == []
+    (mixed,) = told(rust_weight_value="", rust_bsdf_1_reflectance_value="colour")
+    assert "'rust.weight.value' multiplies 'rust.bsdf_1.reflectance.value'" in mixed
+    assert told(rust_weight_value="", rust_bsdf_1_alpha_value="") == []
+
+
+LAMP = f"""<scene version="3.0.0">{paths(3)}{camera()}
+  <emitter type="constant" id="sky"><rgb name="radiance" value="6"/></emitter>
+  <shape type="sphere" id="ball"/></scene>"""
+
+
+def test_what_is_still_on_its_way_is_said(tmp_path):
+    """Nine times its start away, at the default rate; and at one that takes it there."""
+    file = tmp_path / "lamp.xml"
+    file.write_text(LAMP)
+    run = ["scene=file", f"scene.path={file}", "target.spp=4", "estimator.batch=256", *QUIET]
+    run += ["budget.iterations=120", "effects=full", "optimizer.filter=none"]
+
+    def told(start: float, lr: float) -> list[str]:
+        unknown = f"scene.unknowns={{sky.radiance.value: {{start: {start}, lr: {lr}}}}}"
+        made = ran(tmp_path / f"run-{start}-{lr}", *run, unknown)
+        return [each for each in made.summary["warnings"] if "still on its way" in each]
+
+    (slow,) = told(0.7, 0.002)
+    assert slow.startswith("'sky.radiance.value' moved by ") and "give it a larger lr" in slow
+    assert told(5.5, 0.1) == [] == told(6.0, 0.02)
+
+
+GREY = f"""<scene version="3.0.0">{paths(2)}{camera()}<emitter type="constant"/>
+  <shape type="rectangle" id="wall"><bsdf type="diffuse"><float name="reflectance" value="0.3"/>
+  </bsdf></shape></scene>"""
+
+
+@pytest.mark.parametrize("colour, count", [((0.8, 0.4, 0.1), 1), ((0.4, 0.4, 0.4), 0)])
+def test_a_grey_where_targets_have_colours_is_said(tmp_path, colour, count):
+    """One number for three channels."""
+    (tmp_path / "wall.xml").write_text(GREY)
+    picture = np.broadcast_to(np.float32(colour), (16, 16, 3))
+    images.write_exr(tmp_path / "a.exr", np.ascontiguousarray(picture), [*"RGB"], {})
+    run = ["scene=file", f"scene.path={tmp_path / 'wall.xml'}", "budget.iterations=1", *QUIET]
+    run += [f"scene.targets=[{tmp_path / 'a.exr'}]", "estimator.batch=256", "effects=full"]
+    made = ran(tmp_path / "run", *run, "scene.unknowns={wall.bsdf.reflectance.value: {start: 0.5}}")
+    told = [each for each in made.summary["warnings"] if "one number for all channels" in each]
+    assert len(told) == count

@@ -286,3 +286,36 @@ def test_a_run_says_and_records_what_is_wrong_with_its_meshes(folder, capsys):
     captured = capsys.readouterr().err
     assert captured.startswith("isas: mesh quad has no texture") and captured.count("\n") == 1
     assert not (folder / "s").exists()
+
+
+GREEN = '<texture type="bitmap" name="reflectance"><string name="filename" value="a.png"/>'
+BARE = f"""<scene version="3.0.0"><shape type="shapegroup" id="group">
+  <shape type="ply" id="leaf"><string name="filename" value="bare.ply"/>
+  <bsdf type="diffuse" id="green">{GREEN}</texture></bsdf></shape></shape>
+  <shape type="instance"><ref id="group"/></shape>{camera()}<emitter type="constant"/></scene>"""
+
+
+def test_meshes_in_groups_are_looked_at_as_well(tmp_path, refused):
+    import trimesh
+    from PIL import Image
+
+    trimesh.creation.icosphere(1).export("bare.ply")
+    Image.new("RGB", (4, 4), (90, 80, 70)).save("a.png")
+    with open("group.xml", "w", encoding="utf-8") as file:
+        file.write(BARE)
+    unknown = "scene.unknowns={group.leaf.bsdf.reflectance.data: {start: 0.5}}"
+    asked = ["run", "scene=file", "scene.path=group.xml", unknown]
+    refused(asked, "mesh leaf has no texture coordinates, which 'group.leaf")
+
+
+def test_a_distance_field_has_no_texture_coordinates():
+    field = np.ones((3, 3, 3, 1), np.float32)
+    field[1, 1, 1] = -1
+    texels = mi.TensorXf(np.full((2, 2, 3), 0.5, np.float32))
+    painted = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels, "raw": True}}
+    shape = {"type": "sdfgrid", "grid": mi.TensorXf(field), "bsdf": painted}
+    scene = mi.load_dict({"type": "scene", "field": shape}, optimize=False)
+    params = mi.traverse(scene)
+    (key,) = (key for key in params.keys() if key.endswith("reflectance.data"))
+    with pytest.raises(InputError, match="shape field: has no texture coordinates"):
+        check_scene(scene, {key: owner(params, key)})

@@ -399,3 +399,16 @@ def test_bad_targets_are_refused_in_one_line(folder, refused, targets, masks, pa
     given = ["scene.path=own/scene.xml", unknowns(), f"scene.targets=[{targets}]"]
     given += [f"scene.masks=[{masks}]"] if masks else []
     refused(["run", *FEW, *given, "target.spp=null"], *parts)
+
+
+@pytest.mark.parametrize("said, works", [("auto", True), ("uint8", False)])
+def test_a_bitmap_whose_format_is_said(folder, refused, said, works):
+    file = folder / "own/scene.xml"
+    text, line = file.read_text(), f'<string name="format" value="{said}"/>'
+    begins = text.index(">", text.index('type="bitmap"')) + 1
+    file.write_text(text[:begins] + line + text[begins:])
+    command = [*FEW, *PLAIN, "scene.path=own/scene.xml", unknowns(), "budget.iterations=2"]
+    if works:
+        assert run(*command) == 0
+    else:
+        refused(["run", *command], "holds whole numbers", "take the format of this bitmap out")

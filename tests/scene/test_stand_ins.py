@@ -105,3 +105,26 @@ def test_prbvolpath_without_a_medium(tmp_path):
     (told,), (own, other) = loaded(tmp_path, "", "prbvolpath", 2)
     assert "replayed by prb, which adds no light by paths of more than 2 edges" in told
     assert own.mean() > other.mean()
+
+
+MIRROR = """<shape type="sphere"><bsdf type="conductor"/></shape>"""
+
+
+def test_a_direct_integrator_without_samples_of_materials(tmp_path, monkeypatch):
+    """A mirror is black to it."""
+    own = INTEGRATOR.replace("/></integrator>", "/>").rstrip()
+    own += '<integer name="bsdf_samples" value="0"/><integer name="emitter_samples" value="4"/>'
+    monkeypatch.setitem(globals(), "INTEGRATOR", f"{own}</integrator>")
+    (told,), _ = loaded(tmp_path, MIRROR, "direct", 2)
+    assert "takes no samples of materials (bsdf_samples)" in told
+
+
+def test_a_camera_in_a_medium_alone_that_it_does_not_name(tmp_path, monkeypatch):
+    """isas's own paths begin within it, Mitsuba's outside."""
+    fog = FOG.replace('"sphere">', '"sphere"><float name="radius" value="9"/>')
+    alone = f"""<scene version="3.0.0">{{integrator}}{camera("0,1,4", 12, 10, film=RGB)}
+      <emitter type="constant"/>{{more}}</scene>"""
+    monkeypatch.setitem(globals(), "XML", alone)
+    (told,), _ = loaded(tmp_path, fog, "volpath", 60)
+    assert "stands within the medium, and does not name it" in told
+    assert loaded(tmp_path, FOG, "volpath", 60)[0] == []

@@ -35,6 +35,7 @@ def direction(start) -> Unknowns:
 
 def test_its_length_is_no_unknown():
     unknowns = direction([0, 3, 4])
+    assert unknowns[KEY].kind.role == "", "of a light, but its brightness is another's"
     assert np.allclose(unknowns[KEY].start, [0, 0.6, 0.8])
     unknowns.write(unknowns.values_of({KEY: np.float32([0, 30, 40])}))
     assert np.allclose(np.array(unknowns.params[KEY]).ravel(), [0, 0.6, 0.8])

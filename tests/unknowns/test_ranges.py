@@ -278,3 +278,32 @@ def test_one_colour_is_that_of_every_vertex():
     params = mi.traverse(mi.load_dict({"type": "scene", "mesh": mesh}, optimize=False))
     (made,) = parse(params, {"mesh.vertex_color": UnknownConfig(start=[0.2, 0.3, 0.4])}, False)
     np.testing.assert_allclose(made.start.reshape(3, 3), [[0.2, 0.3, 0.4]] * 3)
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_a_texture_s_own_file_is_a_start_at_its_truth(tmp_path, raw, rng):
+    """Also where it is no colour: Mitsuba decodes 8 bits unless they are said to be raw."""
+    file = tmp_path / "rough.png"
+    Image.fromarray(rng.integers(20, 250, (4, 4), np.uint8)).save(file)
+    described = {"type": "bitmap", "filename": str(file), "raw": raw, "format": "variant"}
+    params = ball(type="principled", roughness=described)
+    (made,) = parse(params, {"ball.bsdf.roughness.data": UnknownConfig(start=str(file))}, True)
+    np.testing.assert_allclose(made.start, made.truth, atol=1e-3)
+
+
+@pytest.mark.parametrize("light, role", [("cutoff_angle", ""), ("intensity.value", "light")])
+def test_how_wide_a_light_is_is_no_brightness(light, role):
+    spot = {"type": "spot", "cutoff_angle": 30.0}
+    params = mi.traverse(mi.load_dict({"type": "scene", "spot": spot}, optimize=False))
+    (made,) = parse(params, {f"spot.{light}": UnknownConfig(start=5.0)}, True)
+    assert made.kind.role == role
+
+
+def test_a_truth_with_what_is_no_number_is_refused():
+    params = ball(type="diffuse", reflectance=bitmap(3))
+    texels = np.full((2, 2, 3), 0.5, np.float32)
+    texels[0, 1] = np.nan
+    params["ball.bsdf.reflectance.data"] = mi.TensorXf(texels)
+    params.update()
+    with pytest.raises(InputError, match="3 of its 12 numbers are not finite: mend its file"):
+        parse(params, {"ball.bsdf.reflectance.data": UnknownConfig(start=0.5)}, True)
