@@ -11,6 +11,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from ..config import searchpath
 from ..records.writer import RECORD_FILES
 from ..runtime.errors import InputError
 
@@ -19,7 +20,10 @@ _OF_SWEEPS = ("hydra/launcher", "hydra/sweeper", "hydra.launcher", "hydra.sweepe
 
 @contextlib.contextmanager
 def argv(arguments: list[str]) -> Iterator[None]:
-    saved, sys.argv = sys.argv, arguments
+    # What the record says can be typed again; what Hydra is to read has its own order.
+    places = searchpath.words() if arguments[0] == "isas" else []
+    more = [each for each in places if each not in arguments]
+    saved, sys.argv = sys.argv, [*arguments, *more]
     try:
         yield
     finally:

@@ -15,7 +15,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import ChoiceSweep
 from hydra.errors import HydraException
 
-from ..config import paths
+from ..config import paths, searchpath
 from ..config.compose import compose, options, translate
 from ..config.grammar import override
 from ..config.roles import meaning
@@ -27,6 +27,7 @@ from ..runtime.errors import InputError, nearest
 from . import one
 
 FILE = "race.yaml"
+LISTED = "entries", "settings"  # in it
 _SLICE_SECONDS = 1.0
 _OWN = ("samplers", "contestants", "seed", "slice", "resume", "hydra.run.dir")
 
@@ -40,6 +41,7 @@ class Plan:
     entries: list[Entry]
     written: list[dict[str, Any]]
     home: str
+    turn: float
 
     def check(self) -> None:
         """Raises InputError where the folders cannot be used or hold something."""
@@ -55,7 +57,8 @@ class Plan:
 
     def begin(self) -> None:
         """Write race.yaml."""
-        write_yaml(self.folder / FILE, {"started_in": self.home, "entries": self.written})
+        content = {"slice": self.turn, "entries": self.written}
+        write_yaml(self.folder / FILE, {"started_in": self.home, **content})
 
 
 def main(arguments: list[str]) -> int:
@@ -63,13 +66,14 @@ def main(arguments: list[str]) -> int:
     one.no_flags("race", arguments)
     own, overrides = options_of(arguments)
     with one.argv(["isas", "race", *arguments]), interrupt.prompt():
-        turn = slice_seconds(own)
         from .sweeps import races
 
         if "resume" in own:
             folder = _resumed(own)
             if (folder / races.FILE).exists():
                 return races.resume(folder, own, overrides)
+            read, _ = read_yaml(folder / FILE, *LISTED)
+            turn = slice_seconds({"slice": str(read.get("slice", _SLICE_SECONDS)), **own})
             left = unfinished(folder, resumption.parse(overrides))
             if not left:
                 spent = "every contestant has spent its budget: give a larger one"
@@ -80,7 +84,7 @@ def main(arguments: list[str]) -> int:
             return races.main(own, several)
         plan = planned(own, overrides)
         plan.check()
-        return _compared(plan.folder, race.run(plan.entries, turn, plan.begin))
+        return _compared(plan.folder, race.run(plan.entries, plan.turn, plan.begin))
 
 
 def options_of(
@@ -145,33 +149,31 @@ def planned(own: dict[str, str], overrides: list[str], home: str | None = None) 
             relative = str(place.relative_to(folder))
             written.append({"label": label, "folder": relative, "settings": settings})
     _distinct("contestants: folder", [each["folder"] for each in written])
-    return Plan(folder, entries, written, home or os.getcwd())
+    return Plan(folder, entries, written, home or os.getcwd(), slice_seconds(own))
 
 
 def write_yaml(path: Path, content: dict[str, Any]) -> None:
     """What there is to go on with."""
-    text = yaml.safe_dump({"schema": 1, **content}, sort_keys=False)
+    places = {"searchpath": searchpath.typed()} if searchpath.typed() else {}
+    text = yaml.safe_dump({"schema": 1, **places, **content}, sort_keys=False)
     write_text(path, text)
 
 
-def read_yaml(path: Path, key: str, told: str) -> tuple[str | None, list[dict[str, Any]]]:
-    """Where it was started, and the list under ``key``, whose items have a folder and what they are
-    ``told``, a list of texts of that name. Raises InputError."""
+def read_yaml(path: Path, key: str, told: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """What is there, with the list under ``key``, whose items have a folder and what they are
+    ``told``, a list of texts of that name. Choices lie where they did when it was begun, from here
+    on. Raises InputError."""
     try:
         read = yaml.safe_load(path.read_text(encoding="utf-8"))
-        home, listed = read.get("started_in"), read[key]
+        listed, places = read[key], read.get("searchpath", [])
         for each in listed:
             if not all(isinstance(text, str) for text in (each["folder"], *each[told])):
                 raise TypeError
+        searchpath.add(places)
     except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
         holds = f"{path.parent} holds no race: {path.name} is missing or damaged"
         raise InputError(holds) from error
-    return home, listed
-
-
-def entries_of(folder: Path) -> tuple[str | None, list[dict[str, Any]]]:
-    """Where the race in ``folder`` was started, and what race.yaml says of its entries."""
-    return read_yaml(folder / FILE, "entries", "settings")
+    return read, listed
 
 
 def _resumed(own: dict[str, str]) -> Path:
@@ -183,7 +185,7 @@ def _resumed(own: dict[str, str]) -> Path:
 
 def unfinished(folder: Path, changes: dict[str, Any]) -> list[Entry]:
     """The entries of an earlier race that have not ended, or not with these ``changes``."""
-    home, listed = entries_of(folder)
+    read, listed = read_yaml(folder / FILE, *LISTED)
     entries = []
     for each in listed:
         label, place, settings = each.get("label", ""), folder / each["folder"], each["settings"]
@@ -191,7 +193,7 @@ def unfinished(folder: Path, changes: dict[str, Any]) -> list[Entry]:
             entry = race.continued(label, place, changes)
         else:  # killed before its record was whole, and before its first step
             cfg = compose([*settings, "overwrite=true"])
-            paths.locate(cfg, home)
+            paths.locate(cfg, read.get("started_in"))
             entry = Entry(label, resumption.changed(cfg, changes), place)
         if entry is not None:
             entries.append(entry)
@@ -292,7 +294,7 @@ def folder_of(given: str) -> Path:
 def _compared(folder: Path, status: int) -> int:
     """The comparison's page, which a race is run for. Returns the race's status."""
     # Its own runs, not whatever else lies below its folder.
-    _, listed = entries_of(folder)
+    _, listed = read_yaml(folder / FILE, *LISTED)
     compared([folder / each["folder"] for each in listed], folder, status)
     return status
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from omegaconf import OmegaConf
 from rich.console import Console
 from rich.table import Column, Table
 
-from ..config import searchpath
+from ..config import method, searchpath
 
 
 def _comment(text: str) -> str:
@@ -22,11 +21,12 @@ def main() -> int:
     sizes = Column("sizes", no_wrap=True)
     table = Table(names, "problem", keys, sizes, title="isas run scene=NAME size=SIZE")
     for name, file in searchpath.files("scene").items():
-        node = OmegaConf.create(file.read_text(encoding="utf-8"))
+        node = method.read(file)
         unknowns = "\n".join(node.get("unknowns") or {}) or "scene.unknowns=…"
         problem = node.get("description", "")
-        if method := node.get("method"):
-            problem += f" Takes estimator={method.estimator.name} sampler={method.sampler}."
+        own = method.flat(method.said(name, "method"))
+        if words := [f"{group}={own[group]}" for group in ("estimator", "sampler") if group in own]:
+            problem += f" Takes {' '.join(words)}."
         table.add_row(name, problem, unknowns, "\n".join(node.get("sizes") or []))
     console.print(table)
     for group in ("sampler", "loss"):

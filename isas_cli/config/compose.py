@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
+import yaml
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
 from hydra.errors import HydraException, OverrideParseException
@@ -28,8 +29,13 @@ _GROUPS = ("scene", "sampler", "estimator", "loss", "prior", "effects")
 # Taken as they stand, whatever letters a path has.
 _PATHS = (
     *("scene.path", "scene.external.command", "hydra.run.dir", "hydra.sweep.dir"),
-    *(f"scene.photos.{name}" for name in ("path", "mesh", "environment", "images", "masks")),
+    *(
+        f"scene.photos.{name}"
+        for name in ("path", "mesh", "cameras", "environment", "images", "masks")
+    ),
 )
+# Files in a list, or beside what is no file.
+_FILES = "scene.targets", "scene.masks", "scene.photos.texture"
 # photos.path is short for scene.photos.path.
 _SHORT = "photos.", "external."
 # Names of another renderer, which no schema can list.
@@ -71,6 +77,10 @@ def _translate(override: str) -> str:
         value = os.path.expanduser(value)  # a shell does so in some places only
         sweep = key == "scene.path" and "," in value and not paths.exists(Path(value))
         return f"{key}={value}" if sweep else f"{key}={literal(value)}"
+    if key in _FILES and "~" in value:  # a shell does not look into lists
+        home = os.path.expanduser("~/")
+        value = re.sub(r"(^|[\[,\s'\"])~/", lambda found: found.group(1) + home, value)
+        bare = override = f"{key}={value}"
     if bare.startswith("hydra") or bare.startswith("~hydra"):
         return override
     if bare == "~scene.method":
@@ -131,6 +141,8 @@ def _translate_named(override: str, setting: str, entry_type: type) -> str:
         raise InputError(f"{override}: give {example}")
     fields = [f.name for f in dataclasses.fields(entry_type)]
     for key, entry in parsed.items():
+        if entry and isinstance(entry.get("start"), str):
+            entry["start"] = os.path.expanduser(entry["start"])
         for name in entry or {}:
             if name not in fields:
                 raise InputError(
@@ -165,7 +177,7 @@ def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
         with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
             cfg = hydra_compose("config", overrides, return_hydra_config=hydra)
             OmegaConf.resolve(cfg.scene)
-    except (HydraException, *_REFUSALS, OSError, ValueError) as error:
+    except (HydraException, *_REFUSALS, yaml.YAMLError, OSError, ValueError) as error:
         text = explain(error, overrides)
         for typed, hydra_s in _WITHIN.items():
             text = text.replace(hydra_s, typed)

@@ -9,13 +9,18 @@ from __future__ import annotations
 
 import importlib.resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import yaml
 from omegaconf import DictConfig, OmegaConf
 
+from ..runtime.errors import InputError
 from . import searchpath
 from .grammar import override
 from .presets import PRESETS
+
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
 
 # Taken out as a whole.
 NONE = "scene.method=null"
@@ -45,7 +50,7 @@ def completed(overrides: list[str]) -> list[str]:
     typed = dict(o.lstrip("+").partition("=")[::2] for o in overrides)
     if NONE in overrides or "scene" not in typed:
         return overrides
-    own = _flat(said(typed["scene"], "method"))
+    own = flat(said(typed["scene"], "method"))
     if typed["scene"] == "photos" and _moving(typed):
         own |= _OF_MOVING
     preset = typed.get("sampler") in PRESETS
@@ -89,7 +94,7 @@ def _moving(typed: dict[str, str]) -> bool:
 
 def taken(cfg: DictConfig) -> list[str]:
     """What ``cfg`` has from its scene, as it would be typed."""
-    own = _flat(cfg.scene.method or OmegaConf.create())
+    own = flat(cfg.scene.method or OmegaConf.create())
     if cfg.scene.photos.path is not None and cfg.estimator.name == _OF_MOVING["estimator"]:
         own |= _OF_MOVING
     same = own.get("estimator") == cfg.estimator.name
@@ -111,10 +116,24 @@ def said(scene: str, group: str) -> DictConfig:
     """What the YAML of a scene says of ``group``; nothing of a scene that is none."""
     if (file := searchpath.files("scene").get(scene)) is None:
         return OmegaConf.create()
-    return OmegaConf.create(file.read_text(encoding="utf-8")).get(group) or OmegaConf.create()
+    found = read(file).get(group)
+    if found is not None and not isinstance(found, DictConfig):
+        raise InputError(f"{file}: {group}: holds no settings by name")
+    return found or OmegaConf.create()
 
 
-def _flat(method: DictConfig) -> dict[str, Any]:
+def read(file: "Traversable") -> DictConfig:
+    """The YAML of a choice. Raises InputError, one line, where it is none."""
+    try:
+        found = OmegaConf.create(file.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f"{file}: {' '.join(str(error).split())}") from error
+    if not isinstance(found, DictConfig):
+        raise InputError(f"{file}: holds no settings by name")
+    return found
+
+
+def flat(method: DictConfig) -> dict[str, Any]:
     """``{"estimator": {"name": "plateau", "spp": 4}}`` → ``{"estimator": "plateau",
     "estimator.spp": 4}``."""
     found = {}

@@ -386,7 +386,7 @@ class Config:
     seed: int = setting(1, Role.SEED, shared=True)
     evaluation: EvaluationConfig = setting(EvaluationConfig, Role.RECORD, looped=True)
     frames: FramesConfig = setting(FramesConfig, Role.RECORD)
-    report: bool = setting(True, Role.RECORD)
+    report: bool = setting(True, Role.RECORD, looped=True)
     profile: bool = setting(False, Role.RECORD, resumes=True, looped=True)
     tracker: str = setting("none", Role.PLACE, resumes=True, **_OF_RUNS)
     name: str = setting(MISSING, Role.PLACE, shared=True)

@@ -76,8 +76,7 @@ def asked(arguments: list[str]) -> Iterator[list[str]]:
             rest.append(word)
     before = os.environ.get(VARIABLE)
     try:
-        if places:
-            os.environ[VARIABLE] = ",".join([*places, *_typed()])
+        add(places)
         yield rest
     finally:
         if before is None:
@@ -86,10 +85,27 @@ def asked(arguments: list[str]) -> Iterator[list[str]]:
             os.environ[VARIABLE] = before
 
 
+def add(places: list[str]) -> None:
+    """Look in these as well, as long as ``asked`` lasts."""
+    found = [*(each for each in places if each not in typed()), *typed()]
+    if found:
+        os.environ[VARIABLE] = ",".join(found)
+
+
+def typed() -> list[str]:
+    """The folders and packages that were named."""
+    return [each for each in os.environ.get(VARIABLE, "").split(",") if each]
+
+
+def words() -> list[str]:
+    """The same, as they are typed."""
+    return [f"{_SETTING}[{','.join(typed())}]"] if typed() else []
+
+
 def _place(text: str, where: str) -> str:
     """A folder, whole, or ``pkg://NAME``. Raises InputError."""
     if not text.startswith(_PACKAGE):
-        text = str(Path(text.removeprefix(_FOLDER)).resolve()) if text else ""
+        text = text and str(Path(text.removeprefix(_FOLDER)).expanduser().resolve())
     try:
         there = bool(text) and _opened(text).is_dir()
     except InputError:
@@ -104,14 +120,10 @@ def _place(text: str, where: str) -> str:
 
 def _others() -> Iterable[str]:
     """As Hydra takes them."""
-    for place in _typed():
+    for place in typed():
         yield place if place.startswith(_PACKAGE) else _FOLDER + place
     for point in guests.points(guests.CONFIGS):
         yield _PACKAGE + point.value
-
-
-def _typed() -> list[str]:
-    return [each for each in os.environ.get(VARIABLE, "").split(",") if each]
 
 
 def _opened(place: str) -> "Traversable":

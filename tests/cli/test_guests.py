@@ -14,6 +14,7 @@ import yaml
 
 import isas_cli
 from isas_cli import records
+from isas_cli.cli import race
 from isas_cli.cli.app import main
 from isas_cli.config import searchpath
 from isas_cli.config.compose import compose, translate
@@ -178,3 +179,59 @@ def test_what_is_not_kept_is_noticed(beside):
     """Without a floor the paper's sampler leaves out pixels that no derivative meets."""
     done = beside.conforms("sampler=ours sampler.floor=0", "-k", "every_pixel")
     assert done.returncode == 1 and "a pixel that is never drawn" in done.stdout
+
+
+def test_a_race_goes_on_with_the_folders_and_the_slice_that_it_began_with(
+    folder, tmp_path, monkeypatch
+):
+    """One of its runs was killed before its record: what it is composed of lies in the folder."""
+    monkeypatch.chdir(tmp_path)
+    words = ["race", "--config-dir", str(folder), "scene=small", "loss=soft", *TINY]
+    assert main([*words, "samplers=[uniform,relevant]", "slice=7", "hydra.run.dir=race"]) == 0
+    kept = records.load(Path("race/uniform/seed1"))
+    assert f"hydra.searchpath=[{folder}]" in kept.manifest["command"]
+    shutil.rmtree("race/relevant")
+    turns = []
+    held = race.race.run
+    monkeypatch.setattr(
+        race.race, "run", lambda left, turn, begin: turns.append(turn) or held(left, turn, begin)
+    )
+    assert main(["race", "resume=race"]) == 0
+    assert turns == [7.0]
+    assert records.load(Path("race/relevant/seed1")).config["loss"]["epsilon"] == 0.5
+    assert searchpath.VARIABLE not in os.environ
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("name: [bad", "bad.yaml"),
+        ("[a, b]", "holds no settings by name"),
+        ("name: bad\nunknowns: 5", "unknowns: holds no settings by name"),
+        ("name: bad\nmethod: [a]", "method: holds no settings by name"),
+    ],
+)
+def test_a_file_of_one_s_own_that_cannot_be_read_is_named(folder, refused, text, words):
+    (folder / "scene/bad.yaml").write_text(text)
+    for command in (["run", "scene=bad"], ["scenes"]):
+        if command == ["scenes"] and "unknowns" in words:
+            continue  # which it lists as they are
+        assert "scene/bad.yaml" in refused([*command, f"--config-dir={folder}"], words)
+
+
+def test_a_loss_that_is_no_yaml_is_named(folder, refused):
+    (folder / "loss/bad.yaml").write_text("name: [bad")
+    refused(["run", "scene=pottery", "loss=bad", f"--config-dir={folder}"], "loss/bad.yaml")
+
+
+def test_a_scene_may_take_a_budget_alone(folder, capsys):
+    file = folder / "scene/small.yaml"
+    file.write_text(file.read_text() + "\nmethod: {budget: {iterations: 5}}\n")
+    assert main(["scenes", f"--config-dir={folder}"]) == 0
+    assert "small" in capsys.readouterr().out
+
+
+def test_home_is_a_folder_s_beginning(folder, monkeypatch, capsys):
+    monkeypatch.setenv("HOME", str(folder.parent))
+    assert main(["scenes", "--config-dir=~/mine"]) == 0
+    assert "small" in capsys.readouterr().out

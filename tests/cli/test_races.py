@@ -174,7 +174,7 @@ def test_other_settings_are_another_race_and_other_threads_are_not(job):
 
     def found(*changes: str) -> str:
         own, overrides = race.options_of([*TINY, "scene=dodoco", "budget.iterations=2", *changes])
-        return races.Race("a", [], job.folder, job.cfg, race.planned(own, overrides), 1, {}).found()
+        return races.Race("a", [], job.folder, job.cfg, race.planned(own, overrides), {}).found()
 
     assert found() == found("variant=llvm_ad_rgb") == "unfinished"
     assert found("optimizer.lr=0.5") == found("seed=2") == "other"

@@ -342,3 +342,20 @@ def test_outcomes_count_as_what_a_search_minimises():
     assert exit_status([done, photographs]) == 0
     assert exit_status([done, interrupted, failed]) == 3
     assert exit_status([done, interrupted]) == 130
+
+
+def test_a_job_that_never_began_does_not_block_the_corrected_one(tmp_path):
+    """What it leaves is its settings and why it failed, and no run."""
+    cfg = compose([*TINY, "optimizer.lr=0.5"])
+    failed = Job("a", [], tmp_path, cfg)
+    failed.record_failure(Report(2, "no such thing"), begun=False)
+    corrected = Job("a", [], tmp_path, compose([*TINY, "optimizer.lr=0.1"]))
+    assert corrected.found() == failed.found() == "failed"
+
+
+def test_a_run_of_other_settings_is_told_with_what_a_sweep_takes(tmp_path):
+    (tmp_path / "config.yaml").write_text("seed: 5")
+    (tmp_path / "manifest.json").write_text("{}")
+    with pytest.raises(InputError, match="give another hydra.sweep.dir") as caught:
+        Job("a", [], tmp_path, compose(TINY)).go(1)
+    assert "hydra.run.dir" not in str(caught.value)

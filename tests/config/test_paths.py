@@ -68,3 +68,18 @@ def test_files_that_changed_after_a_time_are_told_those_of_a_scene_s_xml_too(hom
 def test_records_of_what_has_moved_are_left_as_they_are(home, gone):
     """Their files are looked for in the working directory."""
     assert located(["scene=file", *FILES, UNKNOWNS], gone)[1]
+
+
+@pytest.mark.parametrize(
+    "typed, expected",
+    [
+        ("photos.texture=~/a.png", "scene.photos.texture=/home/me/a.png"),
+        ("photos.texture=128", "scene.photos.texture=128"),
+        ("scene.targets=[~/a.exr, ~/b.exr]", "scene.targets=[/home/me/a.exr, /home/me/b.exr]"),
+        ("scene.masks=['~/a~/b.png']", "scene.masks=['/home/me/a~/b.png']"),
+        ('scene.unknowns={"a": {"start": "~/a.exr"}}', "/home/me/a.exr"),
+    ],
+)
+def test_home_is_found_in_lists_and_starts(typed, expected, monkeypatch):
+    monkeypatch.setenv("HOME", "/home/me")
+    assert expected in translate([typed])[0]

@@ -63,7 +63,10 @@ class Job:
         if not (self.folder / "config.yaml").exists():
             return NOTHING
         if not fingerprint.same(self.cfg, self.folder):
-            return OTHER if (self.folder / "manifest.json").exists() else NOTHING
+            if (self.folder / "manifest.json").exists():
+                return OTHER
+            # A job that failed before there was a run, of which this may be the corrected one.
+            return NOTHING if read_summary(self.folder) is None else FAILED
         summary = read_summary(self.folder) or {}
         status = summary.get("status")
         if status == "done" and summary.get("complete", True):
@@ -116,10 +119,13 @@ class Job:
                 if _has_checkpoint(self.folder):  # nothing that was computed is thrown away
                     raise
                 print(f"not resumed, begun anew: {error}", file=sys.stderr)
-        if found == OTHER and self.elsewhere and not cfg.overwrite:
+        if found == OTHER and not cfg.overwrite:
+            other = (
+                f"whose {self.elsewhere} is another file" if self.elsewhere else "of other settings"
+            )
             raise InputError(
-                f"{self.folder} holds a run whose {self.elsewhere} is another file: give another "
-                "hydra.sweep.dir, or replace it with overwrite=true"
+                f"{self.folder} holds a run {other}: give another hydra.sweep.dir, or replace it "
+                "with overwrite=true"
             )
         if found in (UNFINISHED, FAILED):
             cfg.overwrite = True

@@ -41,7 +41,6 @@ class Race(Job):
     it alone. ``changes``: see `resumption.parse`."""
 
     plan: race.Plan
-    slice_seconds: float
     changes: dict[str, Any]
 
     def found(self) -> str:
@@ -49,7 +48,7 @@ class Race(Job):
         contestant that failed numerically has ended."""
         if not (self.folder / race.FILE).exists():
             return NOTHING
-        _, listed = race.entries_of(self.folder)
+        _, listed = race.read_yaml(self.folder / race.FILE, *race.LISTED)
         if [_kept(each) for each in listed] != [_kept(each) for each in self.plan.written]:
             return OTHER
         ended = not self.changes and all(_ended(entry.folder) for entry in self.plan.entries)
@@ -88,7 +87,7 @@ class Race(Job):
         begin = (lambda: None) if resumed else self.plan.begin
         with one.argv(["isas", "race", *self.overrides]):
             if entries:
-                status = engine.run(entries, self.slice_seconds, begin)
+                status = engine.run(entries, self.plan.turn, begin)
         with contextlib.suppress(InputError):  # nothing was reached that could be compared
             compare([entry.folder for entry in self.plan.entries], self.folder / _COMPARISON)
         failed = status not in (0, interrupt.STATUS)
@@ -167,9 +166,9 @@ def planned(
     files as they are found from ``home`` (None: from here). Raises InputError, also where the
     folder holds another race."""
     own, overrides = race.options_of(arguments)
-    turn, plan = race.slice_seconds(own), race.planned(own, overrides, home)
+    plan = race.planned(own, overrides, home)
     folder, cfg = Path(os.path.abspath(plan.folder)), plan.entries[0].cfg
-    job = Race(label, arguments, folder, cfg, plan, turn, changes or {})
+    job = Race(label, arguments, folder, cfg, plan, changes or {})
     if job.found() == OTHER and not cfg.overwrite:
         raise InputError(
             f"{plan.folder} holds a race with other settings: choose another folder with "
@@ -202,7 +201,7 @@ def main(own: dict[str, str], several: list[tuple[str, list[str]]]) -> int:
 def resume(root: Path, own: dict[str, str], overrides: list[str]) -> int:
     """Go on with the races in ``root``, by the launcher that ``overrides`` name and with what else
     they change. Returns the exit status."""
-    home, listed = race.read_yaml(root / FILE, "races", "arguments")
+    read, listed = race.read_yaml(root / FILE, "races", "arguments")
     launcher = [each for each in overrides if each.startswith(_LAUNCHER)]
     changes = resumption.parse([each for each in overrides if each not in launcher])
     # What is replaced was replaced when they began.
@@ -211,7 +210,7 @@ def resume(root: Path, own: dict[str, str], overrides: list[str]) -> int:
     for each in listed:
         kept = [o for o in each["arguments"] if not o.startswith(dropped)]
         each["arguments"] = [*kept, *more]
-    jobs = [_job(root, each, changes, home) for each in listed]
+    jobs = [_job(root, each, changes, read.get("started_in")) for each in listed]
     return _held(root, jobs, launcher, lambda: None)
 
 

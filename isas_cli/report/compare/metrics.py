@@ -66,7 +66,7 @@ def gradient_noise(run: Run) -> float:
     The column ``gradient_noise`` holds 1/N ‖…‖² of one iteration, N the gradient's entries that its
     batch touched and g^smoothed Adam's bias-corrected first moment. The paper neither defines N and
     the smoothing nor divides by T; the mean over t instead of the sum keeps runs of different
-    length comparable. NaN where no iteration recorded it (runs of schema version 1).
+    length comparable. NaN where no iteration recorded it.
     """
     recorded = run.history["gradient_noise"].to_numpy(dtype=float)
     recorded = recorded[np.isfinite(recorded)]
