@@ -12,7 +12,6 @@ from ..scene.photos.photographs import Photographs
 
 # More views than that are told by their ranges, but for those that stand out.
 _MOST = 40
-_LOW, _SMALL, _OFF = 0.1, 0.01, 2  # shares of a view; pixels
 _OF_PICTURES = "view", "pixels", "focal length", "count", "lost"
 _OF_OBJECT = "distance", "object seen", "spans"
 _OF_POINTS = "points", "off by"
@@ -111,10 +110,10 @@ def _table(title: str, cells: list[list[str]]) -> Table:
 
 def _stands_out(view: checks.View) -> bool:
     return (
-        (view.photograph.mask > 0).mean() < _LOW
-        or (view.inside is not None and view.inside < _LOW)
-        or (view.spanned is not None and view.spanned < _SMALL)
-        or (view.apart is not None and view.apart > _OFF)
+        (view.photograph.mask > 0).mean() < checks.SEEN
+        or (view.inside is not None and view.inside < checks.SEEN)
+        or (view.spanned is not None and view.spanned < checks.SPANNED)
+        or (view.apart is not None and view.apart > checks.OFF)
     )
 
 

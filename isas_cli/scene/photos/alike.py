@@ -84,10 +84,7 @@ def _blind(photographs: list[Photograph], surface: Surface) -> list[str]:
     """Of few views, those in which no place of the object can lie."""
     points, names = scattered(surface), []
     for each in photographs:
-        place, depth = each.camera.project(points)
-        inside = (depth > 0) & (place >= 0).all(axis=1)
-        inside &= (place < [each.camera.width, each.camera.height]).all(axis=1)
-        if not inside.any():
+        if not each.camera.seen(points)[2].any():
             names.append(each.camera.name)
     # Where most are, it is the mesh, of which others speak.
     if not 0 < len(names) <= len(photographs) / 2:

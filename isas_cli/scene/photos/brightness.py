@@ -190,10 +190,8 @@ def _cosines(centre: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.
 def _seen(photograph: Photograph, points: np.ndarray, channel: int | None) -> np.ndarray:
     """The logarithm of how bright each point is, at exposure 1; NaN where it is not seen."""
     camera = photograph.camera
-    place, depth = camera.project(points)
+    place, depth, inside = camera.seen(points)
     found = np.full(len(points), np.nan)
-    inside = (depth > 0) & (place >= 0).all(axis=1)
-    inside &= (place < [camera.width, camera.height]).all(axis=1)
     if not inside.any():
         return found
     place, depth = place[inside], depth[inside]

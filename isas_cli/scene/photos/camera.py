@@ -104,6 +104,13 @@ class Camera:
         plane = self.distort(inside[:, :2] / safe[:, None])
         return plane * [self.fx, self.fy] + [self.cx, self.cy], depth
 
+    def seen(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """``project``, and which of the points lie before the camera and in its picture, ``(N,)
+        bool``, whatever hides them."""
+        place, depth = self.project(points)
+        inside = (depth > 0) & (place >= 0).all(axis=1)
+        return place, depth, inside & (place < [self.width, self.height]).all(axis=1)
+
     def distort(self, plane: np.ndarray) -> np.ndarray:
         """From the image plane at distance 1 without a lens, ``(…, 2)``, to that with it."""
         return self.lens.distort(plane)

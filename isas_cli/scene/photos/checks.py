@@ -15,8 +15,8 @@ from .photographs import Photographs
 
 # Of points of the surface, the share that a view should see at least; and of a picture's area, what
 # they should span.
-_SEEN, _SPANNED = 0.1, 0.01
-_OFF = 2  # pixels that a known point may lie off
+SEEN, SPANNED = 0.1, 0.01
+OFF = 2  # pixels that a known point may lie off
 
 
 @dataclass
@@ -52,10 +52,8 @@ def views(photographs: Photographs) -> list[View]:
 
 
 def _place(view: View, camera: Camera, points: np.ndarray) -> None:
-    pixels, depth = camera.project(points)
-    before = depth > 0
-    within = before & (pixels >= 0).all(axis=1) & (pixels <= [camera.width, camera.height]).all(1)
-    view.before, view.inside = float(before.mean()), float(within.mean())
+    pixels, depth, within = camera.seen(points)
+    view.before, view.inside = float((depth > 0).mean()), float(within.mean())
     box = np.ptp(pixels[within], axis=0) if within.any() else np.zeros(2)
     view.spanned = float(box.prod() / (camera.width * camera.height))
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
@@ -90,18 +88,18 @@ def warnings(checked: list[View], photographs: Photographs) -> list[str]:
     found = list(photographs.warnings)
     if len(checked) == 1:
         found.append("one view only: what it does not see, and light against colour, stay open")
-    worst = [v for v in checked if v.apart is not None and v.apart > _OFF]
+    worst = [v for v in checked if v.apart is not None and v.apart > OFF]
     if worst:
         name = max(worst, key=lambda v: v.apart).photograph.camera.name
         found.append(
-            f"known points lie more than {_OFF} pixels off in {len(worst)} views, most in {name}"
+            f"known points lie more than {OFF} pixels off in {len(worst)} views, most in {name}"
         )
     if photographs.surface is None:
         return [*found, "no object is given: photos.mesh=FILE shows how it lies in the pictures"]
     many = len(checked) / 2
     behind = [v for v in checked if v.before < 0.5]
-    outside = [v for v in checked if v.before >= 0.5 and v.inside < _SEEN]
-    tiny = [v for v in checked if v.inside >= _SEEN and v.spanned < _SPANNED]
+    outside = [v for v in checked if v.before >= 0.5 and v.inside < SEEN]
+    tiny = [v for v in checked if v.inside >= SEEN and v.spanned < SPANNED]
     around = [v.photograph.camera.name for v in checked if _encloses(photographs.surface, v)]
     if len(behind) > many and len(around) <= many:
         found.append(
@@ -115,7 +113,7 @@ def warnings(checked: list[View], photographs: Photographs) -> list[str]:
         )
     if len(tiny) > many:
         found.append(
-            f"the object fills less than {_SPANNED:.0%} of {len(tiny)} of {len(checked)} views: "
+            f"the object fills less than {SPANNED:.0%} of {len(tiny)} of {len(checked)} views: "
             "its scale is probably not the cameras'"
         )
     if around:

@@ -154,9 +154,8 @@ def _cells(
     """Of a picture in cells as large as what a point stands for: which lie wholly within its mask;
     the number of the cell of each point; and which points lie in any."""
     camera = photograph.camera
-    place, depth = camera.project(points)
-    before = depth > reach
-    seen = before & (place >= 0).all(axis=1) & (place < [camera.width, camera.height]).all(axis=1)
+    place, depth, seen = camera.seen(points)
+    seen &= depth > reach
     if not seen.any():
         return np.zeros((1, 1), bool), np.zeros(len(points), int), seen
     side = max(1, int(np.ceil(reach * camera.fx / np.percentile(depth[seen], 5))))

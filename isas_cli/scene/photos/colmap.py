@@ -9,7 +9,6 @@ in `images.txt` do not count. Binary models are turned into text by ``pycolmap``
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -135,7 +134,7 @@ def _read(model: _Model, asked: Asked) -> Capture:
         if frames is not None:
             told, pose = pose, _of_frame(frames, words, where)
             moved += not np.allclose(told, pose, atol=_SAME * max(1, np.abs(pose).max()))
-        camera = present(_camera, where, words, pose, lenses, folders, root, model)
+        camera = present(_camera, where, words, pose, lenses, folders, model)
         if camera is None:
             continue
         cameras.append(camera)
@@ -209,9 +208,9 @@ def _pose(words: list[str], where: str) -> np.ndarray:
     return found
 
 
-def _frames(model: _Model) -> dict[str, tuple[str, np.ndarray, dict]] | None:
-    """Of each image's number: where its frame stands, that frame's pose and, of the sensors of its
-    rig, theirs (None: unknown); None for models without frames."""
+def _frames(model: _Model) -> dict[str, tuple[np.ndarray, dict]] | None:
+    """Of each image's number: its frame's pose and, of the sensors of its rig, theirs (None:
+    unknown); None for models without frames."""
     if not (model.has("rigs") and model.has("frames")):
         return None
     rigs = {}
@@ -234,14 +233,14 @@ def _frames(model: _Model) -> dict[str, tuple[str, np.ndarray, dict]] | None:
         pose = _pose(words[2:9], where)
         for kind, _, image in zip(*(words[10 + i :: 3] for i in range(3))):
             if kind == "CAMERA":
-                found[image] = where, pose, rigs[words[1]]
+                found[image] = pose, rigs[words[1]]
     return found
 
 
 def _of_frame(frames: dict, words: list[str], where: str) -> np.ndarray:
     if words[0] not in frames:
         raise InputError(f"{where}: image {words[0]} is in no frame of frames.txt")
-    _, pose, sensors = frames[words[0]]
+    pose, sensors = frames[words[0]]
     sensor = sensors.get(("CAMERA", words[8]))
     if sensor is None:
         raise InputError(f"{where}: rigs.txt has no pose of camera {words[8]} in its rig")
@@ -254,17 +253,14 @@ def _camera(
     to_camera: np.ndarray,
     lenses: dict,
     folders: list[Path],
-    root: Path,
     model: _Model,
 ) -> Camera:
     if words[8] not in lenses:
         raise InputError(f"{where}: camera {words[8]} is not in cameras.txt")
     name = words[9].strip()
-    masks = (root / "masks" / f"{name}.png", root / "masks" / Path(name).with_suffix(".png"))
     return Camera(
         name=name,
         image=below(folders, name, where),
-        mask=next((mask for mask in masks if os.path.isfile(mask)), None),
         to_world=np.linalg.inv(to_camera),
         described=model.name("images"),
         **lenses[words[8]],

@@ -168,10 +168,7 @@ def doubts(
 
 def _met(photograph: "Photograph", points: np.ndarray) -> float | None:
     """The share of the object's points in the picture that lie where it counts; None of none."""
-    camera = photograph.camera
-    place, depth = camera.project(points)
-    inside = (depth > 0) & (place >= 0).all(axis=1)
-    inside &= (place < [camera.width, camera.height]).all(axis=1)
+    place, _, inside = photograph.camera.seen(points)
     if not inside.any():
         return None
     column, row = place[inside].astype(int).T
@@ -200,9 +197,7 @@ def within(photograph: "Photograph", points: np.ndarray, band: float) -> np.ndar
     view says nothing."""
     camera = photograph.camera
     deep, by = _signed(photograph.part)
-    place, depth = camera.project(points)
-    known = (depth > 0) & (place >= 0).all(axis=1)
-    known &= (place < [camera.width, camera.height]).all(axis=1)
+    place, depth, known = camera.seen(points)
     at = place[known][:, ::-1].T / by - 0.5
     seen = map_coordinates(deep, at, order=1, mode="nearest")
     found = np.full(len(points), band)
