@@ -4,13 +4,31 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
+from collections.abc import Sequence
+
+# What Hydra reads as a word, unless it reads it as a number or what stands for none.
+_WORD = re.compile(r"[\w.+/-]+", re.ASCII)
+_NO_WORD = re.compile(r"[+-]?[\d_.]*(e[+-]?[\d_]*)?|[+-]?(inf|nan)|null|true|false", re.I)
+_LISTED = 8  # values
 
 
 def override(value) -> str:
     """A setting's value; plain words as they are."""
-    if isinstance(value, str) and re.fullmatch(r"[\w.+/-]+", value):
+    if isinstance(value, str) and _WORD.fullmatch(value) and not _NO_WORD.fullmatch(value):
         return value
     return literal(value)
+
+
+def listed(setting: str, values: Sequence[str]) -> str:
+    """``setting`` with a list of ``values``, as it is typed in a shell; of many, the first, and how
+    many more there are."""
+    word = f"{setting}=[{','.join(map(override, values[:_LISTED]))}]"
+    # Within double quotes single ones stay as they are.
+    twice = "'" in word and not set(word) & set('"$`\\!')
+    more = len(values) - _LISTED
+    typed = f'"{word}"' if twice else shlex.quote(word)
+    return f"{typed} and {more} more" if more > 0 else typed
 
 
 def literal(value) -> str:

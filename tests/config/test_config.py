@@ -3,12 +3,13 @@
 import dataclasses
 import importlib
 import inspect
+import shlex
 from pathlib import Path
 
 import pytest
 from omegaconf import OmegaConf
 
-from isas_cli.config import schema
+from isas_cli.config import grammar, schema
 from isas_cli.config.compose import compose, instantiate, options, translate
 from isas_cli.runtime.errors import InputError
 
@@ -89,6 +90,23 @@ def test_overrides_arrive(override):
     for part in key.split("."):
         value = value[part] if isinstance(value, dict) else getattr(value, part)
     assert value == type(value)(text == "true" if text in ("true", "false") else float(text))
+
+
+NAMES = ["view_0.exr", "a/000.jpg", "image (1).jpg", "é.png", "a&b.png", "20240101_120000", "1e5"]
+NAMES += ["null", "it's.png", "a,b.png", "a b/$c.png", "[1].png", "-1", "1.", "TRUE", "x=y.png"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_list_that_is_advised_can_be_typed(name):
+    """In a shell, whatever names are in it."""
+    (word,) = shlex.split(grammar.listed("photos.without", ["first.png", name]))
+    found = compose(translate(["scene=photos", word])).scene.photos.without
+    assert list(found) == ["first.png", name]
+
+
+def test_a_long_list_says_that_it_is_longer():
+    advice = grammar.listed("photos.without", [f"view_{n}.exr" for n in range(11)])
+    assert advice.endswith(",view_7.exr]' and 3 more")
 
 
 # Read by the command line, by the composition, or by the file itself.

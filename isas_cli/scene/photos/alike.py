@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import rankdata
 
+from ...config import grammar
 from ...scenes.meshes import Surface
 from . import brightness, edges
 from .importing import Photograph
@@ -31,7 +32,6 @@ _AS_GOOD = 0.97  # of the best: a box fits as well when it is turned round
 # most 0.71 where it is turned, of another scale, or pictures are cropped. (Correlations are as low
 # of mirrors, 0.1, and of a glossy head's hull, 0.3, as of what does not fit.)
 _TELLING, _ON = 3, 0.8
-_LISTED = 8  # names
 _NORMAL = 1.4826  # a normal number's deviation, over its median
 
 
@@ -92,7 +92,7 @@ def _blind(photographs: list[Photograph], surface: Surface) -> list[str]:
     return [
         f"the object is in {len(names)} of {len(photographs)} views behind the camera or outside "
         f"the picture, first {names[0]}: they tell nothing of it; mend their poses, or leave them "
-        f"out by photos.without=[{','.join(names[:_LISTED])}]"
+        f"out by {grammar.listed('photos.without', names)}"
     ]
 
 
@@ -111,7 +111,7 @@ def _odd(photographs: list[Photograph], together: np.ndarray, apart: np.ndarray)
     return [
         f"{len(odd)} of {len(photographs)} views show the object's places unlike all others, first "
         f"{odd[0]}: its pose, or which picture it has, is probably wrong; or something stands "
-        f"before the object; photos.without=[{','.join(odd[:_LISTED])}] leaves them out"
+        f"before the object; {grammar.listed('photos.without', odd)} leaves them out"
     ]
 
 

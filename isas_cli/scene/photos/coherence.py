@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...config import grammar
 from . import outlines
 from .importing import Photograph
 
@@ -45,7 +46,7 @@ class Coherence:
         found = [
             f"photos.start=hull: {names[odd]} alone takes away {gained:.1%} (mean) of what the "
             "other views' masks show: its pose, mask or picture is probably wrong; mend it, or "
-            f"photos.without=[{names[odd]}]"
+            f"{grammar.listed('photos.without', [names[odd]])}"
             for odd, gained in zip(self.odd, self.gained)
         ]
         above = np.nan_to_num(self.unfilled) >= _UNFILLED

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import label
 from scipy.optimize import linprog
 
+from ...config import grammar
 from ...runtime.cache import cached, digest
 from ...runtime.errors import InputError
 from ..shape_error import enclosed
@@ -204,7 +205,7 @@ def _unfit(photographs: list[Photograph], odd: list[int]) -> str:
         names = [photographs[view].camera.name for view in odd]
         return (
             f"{' and '.join(names)} contradicts the others: its pose, mask or picture is probably "
-            f"wrong; mend it, or photos.without=[{','.join(names)}]"
+            f"wrong; mend it, or {grammar.listed('photos.without', names)}"
         )
     return "poses do not fit the pictures, or masks are inverted (white is the object)"
 
