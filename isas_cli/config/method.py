@@ -7,15 +7,13 @@ instead.
 
 from __future__ import annotations
 
-import importlib.resources
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from ..runtime.errors import InputError
-from . import searchpath
+from . import paths, searchpath
 from .grammar import override
 from .presets import PRESETS
 
@@ -27,7 +25,6 @@ NONE = "scene.method=null"
 # Chosen for the estimator that the scene names; another one's are its own.
 _OF_ESTIMATOR = ("estimator", "optimizer")
 _YES = "true", "yes", "on", "1"
-_SCENES = "isas_cli.scenes"
 # What photographs take whose object has an unknown pose, or begins as a hull.
 _OF_MOVING = {"sampler": "ours", "estimator": "silhouettes"}
 # Settings of which one is enough: what is typed of a line leaves out all that a scene has of it.
@@ -82,10 +79,7 @@ def _moving(typed: dict[str, str]) -> bool:
     chosen = " ".join(f"{k}={v}" for k, v in typed.items() if k.startswith("scene.unknowns"))
     if chosen and ".vertices" not in chosen:
         return False
-    folder = Path(said.get("path", "").strip("'\""))
-    if not folder.is_dir():  # perhaps a set that comes along
-        folder = Path(str(importlib.resources.files(_SCENES))) / "assets" / folder
-    file = folder / said.get("cameras", "cameras.json")
+    file = paths.of_set(said.get("path", "").strip("'\"")) / said.get("cameras", "cameras.json")
     try:
         return "printed_board_rect_m" not in file.read_text(encoding="utf-8", errors="replace")
     except OSError:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import importlib.resources
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -16,6 +18,9 @@ _FILES = (
     *(f"scene.photos.{name}" for name in ("path", "mesh", "environment", "images", "masks")),
     "scene.photos.texture",  # or a number
 )
+# Of these, what is looked for in the set first.
+_IN_SET = ("scene.photos.images", "scene.photos.masks")
+_SCENES = "isas_cli.scenes"
 
 
 def exists(path: Path) -> bool:
@@ -23,6 +28,14 @@ def exists(path: Path) -> bool:
         return path.exists()
     except OSError:  # a name that no file can have
         return False
+
+
+def of_set(path: str) -> Path:
+    """The folder of photographs that ``photos.path`` names: one's own, or one that comes along."""
+    folder = Path(path)
+    if folder.is_dir():
+        return folder
+    return Path(str(importlib.resources.files(_SCENES))) / "assets" / folder
 
 
 def locate(cfg: DictConfig, started_in: str | None) -> None:
@@ -36,10 +49,8 @@ def locate(cfg: DictConfig, started_in: str | None) -> None:
     def found(name: str) -> str:
         return str(home / name) if name and exists(home / name) else name
 
-    for key in _FILES:
-        named = OmegaConf.select(cfg, key)
-        if named is not None and not isinstance(named, (int, float)):
-            OmegaConf.update(cfg, key, _each(named, found))
+    for key, named in _said(cfg):
+        OmegaConf.update(cfg, key, _each(named, found))
     for unknown in cfg.scene.unknowns.values():
         # Without an ending it is a word, such as 'sphere'.
         if isinstance(unknown.start, str) and Path(unknown.start).suffix:
@@ -49,15 +60,27 @@ def locate(cfg: DictConfig, started_in: str | None) -> None:
 def named(cfg: DictConfig) -> list[tuple[str, str]]:
     """The files and folders that ``cfg`` names: (setting, name)."""
     listed = []
-    for key in _FILES:
-        value = OmegaConf.select(cfg, key)
-        if value is not None and not isinstance(value, (int, float)):
-            listed += [(key, each) for each in ([value] if isinstance(value, str) else value)]
+    for key, value in _said(cfg):
+        listed += [(key, each) for each in ([value] if isinstance(value, str) else value)]
     for key, unknown in cfg.scene.unknowns.items():
         if unknown is not None and isinstance(start := unknown.get("start"), str):
             if Path(start).suffix:
                 listed.append((f"scene.unknowns.{key}.start", start))
     return listed
+
+
+def _said(cfg: DictConfig) -> Iterator[tuple[str, Any]]:
+    """Settings that name files or folders, and what they name: the set of photographs before what
+    may lie in it, which is not named here."""
+    for key in _FILES:
+        value = OmegaConf.select(cfg, key)
+        if value is None or isinstance(value, (int, float)):
+            continue
+        if key in _IN_SET:
+            path = OmegaConf.select(cfg, "scene.photos.path")
+            if value == "none" or path is not None and (of_set(path) / value).is_dir():
+                continue
+        yield key, value
 
 
 def elsewhere(cfg: DictConfig, started_in: str | None) -> str | None:

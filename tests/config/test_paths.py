@@ -83,3 +83,28 @@ def test_records_of_what_has_moved_are_left_as_they_are(home, gone):
 def test_home_is_found_in_lists_and_starts(typed, expected, monkeypatch):
     monkeypatch.setenv("HOME", "/home/me")
     assert expected in translate([typed])[0]
+
+
+def test_what_lies_in_a_set_is_not_looked_for_where_the_run_was_started(home):
+    """Folders of pictures and masks are the set's own, if it has them, as they were in the run."""
+    for name in ("mug/masks", "masks", "images", "none"):
+        (home / name).mkdir(parents=True)
+    told = ["scene=photos", "photos.path=mug", "photos.masks=masks", "photos.images=images"]
+    cfg = compose(translate(told))
+    paths.locate(cfg, str(home))
+    photos = cfg.scene.photos
+    assert (photos.masks, photos.images) == ("masks", str(home / "images"))
+    cfg = compose(translate([*told[:2], "photos.masks=none"]))
+    paths.locate(cfg, str(home))
+    assert cfg.scene.photos.masks == "none"
+    (home / "elsewhere/mug/masks").mkdir(parents=True)
+    (home / "elsewhere/masks").mkdir()
+    names = [key for key, _ in paths.named(compose(translate(told[:3])))]
+    assert names == ["scene.photos.path"]
+
+
+def test_a_set_that_comes_along_has_its_own_masks(home):
+    (home / "mask").mkdir()
+    cfg = compose(translate(["scene=photos", "photos.path=head", "photos.masks=mask"]))
+    paths.locate(cfg, str(home))
+    assert cfg.scene.photos.masks == "mask"
