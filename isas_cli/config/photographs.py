@@ -44,10 +44,10 @@ class PhotosConfig:
     ``lenses``: whether pictures whose files say the same lens have one, ``shared``, or one
     ``each``; ``saturated``: from which value of an 8- or 16-bit or camera raw file on, of its
     largest, a pixel does not count (None: all count); ``encoding``: of the files, ``auto``: as
-    images are read everywhere, ``srgb`` (no camera raw file is) or ``linear``; ``background``:
-    whether pixels count that the object does not fill, or ``black``: they do, and are black in
-    photographs and renderings, where alpha or masks end the
-    object; ``images``, ``masks``: folders where the pictures and masks lie (None: where the
+    images are read everywhere, ``srgb`` (no camera raw or floating-point file is) or ``linear``;
+    ``background``: whether pixels count that the object does not fill, or ``black``: they do, and
+    are black in photographs and renderings, where alpha or masks end the object;
+    ``images``, ``masks``: folders where the pictures and masks lie (None: where the
     cameras' file and custom say; ``masks=none``: there are none); ``missing``: ``refuse`` a picture
     that does not exist, or ``skip`` its view; ``scale``: of pictures that were resized after
     calibration, how large they are of the cameras' size, or ``auto``; ``orientation``: whether

@@ -123,7 +123,7 @@ def load(
                 f"{name} lists {_counted(len(files), 'file')} for "
                 f"{_counted(len(sizes), 'sensor')}: one per sensor"
             )
-    loaded = [images.load(Path(f)) for f in paths]
+    loaded = [images.load(Path(f), finite=masks is None) for f in paths]
     read = [_sized(p.image, f"target {f}", size) for p, f, size in zip(loaded, paths, sizes)]
     if grey := [str(each) for each in paths if images.grey(each)]:
         one = len(grey) == 1
@@ -141,6 +141,8 @@ def load(
         mask = np.concatenate([m.reshape(-1) for m in counts])
         if not mask.sum() > 0:
             raise InputError("scene.masks hide every pixel: at least one must be above 0")
+        for path, image, own in zip(paths, read, counts):
+            images.check_finite(path, images.emptied(image) & (own > 0))
     problem.warnings += _clear(paths, read, counts) + _clipped(paths, loaded, counts)
     pixels = np.concatenate([r.reshape(-1) for r in read])
     hashed = hashlib.blake2b(pixels.tobytes(), digest_size=16)

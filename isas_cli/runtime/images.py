@@ -74,9 +74,8 @@ def load(
     if linear is None:
         decode, doubt = profiles.to_linear(said, decode)
     pixels = stored if decode is None else decode(stored)
-    bad = int(np.count_nonzero(~np.isfinite(pixels).all(axis=2)))
-    if finite and bad:
-        raise InputError(f"{path}: {bad} pixels are NaN or infinite; mend or mask them first")
+    if finite:
+        check_finite(path, ~np.isfinite(pixels).all(axis=2))
     if pixels.shape[2] == 1:
         pixels = np.repeat(pixels, 3, axis=2)
     image = np.ascontiguousarray(pixels, dtype=np.float32)
@@ -86,6 +85,20 @@ def load(
 def read(path: str | Path, finite: bool = True, linear: bool | None = None) -> np.ndarray:
     """The image of `load`, turned."""
     return load(path, finite, linear).image
+
+
+def emptied(image: np.ndarray) -> np.ndarray:
+    """Which pixels of an image (H, W, C) are NaN or infinite, (H, W) bool; they become 0 there, so
+    that a mask can hide them: 0 times NaN is NaN."""
+    bad = ~np.isfinite(image).all(axis=2)
+    image[bad] = 0
+    return bad
+
+
+def check_finite(path: str | Path, bad: np.ndarray) -> None:
+    """Raises InputError where any of the pixels `bad` of a picture counts, (H, W) bool."""
+    if number := int(np.count_nonzero(bad)):
+        raise InputError(f"{path}: {number} pixels are NaN or infinite; mend or mask them first")
 
 
 def read_mask(path: str | Path, turned: bool = True) -> np.ndarray:

@@ -222,6 +222,24 @@ def test_what_is_transparent_in_a_target_is_black(tmp_path):
     assert p.warnings[before:] == []
 
 
+def test_no_number_in_a_target_may_be_hidden(tmp_path):
+    p = problem({ROUGHNESS: 0.5})
+    files, masks = [], []
+    for n, (width, height) in enumerate(p.film_sizes):
+        pixels, hides = np.full((height, width, 3), 0.5), np.full((height, width), 255, np.uint8)
+        pixels[0, 1], pixels[2, 3, 0], hides[:3] = np.nan, np.inf, 0
+        files.append(str(tmp_path / f"{n}.exr"))
+        masks.append(str(tmp_path / f"mask{n}.png"))
+        images.write_exr(files[-1], pixels, [*"RGB"], {})
+        Image.fromarray(hides).save(masks[-1])
+    pixels, mask, _ = targets.load(p, files, masks)
+    assert np.isfinite(np.array(pixels)).all() and np.array(mask).any()
+    Image.fromarray(np.full_like(hides, 255)).save(masks[-1])
+    for given in (masks, None):
+        with pytest.raises(InputError, match="exr: 2 pixels are NaN or infinite; mend or mask"):
+            targets.load(p, files, given)
+
+
 def test_light_that_a_target_s_file_cannot_say_is_said(tmp_path):
     p = problem({ROUGHNESS: 0.5})
     files = [str(tmp_path / f"{n}.png") for n in range(len(p.film_sizes))]

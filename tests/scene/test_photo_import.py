@@ -200,3 +200,10 @@ def test_a_width_of_which_no_pixel_counts_is_named(tmp_path):
     images.write_png(tmp_path / "mask.png", mask)
     with pytest.raises(InputError, match="no pixel counts .1200 masked by its file"):
         loaded(tmp_path, width=1)
+
+
+def test_what_is_smaller_than_was_asked_for_is_not_enlarged(tmp_path):
+    photo_sets.transforms(Files(tmp_path, POSES))
+    for wide, found in zip(loaded(tmp_path, width=3 * SIZE[0]), loaded(tmp_path)):
+        assert (wide.camera.width, wide.camera.height) == SIZE
+        np.testing.assert_array_equal(wide.image, found.image)

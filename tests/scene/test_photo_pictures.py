@@ -11,7 +11,7 @@ from PIL import Image
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
-from isas_cli.scene.photos import photographs, turns
+from isas_cli.scene.photos import material, photographs, turns
 
 # Stored pixels of each orientation, of an upright picture.
 STORED = {3: lambda a: a[::-1, ::-1], 6: lambda a: np.rot90(a, 1), 8: lambda a: np.rot90(a, -1)}
@@ -267,3 +267,30 @@ def test_no_pixel_of_a_float_file_is_full(tmp_path):
     photo_sets.write(tmp_path / "transforms.json", content)
     for each in loaded(tmp_path).shown:
         assert each.mask.all() and each.image.max() == 3
+
+
+def light_of_its_own(path) -> None:
+    """A floating-point file of primaries that nobody has."""
+    spec = oiio.ImageSpec(*SIZE, 3, oiio.FLOAT)
+    odd = (0.5, 0.3, 0.3, 0.5, 0.2, 0.1, 0.3, 0.3)
+    spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), odd)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec) and output.write_image(RAMP.astype(np.float32))
+    output.close()
+
+
+def test_light_of_unknown_primaries_stays_light(tmp_path):
+    """No advice takes it for sRGB's numbers."""
+    names = [f"{number}.exr" for number in range(3)]
+    listed(tmp_path, "transforms", names)
+    for name in names:
+        light_of_its_own(tmp_path / name)
+    (told,) = loaded(tmp_path).warnings
+    assert "0.exr, cannot be heeded, and their numbers are taken as linear Rec. 709" in told
+    assert told.endswith("or say photos.encoding=linear")
+    taken = loaded(tmp_path, encoding="linear")
+    assert taken.warnings == [] and likeness(taken.shown[0].image, RAMP)
+    with pytest.raises(InputError, match="encoding=srgb: .*0.exr is of floating point, which is"):
+        loaded(tmp_path, encoding="srgb")
+    (told,) = material.colour(PhotosConfig(texture=str(tmp_path / "0.exr")))[1]
+    assert told.endswith("convert it to linear Rec. 709")

@@ -58,16 +58,16 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
     it is turned as its file asks.
 
     Raises InputError, naming the file, for one that cannot be read, is of another size than its
-    camera or its mask, or has no pixel that counts.
+    camera or its mask, has no pixel that counts, or one that is no number and does.
     """
-    linear = _linear(camera.image, settings.encoding)
-    picture = images.load(camera.image, linear=linear, turned=turned)
-    image = picture.image
+    as_linear = linear(camera.image, settings.encoding)
+    picture = images.load(camera.image, finite=False, linear=as_linear, turned=turned)
+    image, bad = picture.image, images.emptied(picture.image)
     camera = turns.resized(camera, image.shape[1::-1], settings)
     alpha, part = images.read_alpha(camera.image, turned), None
     given = None if camera.mask is None else _given_mask(camera, settings, turned)
-    if alpha is not None and given is not None and not camera.hides and (alpha >= _WHOLE).all():
-        alpha = None  # as programs write it that know of none
+    if given is not None and not camera.hides and opaque(alpha):
+        alpha = None
     if settings.background == BLACK:
         part, associated = _part(camera, alpha, None if camera.hides else given)
         plain = part
@@ -81,12 +81,15 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
                 "view out, or mend its mask"
             )
     mask, lost = _mask(camera, picture, alpha, settings, given, part)
+    images.check_finite(camera.image, bad & (mask > 0) & (True if part is None else part > 0))
     if part is not None:
         mask *= part >= 0
     variance = None
     if camera.image.suffix.lower() not in noise.LOSSY:
         variance = noise.of_one(image, mask if part is None else mask * (part >= _WHOLE))
-    target, counted = camera.pinhole(settings.width), mask.any()
+    # What is smaller than was asked for is not made larger, which adds pixels and no detail.
+    wide = min(settings.width or camera.width, camera.width)
+    target, counted = camera.pinhole(wide), mask.any()
     same = camera.ideal and (target.width, target.height) == (camera.width, camera.height)
     if not same:
         made = cached(
@@ -120,15 +123,25 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
     return Photograph(target, image, mask, lost, picture.doubt, variance, part, white)
 
 
-def _linear(file: Path, encoding: str) -> bool | None:
-    """Whether a file's numbers are linear; None: as is usual of its kind. Raises InputError."""
+def opaque(alpha: np.ndarray | None) -> bool:
+    """Whether alpha ``(H, W)`` is 1 everywhere, as programs write it that know of none."""
+    return alpha is not None and bool((alpha >= _WHOLE).all())
+
+
+def linear(file: Path, encoding: str) -> bool | None:
+    """Whether a file's numbers are linear, as ``photos.encoding`` says; None: as is usual of its
+    kind. Raises InputError."""
+    if encoding == "srgb" and (kind := of_light(file)) is not None:
+        raise InputError(f"photos.encoding=srgb: {file} is {kind}, which is linear: take auto")
+    return True if raw.names(file) else {"auto": None, "linear": True, "srgb": False}[encoding]
+
+
+def of_light(file: Path) -> str | None:
+    """What a file is, in words, whose numbers are light: no curve is theirs; None for others.
+    Raises InputError."""
     if raw.names(file):
-        if encoding == "srgb":
-            raise InputError(
-                f"photos.encoding=srgb: {file} is a camera raw file, which is linear: take auto"
-            )
-        return True
-    return {"auto": None, "linear": True, "srgb": False}[encoding]
+        return "a camera raw file"
+    return None if images.counted(file) else "of floating point"
 
 
 def _mask(

@@ -49,7 +49,8 @@ def colour(settings: PhotosConfig) -> tuple[np.ndarray | None, list[str]]:
         )
     told = []
     if found.doubt is not None:
-        told = [f"{found.doubt} of {settings.colour} cannot be heeded: convert it to sRGB"]
+        kind = "sRGB" if images.counted(settings.colour) else "linear Rec. 709"
+        told = [f"{found.doubt} of {settings.colour} cannot be heeded: convert it to {kind}"]
     return found.image, told
 
 

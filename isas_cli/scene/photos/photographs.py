@@ -202,12 +202,15 @@ def _left_out(sources: finding.Sources) -> list[str]:
 
 def _doubts(every: list[Photograph]) -> list[str]:
     """Once for all pictures that say the same."""
-    found: dict[str, list[Path]] = {}
+    found: dict[tuple[str, str, str], list[Path]] = {}
     for each in every:
         if each.doubt is not None:
-            found.setdefault(each.doubt, []).append(each.camera.image)
+            file = each.camera.image
+            light = importing.of_light(file) is not None
+            taken = ("linear Rec. 709", "linear") if light else ("sRGB", "srgb")
+            found.setdefault((each.doubt, *taken), []).append(file)
     return [
         f"{doubt} of {len(files)} pictures, first {files[0]}, cannot be heeded, and their numbers "
-        "are taken as sRGB's: convert them to sRGB, or say photos.encoding=srgb"
-        for doubt, files in found.items()
+        f"are taken as {taken}: convert them to {taken}, or say photos.encoding={encoding}"
+        for (doubt, taken, encoding), files in found.items()
     ]
