@@ -17,7 +17,8 @@ from isas_cli.engine import assemble
 from isas_cli.runtime import backend
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene import export
-from isas_cli.scene.photos import shape
+from isas_cli.scene.photos import photographs, shape
+from isas_cli.scene.photos.base import Capture
 from isas_cli.scene.topology import Topology
 
 CORNERS = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nv 2 1 0\n"
@@ -33,7 +34,7 @@ def obj(folder, text: str) -> str:
 
 
 def parts(path: str, **settings) -> dict:
-    return shape.parts(PhotosConfig(mesh=path, **settings), None)
+    return shape.parts(PhotosConfig(mesh=path, **settings), Capture([], "none"))
 
 
 def as_in_the_file(part, left: float, right: float) -> bool:
@@ -58,7 +59,7 @@ def test_a_map_each(tmp_path, library, words, second):
     assert list(found) == ["object_wood", "object_red_paint_2"]
     assert as_in_the_file(found["object_wood"], 0, 0.4)
     assert as_in_the_file(found["object_red_paint_2"], *((0.6, 1) if second == APART else (0, 0.4)))
-    assert len(shape.surface(PhotosConfig(mesh=path), None).faces) == 4
+    assert len(shape.joined(list(found.values())).faces) == 4
 
 
 def test_one_map_where_coordinates_do_not_overlap(tmp_path):
@@ -156,7 +157,7 @@ def test_what_would_tear_it_is_one_line(two, key):
 
 @pytest.mark.parametrize("sphere", [[0, 0, 0, 0.5], [0.1, -3, 7, 1e-4], [1, 2, 3, 200]])
 def test_a_sphere_is_closed(sphere):
-    found = shape.surface(PhotosConfig(sphere=sphere), None)
+    found = shape.parts(PhotosConfig(sphere=sphere), Capture([], "none"))["object"]
     whole = Topology.of(found.vertices, found.faces.astype(np.int64))
     assert whole.flaws() == [] and whole.count == 63 * 128 + 2
     out = (found.vertices - np.float32(sphere[:3])) / sphere[3]
@@ -275,3 +276,28 @@ def test_a_closed_mesh_that_is_inside_out_is_turned(tmp_path, at):
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         out = corners.mean(axis=1) - [at, -at, at]
         assert (np.sign((normals * out).sum(axis=1)) == (1 if whole else -1)).all()
+
+
+def test_a_mesh_without_coordinates_has_one_colour_which_is_said(tmp_path):
+    """And what speaks of textures or materials, and has no effect, is refused."""
+    photo_sets.transforms(Files(tmp_path, POSES))
+    ball = trimesh.creation.icosphere(2, 0.4)
+    ball.visual.vertex_colors = np.full((len(ball.vertices), 4), (255, 0, 0, 255), np.uint8)
+    ball.export(tmp_path / "ball.ply")
+
+    def load(**settings) -> photographs.Photographs:
+        mesh = str(tmp_path / "ball.ply")
+        return photographs.load(PhotosConfig(str(tmp_path), mesh=mesh, **settings))
+
+    (told,) = load().warnings
+    assert "ball.ply has no texture coordinates: one colour for all of it; unwrap it" in told
+    (note,) = load().capture.notes
+    assert "ball.ply has colours at its vertices or faces, which are not taken" in note
+    with pytest.raises(InputError, match="photos.texture=64: .*ball.ply has no texture coordinate"):
+        load(texture=64)
+    with pytest.raises(InputError, match="photos.materials=one: .*ball.ply has one material alone"):
+        load(materials="one")
+    plain = LEFT.replace("/1", "").replace("/2", "").replace("/3", "").replace("/4", "")
+    mesh = obj(tmp_path, f"usemtl a\n{plain}usemtl b\n{APART}")
+    taken = photographs.load(PhotosConfig(str(tmp_path), mesh=mesh, texture=64))
+    assert any("mesh.obj (object_a) has no texture" in line for line in taken.warnings)

@@ -120,13 +120,13 @@ def test_the_command_line_runs(called, tmp_path):
     folder.mkdir()
     photo_sets.transforms(Files(folder, POSES))
     trimesh.creation.icosphere(2, 0.4).export(tmp_path / "a ball.ply")
-    settings = ["photos.mesh=a ball.ply", "photos.test=[view_1.exr]", "photos.texture=64"]
+    settings = ["photos.mesh=a ball.ply", "photos.test=[view_1.exr]", "photos.sky=4"]
     line = called("my set", *settings)[-1]
     words = shlex.split(line)
     assert words[:3] == ["isas", "run", "scene=photos"]
     photos = compose(translate(words[2:])).scene.photos
     assert photos.path.endswith("my set") and photos.mesh.endswith("a ball.ply")
-    assert list(photos.test) == ["view_1.exr"] and photos.texture == 64
+    assert list(photos.test) == ["view_1.exr"] and photos.sky == 4
     assert called("my set")[-1] == "isas run scene=photos 'photos.path=my set' photos.mesh=FILE"
 
 

@@ -56,21 +56,25 @@ def colour(settings: PhotosConfig) -> tuple[np.ndarray | None, list[str]]:
 
 def check(settings: PhotosConfig, parts: dict[str, Surface]) -> list[str]:
     """What should be said of pictures on the object's ``parts``. Raises InputError where one has
-    no texture coordinates, by which a picture lies on it."""
+    no texture coordinates, by which a picture lies on it, and none a texture that is asked for."""
+    bare = [name for name, part in parts.items() if not len(part.texcoords)]
     asked = {name: MAP for name in _MAPS if getattr(settings, name) == MAP}
     if settings.colour is not None:
         asked = {"texture": settings.colour} | asked
-    for name, part in parts.items() if asked else ():
-        if not len(part.texcoords):
-            setting, value = next(iter(asked.items()))
-            number = f", or take photos.{setting}=true, one number for all of it"
-            number = number if setting in _EITHER else ""
-            which = "" if len(parts) == 1 else f" ({name})"
-            mesh = settings.mesh or "the object"
-            raise InputError(
-                f"photos.{setting}={value}: {mesh}{which} has no texture coordinates, by which a "
-                f"picture lies on it: unwrap it{number}"
-            )
+    if len(bare) == len(parts) and settings.texture != SIDE:  # which may as well be nobody's word
+        asked.setdefault("texture", settings.texture)
+    which = "" if len(parts) == 1 else f" ({', '.join(bare)})"
+    lacks = f"{settings.mesh or 'the object'}{which} has no texture coordinates"
+    if bare and asked:
+        setting, value = next(iter(asked.items()))
+        number = f", or take photos.{setting}=true, one number for all of it"
+        number = number if setting in _EITHER else ""
+        raise InputError(
+            f"photos.{setting}={value}: {lacks}, by which a picture lies on it: unwrap it{number}"
+        )
+    if bare:
+        each = "for all of it" if len(bare) == 1 else "each"
+        return [f"{lacks}: one colour {each}; unwrap it for a texture"]
     if settings.colour is None or len(parts) == 1:
         return []
     charts = [part.texcoords[part.faces] for part in parts.values()]

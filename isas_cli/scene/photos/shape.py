@@ -35,17 +35,12 @@ def described(settings: PhotosConfig, capture: Capture) -> bool:
     return any(each is not None for each in own)
 
 
-def surface(settings: PhotosConfig, capture: Capture) -> Surface:
-    """``parts`` as one, without texture coordinates where a part has none."""
-    return joined(list(parts(settings, capture).values()))
-
-
 def parts(settings: PhotosConfig, capture: Capture) -> dict[str, Surface]:
     """The object in the cameras' world, by the names of the shapes that it is: ``object``, or of a
     mesh of several materials ``object_<material>`` each. Raises InputError where nothing says what
     it is, and for a mesh that cannot be rendered."""
     if settings.mesh is not None:
-        return _read(settings.mesh, settings.materials == "one")
+        return _read(settings.mesh, settings.materials == "one", capture)
     if settings.sphere is not None:
         return {OBJECT: _sphere(*settings.sphere)}
     plane = settings.plane or capture.plane
@@ -77,9 +72,10 @@ def joined(surfaces: list[Surface]) -> Surface:
     )
 
 
-def _read(path: str, one: bool) -> dict[str, Surface]:
+def _read(path: str, one: bool, capture: Capture) -> dict[str, Surface]:
     """By material, or ``one`` of all. Raises InputError. Texture coordinates as the file has them,
-    v upwards as other programs count it: the first row of a texture is its highest."""
+    v upwards as other programs count it: the first row of a texture is its highest. What is not
+    taken of the file is noted in ``capture``."""
     file = Path(path)
     if not file.is_file():
         raise InputError(f"photos.mesh={path}: no such file")
@@ -107,6 +103,15 @@ def _read(path: str, one: bool) -> dict[str, Surface]:
     check_values(vertices, texcoords, faces, file.name)
     whole = _smoothed(vertices, faces, texcoords)
     found = {name: _part(whole, names == name, name in bare) for name in dict.fromkeys(names)}
+    if any(piece.coloured for piece in pieces):
+        capture.notes.append(
+            f"{path} has colours at its vertices or faces, which are not taken: the object's are "
+            "found from the photographs"
+        )
+    if len(found) == 1 and one:
+        raise InputError(
+            f"photos.materials=one: {path} has one material alone: leave photos.materials out"
+        )
     if len(found) == 1:
         return {OBJECT: next(iter(found.values()))}
     if one:
@@ -138,12 +143,14 @@ def _quiet() -> Iterator[None]:
 
 @dataclass
 class _Piece:
-    """Triangles of one ``material``; ``texcoords (V, 2)`` as Mitsuba has them, or None."""
+    """Triangles of one ``material``; ``texcoords (V, 2)`` as Mitsuba has them, or None;
+    ``coloured``: whether vertices or faces have colours."""
 
     material: str
     vertices: np.ndarray
     faces: np.ndarray
     texcoords: np.ndarray | None
+    coloured: bool
 
 
 def _pieces(file: Path) -> list[_Piece]:
@@ -181,7 +188,8 @@ def _pieces(file: Path) -> list[_Piece]:
         texcoords = None
         if uv is not None and len(uv) == len(vertices):
             texcoords = upwards(np.asarray(uv, np.float32))
-        found.append(_Piece(called, vertices, np.asarray(mesh.faces), texcoords))
+        coloured = mesh.visual.kind in ("vertex", "face")
+        found.append(_Piece(called, vertices, np.asarray(mesh.faces), texcoords, coloured))
     return found
 
 
