@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import shlex
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.ndimage import binary_dilation
 from test_photo_outline import FOCAL, HEIGHT, RADIUS, WIDTH, ball, covered, pose  # noqa: F401
 
 from isas_cli.cli.app import main
+from isas_cli.config.compose import compose, translate
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene.photos import hull, outlines, photographs
@@ -287,13 +289,21 @@ def test_views_of_one_side_are_said(ball, step, said):  # noqa: F811
     assert bool(told) == said
 
 
-def test_pictures_without_an_end_of_the_object_are_no_hull(ball):  # noqa: F811
+def test_pictures_without_an_end_of_the_object_are_no_hull(ball, monkeypatch):  # noqa: F811
     around(ball)
     for number in range(14):
         pixels = np.array(Image.open(ball / f"{number}.png"))
         pixels[..., 3] = 255
         Image.fromarray(pixels).save(ball / f"{number}.png")
     with pytest.raises(InputError, match="nothing says where it ends: save masks"):
+        load(ball, start="hull")
+    with pytest.raises(InputError, match="not given.*the alpha of all pictures is 1 everywhere"):
+        load(ball)
+    rest = np.array(Image.open(ball / "3.png"))
+    rest[:5, :, 3] = 0  # in the others the object may well fill the picture
+    Image.fromarray(rest).save(ball / "3.png")
+    monkeypatch.setattr(hull, "made", lambda *_: pytest.fail("made"))
+    with pytest.raises(pytest.fail.Exception, match="made"):
         load(ball)
 
 
@@ -327,12 +337,47 @@ def test_specks_are_left_out_and_said(ball):  # noqa: F811
 def test_without_masks_or_mesh_both_ways_out_are_named(ball, capsys):  # noqa: F811
     for number in range(4):
         Image.open(ball / f"{number}.png").convert("RGB").save(ball / f"{number}.png")
-    with pytest.raises(InputError, match="photos.mesh is not given.*alpha or masks"):
+    with pytest.raises(InputError, match="photos.mesh is not given.*alpha or masks.*/0.png has"):
         load(ball)
     with pytest.raises(InputError, match="neither alpha nor a mask"):
         load(ball, start="hull")
     assert main(["photos", str(ball), f"output={ball / 'sheet.png'}"]) == 0
     assert "photos.mesh=FILE" in capsys.readouterr().out
+
+
+def test_isas_photos_shows_what_no_hull_is_made_of(ball, capsys):  # noqa: F811
+    """Where masks or poses are wrong they are to be looked at; and where alpha says nothing."""
+    around(ball)
+    aside(ball, slice(None, None, 2), 3.0)
+
+    def shown() -> str:
+        (ball / "sheet.png").unlink(missing_ok=True)
+        assert main(["photos", str(ball), f"output={ball / 'sheet.png'}"]) == 0
+        assert (ball / "sheet.png").is_file()
+        return " ".join(capsys.readouterr().out.split())
+
+    assert "lies within the object's outline in every view: poses do not fit" in shown()
+    for number in range(14):
+        pixels = np.array(Image.open(ball / f"{number}.png"))
+        pixels[..., 3] = 255
+        Image.fromarray(pixels).save(ball / f"{number}.png")
+    told = shown()
+    assert "note: no hull is made of alpha or masks: there are no masks, and the alpha of" in told
+
+
+def test_what_is_advised_can_be_typed(ball):  # noqa: F811
+    """Whatever a picture is called."""
+    around(ball)
+    aside(ball, slice(6, 7), 3.0 * RADIUS)
+    content, name = json.loads((ball / "transforms.json").read_text()), "2024_06 & é (6).png"
+    (ball / "6.png").rename(ball / name)
+    content["frames"][6]["file_path"] = name
+    (ball / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(InputError) as error:
+        load(ball, voxels=16)
+    (word,) = shlex.split(str(error.value).partition("mend it, or ")[2])
+    photos = compose(translate(["scene=photos", word])).scene.photos
+    assert list(photos.without) == [name]
 
 
 def test_a_mesh_and_a_hull_are_one_too_many():

@@ -77,15 +77,15 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     colour, doubts = material.colour(settings)
     with finding.looking(settings, root) as sources:
         capture = reading.read(settings.path, settings.test, settings.cameras, settings.world)
-    _check(capture, sources)
-    capture.notes += _elsewhere(capture, sources)
+    check(capture, sources)
+    capture.notes += elsewhere(capture, sources)
     capture.cameras = reading.without(capture.cameras, settings.without)
     capture.cameras, told = finding.masked(capture.cameras, root, sources)
     over, more = turns.turned(capture.cameras, capture, settings.orientation)
     shown, held = reading.split(capture, settings.test)
     parts, described = None, shape.described(settings, capture)
-    hulled = settings.start is not None
-    hulled |= not described and all(map(_ended, capture.cameras))
+    endless = None if described or settings.start else _endless(capture.cameras)
+    hulled = settings.start is not None or not described and endless is None
     if hulled and settings.colour is not None:
         raise InputError(
             f"photos.texture={settings.colour} is laid on by texture coordinates that a hull has "
@@ -93,21 +93,25 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
         )
     if hulled:
         settings = replace(settings, start="hull", background=importing.BLACK)
-    elif described or not shapeless:
+    elif described:
         parts = shape.parts(settings, capture)
+    elif not shapeless:
+        raise InputError(
+            "photos.mesh is not given: give a file (OBJ, PLY, STL, glTF), "
+            "photos.plane=[x0,y0,x1,y1], photos.sphere=[x,y,z,radius], or alpha or masks of all "
+            f"pictures, of which a hull is made: {endless}"
+        )
+    else:
+        capture.notes.append(f"no hull is made of alpha or masks: {endless}")
     _fit(capture.cameras, settings)
     made = [
         [importing.load(camera, settings, camera.name in over) for camera in part]
         for part in (shown, held)
     ]
     if hulled:
-        cut, said = hull.made(made[0], settings.voxels)
-        parts, told = shape.of_hull(cut), told + said
-        capture.notes.append(
-            "the object begins as the hull of alpha or masks, of "
-            f"{len(cut['faces'])} triangles; photos.mesh=FILE takes a mesh instead"
-        )
-    told += [*_left_out(sources), *more, *_doubts([*made[0], *made[1]]), *doubts]
+        parts, said = _hull(made[0], settings, capture, shapeless)
+        told = told + said
+    told += [*left_out(sources), *more, *_doubts([*made[0], *made[1]]), *doubts]
     told += _off_middle(capture.cameras)
     told += [] if parts is None else material.check(settings, parts)
     found = Photographs(*made, capture, parts, settings, told, colour)
@@ -117,12 +121,37 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     return found
 
 
-def _ended(camera: Camera) -> bool:
-    """Whether alpha or a mask says where the object ends in a picture."""
-    return (camera.mask is not None and not camera.hides) or images.has_alpha(camera.image)
+def _endless(cameras: list[Camera]) -> str | None:
+    """Why alpha or masks do not say where the object ends, in words; None where they do."""
+    bare = [camera for camera in cameras if camera.mask is None or camera.hides]
+    for camera in bare:
+        if not images.has_alpha(camera.image):
+            return f"{camera.image} has neither"
+    alphas = (images.read_alpha(camera.image) for camera in bare)
+    if len(bare) == len(cameras) and all(map(importing.opaque, alphas)):
+        return "there are no masks, and the alpha of all pictures is 1 everywhere"
+    return None
 
 
-def _check(capture: Capture, sources: finding.Sources) -> None:
+def _hull(
+    made: list[Photograph], settings: PhotosConfig, capture: Capture, shapeless: bool
+) -> tuple[dict[str, Surface] | None, list[str]]:
+    """The object as the hull of alpha or masks, and what should be said; where there may be none,
+    why there is none. Raises InputError."""
+    try:
+        cut, said = hull.made(made, settings.voxels)
+    except InputError as error:
+        if not shapeless:
+            raise
+        return None, [str(error)]
+    capture.notes.append(
+        "the object begins as the hull of alpha or masks, of "
+        f"{len(cut['faces'])} triangles; photos.mesh=FILE takes a mesh instead"
+    )
+    return shape.of_hull(cut), said
+
+
+def check(capture: Capture, sources: finding.Sources) -> None:
     """Raises InputError where no picture is left, or one is that of two views."""
     if not capture.cameras:
         raise InputError(
@@ -139,7 +168,7 @@ def _check(capture: Capture, sources: finding.Sources) -> None:
             )
 
 
-def _elsewhere(capture: Capture, sources: finding.Sources) -> list[str]:
+def elsewhere(capture: Capture, sources: finding.Sources) -> list[str]:
     """What is said of pictures that are not in ``photos.images``. Raises InputError where none
     is."""
     if not sources.elsewhere:
@@ -189,7 +218,8 @@ def _off_middle(cameras: list[Camera]) -> list[str]:
     ]
 
 
-def _left_out(sources: finding.Sources) -> list[str]:
+def left_out(sources: finding.Sources) -> list[str]:
+    """What is said of views whose pictures are missing."""
     if not sources.missing:
         return []
     names = ", ".join(sources.missing[:_NAMED])

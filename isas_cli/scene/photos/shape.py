@@ -37,19 +37,13 @@ def described(settings: PhotosConfig, capture: Capture) -> bool:
 
 def parts(settings: PhotosConfig, capture: Capture) -> dict[str, Surface]:
     """The object in the cameras' world, by the names of the shapes that it is: ``object``, or of a
-    mesh of several materials ``object_<material>`` each. Raises InputError where nothing says what
-    it is, and for a mesh that cannot be rendered."""
+    mesh of several materials ``object_<material>`` each. Something has to say what it is
+    (``described``). Raises InputError for a mesh that cannot be rendered."""
     if settings.mesh is not None:
         return _read(settings.mesh, settings.materials == "one", capture)
     if settings.sphere is not None:
         return {OBJECT: _sphere(*settings.sphere)}
-    plane = settings.plane or capture.plane
-    if plane is not None:
-        return {OBJECT: _rectangle(*plane)}
-    raise InputError(
-        "photos.mesh is not given: give a file (OBJ, PLY, STL, glTF), photos.plane=[x0,y0,x1,y1], "
-        "photos.sphere=[x,y,z,radius], or alpha or masks of all pictures, of which a hull is made"
-    )
+    return {OBJECT: _rectangle(*(settings.plane or capture.plane))}
 
 
 def of_hull(found: dict[str, np.ndarray]) -> dict[str, Surface]:
