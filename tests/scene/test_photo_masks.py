@@ -63,6 +63,8 @@ def mask(path) -> None:
         "images/mask_{0}.png",
         "images/{0}.exr.mask",
         "images/{0}.exr.mask.png",
+        "images/{0}.alpha.png",
+        "images/{0}.exr.alpha.png",
     ],
 )
 def test_usual_names(tmp_path, taken, name):
@@ -188,3 +190,27 @@ def test_white_of_a_dynamic_mask_does_not_count(tmp_path, taken):
         assert each.white is None
     with pytest.raises(InputError, match="has neither alpha nor a mask"):
         taken(background="black")
+
+
+def test_more_masks_than_are_needed_are_not_doubted(tmp_path, taken):
+    """nerfstudio keeps smaller ones beside them, Stanford-ORB those of views that are held out."""
+    for number in range(3):
+        for folder in ("masks", "masks_2", "test_mask"):
+            mask(tmp_path / folder / f"{number:03d}.png")
+    assert taken().warnings == []
+
+
+@pytest.mark.parametrize("background", [False, "black"])
+def test_no_number_where_a_mask_hides_it_is_none(tmp_path, taken, background):
+    """It counts nowhere, nor beside it where pixels are made smaller; elsewhere it is refused."""
+    pixels = np.full((SIZE[1], SIZE[0], 3), 0.4, np.float32)
+    pixels[:4], pixels[2, 7] = np.nan, np.inf
+    for number in range(3):
+        mask(tmp_path / f"masks/{number:03d}.png")
+        images.write_exr(tmp_path / f"images/{number:03d}.exr", pixels, [*"RGB"], {})
+    for width, hidden in ((None, 8), (SIZE[0] // 2, 4)):
+        for each in taken(background=background, width=width).shown:
+            assert np.isfinite(each.image).all() and each.mask[hidden + 1 :].all()
+            assert not (each.mask[:hidden].any() if not background else each.image[:hidden].any())
+    with pytest.raises(InputError, match="000.exr: 160 pixels are NaN or infinite; mend or mask"):
+        taken(masks="none")

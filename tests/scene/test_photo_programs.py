@@ -335,11 +335,25 @@ def test_neus(tmp_path, factor, name):
     (tmp_path / "mask").mkdir()
     Image.new("L", SIZE, 255).save(tmp_path / "mask" / "view_1.png")
     capture = agree(tmp_path)
-    assert capture.kind == "NeuS"
+    assert capture.kind == "NeuS" and not any(camera.mask for camera in capture.cameras)
     assert [camera.name for camera in capture.cameras] == [f"image/view_{n}.png" for n in range(3)]
     assert capture.notes == [
         f"{tmp_path / name}: its 3 cameras are of the pictures in the order of their names"
     ]
+
+
+def test_masks_of_neus_are_in_the_order_of_their_names(tmp_path):
+    """Which are others than the pictures' in its own sets."""
+    neus(Files(tmp_path, POSES))
+    (tmp_path / "mask").mkdir()
+    for number in range(3):
+        Image.new("L", SIZE, 255).save(tmp_path / "mask" / f"{number:03d}.png")
+    capture = agree(tmp_path)
+    assert [camera.mask.name for camera in capture.cameras] == ["000.png", "001.png", "002.png"]
+    assert "mask: its masks are called otherwise than the pictures" in capture.notes[1]
+    (tmp_path / "mask/002.png").unlink()
+    with pytest.raises(InputError, match="hull is made: .*view_0.png has neither"):
+        photographs.load(PhotosConfig(path=str(tmp_path)))
 
 
 def test_neus_of_colmap_counts_from_the_corner(tmp_path):

@@ -32,6 +32,7 @@ _SAME = ("{name}{ending}", "{stem}{ending}")
 _MARKED = (
     *("{stem}_mask{ending}", "{stem}.mask{ending}", "{stem}-mask{ending}", "mask_{stem}{ending}"),
     *("{name}.mask", "{name}.mask{ending}", "{name}_mask{ending}"),
+    *("{stem}.alpha{ending}", "{name}.alpha{ending}"),  # instant-ngp's
     HIDING + "{stem}{ending}",
 )
 
@@ -118,15 +119,20 @@ def listing(folders: Iterable[Path], where: str) -> list[Path]:
     settings, in the order of their names. Raises InputError where none has."""
     given, folders = _SOURCES.get(_AS_IT_IS).images, list(folders)
     for folder in [given] if given is not None else folders:
-        if folder.is_dir():
-            files = sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
-            if files:
-                return files
+        if files := inside(folder):
+            return files
     looked = given or " nor ".join(str(folder) for folder in folders)
     raise InputError(
         f"{where}: names no pictures, and there are none in {looked}: photos.images=FOLDER says "
         "where they lie"
     )
+
+
+def inside(folder: Path) -> list[Path]:
+    """The pictures of a folder, in the order of their names; none where there is no such."""
+    if not folder.is_dir():
+        return []
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
 
 
 def listed_mask(folder: Path, name: Any, where: str) -> Path | None:
@@ -233,7 +239,7 @@ def masked(cameras: list[Camera], root: Path, sources: Sources) -> tuple[list[Ca
             f"{len(without)} of {len(cameras)} views have no mask, first {without[0]}: all of "
             "their pixels count"
         )
-    if not sources.given:
+    if without and not sources.given:
         told += search.unused(found)
     return [replace(camera, mask=mask) for camera, mask in zip(cameras, found)], told
 

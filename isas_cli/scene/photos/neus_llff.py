@@ -5,6 +5,7 @@
   pixels from the middle of the first, and so is it here, but where the principal point is half the
   picture's size exactly: that comes from COLMAP's cameras, which count from the corner.
   ``scale_mat_n`` leads from a sphere of radius 1 to that world, and is of no use to a mesh in it.
+  Masks are taken in the order of their names as well: these may be others than the pictures'.
 - `poses_bounds.npy`, of LLFF: rows of 17 numbers, a 3×5 matrix and two depths. Of the matrix the
   first three columns are the camera's axes (down, right, backward), the fourth is its place, the
   fifth height, width and focal length of its picture, whose middle is the principal point.
@@ -21,10 +22,11 @@ from scipy.linalg import rq
 from ...runtime.errors import InputError
 from .base import Asked, Capture, name_of, whole
 from .camera import Camera
-from .finding import listing, size
+from .finding import inside, listing, size
 
 _NAMES = ("cameras_sphere.npz", "cameras.npz", "poses_bounds.npy")
 _FOLDERS = ("image", "images", "rgb")
+_MASKS = ("mask", "masks")
 _MATRIX = re.compile(r"world_mat_(\d+)")
 # Pixels: of what a decomposition leaves, and of skew across a picture, which no camera here has.
 _ROUNDING, _SKEW = 1e-3, 0.25
@@ -69,8 +71,10 @@ def _neus(file: Path, arrays: dict, asked: Asked) -> Capture:
             f"{file}: has no world_mat_0, world_mat_1, …, which NeuS' and IDR's cameras have"
         )
     matrices = [_projection(known[n], f"{file}: world_mat_{n}") for n in sorted(known)]
-    centred, cameras = 0, []
-    for number, image, matrix in zip(sorted(known), _pictures(file, asked, len(known)), matrices):
+    centred, cameras, pictures = 0, [], _pictures(file, asked, len(known))
+    masks = next((m for name in _MASKS if len(m := inside(file.parent / name)) == len(known)), [])
+    every = zip(sorted(known), pictures, masks or [None] * len(known), matrices)
+    for number, image, mask, matrix in every:
         (width, height), where = size(image), f"{file}: world_mat_{number}"
         inner, turn = rq(matrix[:, :3])
         signs = np.sign(np.diag(inner))
@@ -93,8 +97,13 @@ def _neus(file: Path, arrays: dict, asked: Asked) -> Capture:
         pose[:3, :3], pose[:3, 3] = turn.T, place
         numbers = width, height, inner[0, 0], inner[1, 1], *centre
         name = name_of(image, asked.root)
-        cameras.append(Camera(name, image, *numbers, pose, described=str(file)))
+        cameras.append(Camera(name, image, *numbers, pose, mask, described=str(file)))
     notes = [f"{file}: its {len(cameras)} cameras are of the pictures in the order of their names"]
+    if [mask.stem for mask in masks] != [image.stem for image in pictures if masks]:
+        notes.append(
+            f"{masks[0].parent}: its masks are called otherwise than the pictures, and are theirs "
+            "in the order of their names"
+        )
     if centred:
         notes.append(
             f"{file}: {centred} principal points are half the picture's size: taken as its middle"
