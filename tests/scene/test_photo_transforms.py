@@ -210,3 +210,30 @@ def test_what_is_wrong_is_one_line(tmp_path, edit, told):
     with pytest.raises(InputError, match=told) as error:
         reading.read(str(tmp_path))
     assert "\n" not in str(error.value) and str(error.value).startswith(str(tmp_path))
+
+
+def test_the_turn_that_an_older_nerfstudio_did_not_write_is_undone(tmp_path):
+    """Rows of COLMAP's poses as it wrote them, beside the model that they are of."""
+    photo_sets.transforms(Files(tmp_path, POSES))
+
+    def edit(content) -> None:
+        for frame in content["frames"]:
+            pose = np.array(frame["transform_matrix"])[[1, 0, 2, 3]]
+            pose[2] *= -1
+            frame["transform_matrix"] = pose.tolist()
+
+    change(tmp_path, edit)
+    (tmp_path / "colmap/sparse/0").mkdir(parents=True)
+    capture = reading.read(str(tmp_path))
+    for camera, pose in zip(capture.cameras, POSES):
+        np.testing.assert_allclose(camera.to_world, pose, atol=1e-9)
+    (note,) = capture.notes
+    assert "an older nerfstudio's turn of COLMAP's world (colmap/sparse/0 is there) undone" in note
+    stay = reading.read(str(tmp_path), world="file")
+    assert "stay" in stay.notes[0] and not np.allclose(stay.cameras[0].to_world, POSES[0])
+    # Later versions say what they applied, and instant-ngp turns otherwise.
+    for word in ({"ply_file_path": "sparse_pc.ply"}, {"aabb_scale": 16}):
+        content = json.loads((tmp_path / "transforms.json").read_text())
+        photo_sets.write(tmp_path / "transforms.json", content | word)
+        assert not reading.read(str(tmp_path)).notes
+        photo_sets.write(tmp_path / "transforms.json", content)

@@ -8,8 +8,10 @@ as bright its picture is as at exposure 1.
 nerfstudio turns the poses of COLMAP and others so that z is up, and says by which
 ``applied_transform`` (3 × 4, the new world from the old one) and ``applied_scale`` (of places,
 afterwards). What is applied is undone, so that a mesh of the old world fits, unless
-``photos.world=file``. instant-ngp's ``scale``, ``offset`` and ``aabb_scale`` say where it puts the
-scene in its own unit cube; they change no pose.
+``photos.world=file``. Older versions wrote no ``applied_transform`` where they had turned COLMAP's
+poses (``_BEFORE``): for such it takes sets that lack the word and keep COLMAP's model.
+instant-ngp's ``scale``, ``offset`` and ``aabb_scale`` say where it puts the scene in its own unit
+cube; they change no pose. What its `colmap2nerf.py` did to COLMAP's poses is written nowhere.
 
 nerfstudio lists the views that it holds out as ``val_filenames`` and ``test_filenames``, and those
 to learn from as ``train_filenames``; Blender sets have them in `transforms_test.json`.
@@ -39,6 +41,10 @@ _LISTED, _IN_LIST = "distortion_params", ("k1", "k2", "k3", "k4", "p1", "p2")
 _NUMBERS = tuple(f"k{n}" for n in range(1, 7)) + ("p1", "p2")
 # Of instant-ngp: these make a picture something else than a lens does, or move the camera.
 _THETA, _OTHERS = "ftheta_p0", ("latlong", "equirectangular", "orthographic")
+# The new world from COLMAP's, as nerfstudio's reader has it; where COLMAP's model is then; and what
+# no file of those sets has: later ones do, and instant-ngp's.
+_BEFORE = [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]]
+_MODEL, _SINCE = "colmap/sparse/0", ("applied_transform", "ply_file_path", "aabb_scale")
 # From the camera's axes as the file has them to x right, y down, z forward.
 TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -91,6 +97,9 @@ def _undone(
     turn, scale = np.eye(4), 1.0
     if "applied_transform" in told:
         turn = matrix(top["applied_transform"], f"{file}: applied_transform")
+    elif file.name == NAMES[0] and _old(file.parent, top):
+        turn = matrix(_BEFORE, _MODEL)
+        told.insert(0, f"an older nerfstudio's turn of COLMAP's world ({_MODEL} is there)")
     if "applied_scale" in told:
         scale = number(top["applied_scale"], f"{file}: applied_scale")
     if not scale > 0 or not np.linalg.det(turn) > 1e-12:
@@ -113,6 +122,11 @@ def _undone(
         "another's; photos.world=file takes poses as they stand in the file"
     )
     return found, [note]
+
+
+def _old(folder: Path, top: dict) -> bool:
+    """Whether a set is of COLMAP by a nerfstudio that did not say how it turned the poses."""
+    return (folder / _MODEL).exists() and not any(name in top for name in _SINCE)
 
 
 def _listed(file: Path, top: dict, cameras: list[Camera], *keys: str) -> list[str]:
