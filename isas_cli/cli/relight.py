@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
+from ..config import paths
 from ..config.photographs import CAMERA, UPS, PhotosConfig
 from ..engine import resumption
 from ..records.files import write_json
-from ..runtime import backend, interrupt
+from ..runtime import backend, images, interrupt
 from ..runtime.errors import InputError
 
 SCORES = "scores.json"
@@ -52,23 +54,29 @@ def main(
         backend.start(typed.variant, typed.threads)
         from ..measure import relighting
         from ..scene import export, relit
+        from ..scene.photos import importing
 
         if told := resumption.changed_since(folder, typed):
             print(told, file=sys.stderr)
-        cameras, over = _cameras(pictures, typed.scene.photos)
+        own = typed.scene.photos
+        cameras, over = _cameras(pictures, own)
         rendering = [relit.cut(camera, width) for camera in cameras]
         lights = _lights(light, [camera.name for camera in cameras])
-        own = typed.scene.photos
         how = own.up if up is None else up, own.turn if turn is None else turn
         scene = export.result(typed.scene, arrays)
         output = output or folder / "relit"
         found, console = {}, Console()
-        for camera, image in zip(cameras, relit.views(scene, rendering, lights, *how, spp)):
+        made = relit.views(scene, rendering, lights, *how, spp)
+        for camera, seen, image in zip(cameras, rendering, made):
             where = f"{pictures}: {camera.name}"
             mask = None if camera.hides else camera.mask  # which is to say where the object is
+            linear = None  # of which files the run's encoding says nothing
+            if importing.of_light(camera.image) is None:
+                linear = importing.linear(camera.image, own.encoding)
             turned = camera.name in over
-            how_lit = turned, light is not None
-            found[camera.name] = relighting.of_picture(image, camera, mask, where, *how_lit)
+            found[camera.name] = relighting.of_picture(
+                image, seen, camera, mask, where, turned, light is not None, linear
+            )
             relit.write(output, camera.name, image)
     mean = relighting.mean(found)
     write_json(output / SCORES, {"views": found, "mean": mean, "light": light and str(light)})
@@ -81,24 +89,52 @@ def main(
 
 
 def _cameras(pictures: Path, own: PhotosConfig) -> tuple[list, set[str]]:
-    """Of a folder of photographs, or of a file in one, in the world and with the orientation that
-    the run's ``own`` have; and the names of those whose pictures are turned. Raises InputError."""
-    from ..scene.photos import finding, reading, turns
+    """Of a folder of photographs, or of a file in one, as large as their pictures are, in the world
+    and with the orientation that the run's ``own`` have; where it is the run's own set, with all
+    that the run says of where files are. And the names of those whose pictures are turned. Raises
+    InputError."""
+    from ..scene.photos import finding, layouts, photographs, reading, turns
 
     if not pictures.exists() and str(pictures) not in reading.OWN:
         raise InputError(f"{pictures}: no such folder of photographs, nor file of cameras")
-    file = pictures.name if pictures.is_file() else None
-    settings = PhotosConfig(str(pictures if file is None else pictures.parent), cameras=file)
-    root = reading.folder_of(settings.path)
-    with finding.looking(settings, root) as sources:
-        found = reading.read(settings.path, None, settings.cameras)
-        if found.worlds and own.world != "mesh":
-            found = reading.read(settings.path, None, settings.cameras, own.world)
+    place = pictures if pictures.is_file() else reading.folder_of(str(pictures))
+    kept = {name: getattr(own, name) for name in ("encoding", "orientation")}
+    whole = place.absolute()
+    tries = [(root, str(whole.relative_to(root))) for root in layouts.around(whole)]
+    if _is_of(place, own):
+        kept |= {name: getattr(own, name) for name in ("images", "masks", "scale", "missing")}
+        tries = [(paths.of_set(own.path), own.cameras)]
+    for root, file in tries:
+        file = None if file == "." else file
+        settings = PhotosConfig(str(root), file, **kept)
+        try:
+            with finding.looking(settings, root) as sources:
+                found = reading.read(settings.path, None, file)
+                if found.worlds and own.world != "mesh":
+                    found = reading.read(settings.path, None, file, own.world)
+            break
+        except InputError as error:
+            if root == tries[-1][0]:
+                hint = "; photos.… are the run's, where SET is its photos.path"
+                raise InputError(f"{error}{hint if 'photos.' in str(error) else ''}") from None
+    photographs.check(found, sources)
+    found.notes += photographs.elsewhere(found, sources)
     cameras, told = finding.masked(found.cameras, root, sources)
-    over, more = turns.turned(cameras, found, own.orientation)
-    for line in (*found.notes, *told, *more):
+    over, more = turns.turned(cameras, found, settings.orientation)
+    for line in (*found.notes, *photographs.left_out(sources), *told, *more):
         print(line, file=sys.stderr)
-    return cameras, over
+    settings = replace(settings, scale=settings.scale or "auto")
+    sizes = [images.size(camera.image, camera.name in over) for camera in cameras]
+    return [turns.resized(c, size, settings) for c, size in zip(cameras, sizes)], over
+
+
+def _is_of(place: Path, own: PhotosConfig) -> bool:
+    """Whether a folder, or a file of cameras, is the one that a run's photographs are of."""
+    if own.path is None:
+        return False
+    root = paths.of_set(own.path)
+    mine = {root, root / (own.cameras or "")}
+    return any(each.exists() and each.samefile(place) for each in mine)
 
 
 def _lights(light: Path | None, names: list[str]) -> list[Path | None]:

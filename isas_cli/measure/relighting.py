@@ -26,7 +26,7 @@ from scipy.spatial import cKDTree
 
 from ..runtime import images
 from ..runtime.errors import InputError
-from ..scene.photos import finding, transforms
+from ..scene.photos import finding, transforms, turns
 from ..scene.photos.base import load_json
 from ..scene.photos.camera import Camera
 from ..scene.photos.importing import resample
@@ -105,29 +105,57 @@ def of_set(file: Path | str, folder: Path | str) -> dict[str, dict]:
         found = of_name(folder, name)
         if found is None:
             raise InputError(f"{folder}: no rendering of {name}, such as {Path(name).stem}.exr")
-        shown = images.read(path), _mask(path, listed, where)
+        shown = images.read(path, finite=False), _mask(path, listed, where)
         views[name] = _scored(images.read(found), *shown, where)
     return {"views": views, "mean": mean(views)}
 
 
 def of_picture(
-    image: np.ndarray, camera: Camera, mask: Path | None, where: str, turned: bool, relit: bool
+    image: np.ndarray,
+    rendering: Camera,
+    camera: Camera,
+    mask: Path | None,
+    where: str,
+    turned: bool,
+    relit: bool,
+    linear: bool | None = None,
 ) -> dict[str, float]:
-    """``pictures`` of a rendering of a ``camera``'s picture, whose ``mask`` may be another file;
-    where it is not ``relit`` as it was exposed. ``turned``: whether it is turned as its file asks.
-    Raises InputError, naming ``where``."""
-    picture = images.load(camera.image, turned=turned).image
+    """``pictures`` of what a ``rendering``'s camera sees, against the picture of the ``camera`` as
+    its file has it, whose ``mask`` may be another file; where it is not ``relit`` as it was
+    exposed. ``turned``: whether it is turned as its file asks; ``linear``: as ``images.load`` has
+    it. Raises InputError, naming ``where``."""
+    picture = images.load(camera.image, finite=False, linear=linear, turned=turned).image
     both = picture, _mask(camera.image, mask, where, turned)
-    if not camera.ideal:  # pixels that are not square
-        both = resample(camera, camera.pinhole(), picture, both[1].astype(np.float32))
+    seen = (_seen(each, camera, rendering, where) for each in both)
     exposed = image if relit else image * np.float32(camera.exposure)
-    return _scored(exposed, *both, where, relit)
+    return _scored(exposed, *seen, where, relit)
+
+
+def _seen(pixels: np.ndarray, camera: Camera, rendering: Camera, where: str) -> np.ndarray:
+    """A picture ``(H, W, 3)`` of a ``camera``, or its mask ``(H, W)``, as a ``rendering``'s camera
+    sees it, where its own pixels are not square. Raises InputError for one of another shape than
+    the camera's, whatever its size."""
+    size = pixels.shape[1::-1]
+    if turns.factor(size, (camera.width, camera.height)) is None:
+        raise InputError(
+            f"{where}: {size[0]} × {size[1]} pixels, but its camera is of {camera.width} × "
+            f"{camera.height}, and no one factor of both axes is between them"
+        )
+    if camera.ideal or rendering.width > size[0]:  # the latter is refused as of all cameras
+        return pixels
+    colours = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
+    whole = np.ones(pixels.shape[:2], np.float32)
+    found, known = resample(turns.scaled(camera, size), rendering, colours, whole)
+    found *= known[..., None]
+    return found if pixels.ndim == 3 else found[..., 0]
 
 
 def _scored(
     image: np.ndarray, picture: np.ndarray, mask: np.ndarray, where: str, relit: bool = True
 ) -> dict:
-    return pictures(image, *(_as_large(each, image, where) for each in (picture, mask)), relit)
+    picture, mask = (_as_large(each, image, where) for each in (picture, mask))
+    images.check_finite(where, ~np.isfinite(picture).all(axis=2) & _inside(mask))
+    return pictures(image, picture, mask, relit)
 
 
 def mean(views: dict[str, dict]) -> dict[str, float]:

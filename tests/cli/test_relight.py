@@ -9,6 +9,7 @@ import numpy as np
 import photo_sets
 import pytest
 from photo_sets import FOCAL, SIZE, Files, look_at
+from PIL import Image
 from xml_for_tests import camera
 
 import isas_cli
@@ -19,7 +20,7 @@ from isas_cli.measure import relighting
 from isas_cli.runtime import backend, images
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene import relit
-from isas_cli.scene.photos import building
+from isas_cli.scene.photos import building, importing
 from isas_cli.scene.photos.camera import Camera
 
 PLACES = (0.8, 0.9, 2.2), (-2.0, 0.6, 1.2)
@@ -111,7 +112,8 @@ def test_the_other_light_is_taken(run, capsys):
     shown = images.read(run / "run/relit/view_1.exr")
     (_, camera), over = relight._cameras(run / "set", PhotosConfig())
     assert over == set()
-    again = relighting.of_picture(shown, camera, run / "set/masks/view_1.png", "", False, True)
+    mask = run / "set/masks/view_1.png"
+    again = relighting.of_picture(shown, camera, camera, mask, "", False, True)
     assert again == pytest.approx(found["views"]["view_1.exr"])
     for more in ([], ["--light", str(run / "sky.exr"), "--up=-y"]):
         assert scores(run, *more)["mean"]["psnr_h"] < found["mean"]["psnr_h"] - 6
@@ -228,8 +230,139 @@ def test_pixels_that_are_not_square_are_made_so(tmp_path):
     square = relit.cut(camera, None)
     assert (square.width, square.height, square.fx, square.fy) == (10, 8, 20, 20)
     images.write_png(tmp_path / "mask.png", np.full((16, 10, 3), 255, np.uint8))
-    found = relighting.of_picture(shown, camera, tmp_path / "mask.png", "", False, True)
+    mask = tmp_path / "mask.png"
+    found = relighting.of_picture(shown, square, camera, mask, "", False, True)
     assert found["psnr_h"] > 40
     exposed = replace(camera, exposure=(2.0, 2.0, 2.0))
-    found = relighting.of_picture(shown / 2, exposed, tmp_path / "mask.png", "", False, False)
+    found = relighting.of_picture(shown / 2, square, exposed, mask, "", False, False)
     assert found["psnr_h"] > 40
+
+
+@pytest.fixture
+def tall(tmp_path, rng):
+    """A picture of 80 × 60, and a mask."""
+    picture = np.kron(rng.uniform(0.1, 0.7, (15, 20, 3)), np.ones((4, 4, 1))).astype(np.float32)
+    images.write_exr(tmp_path / "a.exr", picture, [*"RGB"], {})
+    images.write_png(tmp_path / "mask.png", np.full((60, 80, 3), 255, np.uint8))
+    return picture
+
+
+def of_tall(folder, shown, fy, width=None, size=(40, 30)) -> float:
+    camera = Camera("a", folder / "a.exr", *size, 55.0, fy, size[0] / 2, size[1] / 2, np.eye(4))
+    rendering = relit.cut(camera, width)
+    told = rendering, camera, folder / "mask.png", "view a", False, False
+    return relighting.of_picture(shown, *told)["psnr_h"]
+
+
+@pytest.mark.parametrize("width, by", [(None, 2), (20, 4)])
+def test_pixels_that_are_hardly_oblong_score_as_square_ones(tmp_path, tall, rng, width, by):
+    """Of a picture that is larger than its camera's file says."""
+    means = tall.reshape(60 // by, by, 80 // by, by, 3).mean(axis=(1, 3))
+    shown = means + rng.normal(0, 0.03, means.shape)
+    found = [of_tall(tmp_path, shown, fy, width) for fy in (55.0, 54.9999)]
+    print(found)
+    assert 20 < found[0] < 40 and found[1] == pytest.approx(found[0], abs=0.1)
+
+
+def test_oblong_pixels_are_made_square_of_any_width(tmp_path, tall):
+    camera = Camera("a", tmp_path / "a.exr", 80, 60, 110.0, 100.0, 40.0, 30.0, np.eye(4))
+    rendering, whole = relit.cut(camera, 20), np.ones((60, 80), np.float32)
+    shown, _ = importing.resample(camera, rendering, tall, whole)
+    assert shown.shape == (16, 20, 3)
+    told = rendering, camera, tmp_path / "mask.png", "view a", False, False
+    assert relighting.of_picture(shown, *told)["psnr_h"] > 60
+
+
+def test_a_picture_of_another_shape_is_not_its_cameras(tmp_path, tall):
+    with pytest.raises(InputError, match="view a: 80 × 60 pixels, but its camera is of 40 × 60"):
+        of_tall(tmp_path, tall, 55.0, size=(40, 60))
+
+
+def as_asked(folder, **own):
+    """Cameras of a set as a run with these settings has them."""
+    return relight._cameras(folder, PhotosConfig(**own))
+
+
+def test_a_model_is_of_the_set_around_it(tmp_path):
+    photo_sets.colmap(Files(tmp_path, photo_sets.POSES))
+    (tmp_path / "masks").mkdir()
+    for number in range(3):
+        images.write_png(tmp_path / f"masks/view_{number}.png", np.ones((30, 40, 1), np.uint8))
+    for place in ("", "sparse", "sparse/0", "sparse/0/cameras.txt"):
+        cameras, _ = as_asked(tmp_path / place)
+        assert [c.image for c in cameras] == [tmp_path / f"images/view_{n}.png" for n in range(3)]
+        assert [c.mask for c in cameras] == [tmp_path / f"masks/view_{n}.png" for n in range(3)]
+    (tmp_path / "images/view_1.png").unlink()
+    with pytest.raises(InputError, match="view_1.png does not exist.*photos.… are the run's"):
+        as_asked(tmp_path / "sparse/0")
+
+
+def test_the_run_s_own_set_is_found_as_the_run_found_it(tmp_path):
+    """Its cameras, pictures, masks, sizes and what is missing; of another set they say nothing."""
+    photo_sets.colmap(Files(tmp_path, photo_sets.POSES))
+    (tmp_path / "images/view_2.png").unlink()
+    content = photo_sets.transforms(Files(tmp_path, photo_sets.POSES[:1]))
+    content["frames"][0]["transform_matrix"] = np.eye(4).tolist()
+    photo_sets.write(tmp_path / "transforms.json", content)
+    for folder in ("small", "cut"):
+        (tmp_path / folder).mkdir()
+    for number in range(2):
+        images.write_png(tmp_path / f"small/view_{number}.png", np.full((15, 20, 3), 90, np.uint8))
+        images.write_png(tmp_path / f"cut/view_{number}.png", np.full((15, 20, 1), 255, np.uint8))
+    own = dict(cameras="sparse", images="small", masks="cut", scale=0.5, missing="skip")
+    for place in (tmp_path, tmp_path / "sparse"):
+        cameras, _ = as_asked(place, path=str(tmp_path), **own)
+        assert [c.image for c in cameras] == [tmp_path / f"small/view_{n}.png" for n in range(2)]
+        assert [c.mask for c in cameras] == [tmp_path / f"cut/view_{n}.png" for n in range(2)]
+        np.testing.assert_allclose(cameras[0].to_world, photo_sets.POSES[0], atol=1e-9)
+        assert (cameras[0].width, cameras[0].fx) == (20, FOCAL / 2)
+    (camera,), _ = as_asked(tmp_path, path="another", **own)
+    assert camera.image == tmp_path / "view_0.exr" and camera.mask is None
+
+
+def test_cameras_without_a_size_are_of_pictures_as_the_run_turns_them(tmp_path):
+    content = photo_sets.blender(Files(tmp_path, photo_sets.POSES))
+    exif = Image.Exif()
+    exif[0x112] = 6
+    for number in range(3):
+        (tmp_path / f"view_{number}.png").unlink()
+        Image.new("RGB", (40, 30), (90, 90, 90)).save(tmp_path / f"view_{number}.jpg", exif=exif)
+    for orientation, wide in (("stored", 40), ("turned", 30)):
+        cameras, over = as_asked(tmp_path, orientation=orientation)
+        assert {camera.width for camera in cameras} == {wide} and bool(over) == (wide == 30)
+        focal = wide / 2 / np.tan(content["camera_angle_x"] / 2)
+        assert cameras[0].fx == pytest.approx(focal)
+
+
+def test_pictures_are_read_as_the_run_reads_them(tmp_path):
+    """Files of whole numbers by its encoding, from which light in floating point has none."""
+    folder, own = tmp_path / "set", tmp_path / "own"
+    (folder / "masks").mkdir(parents=True)
+    own.mkdir()
+    photo_sets.blender(Files(own, photo_sets.POSES[:2]))
+    content = photo_sets.blender(Files(folder, photo_sets.POSES[:2]))
+    images.write_exr(folder / "light.exr", np.full((30, 40, 3), 0.3, np.float32), [*"RGB"], {})
+    content["frames"][1]["file_path"] = "light.exr"
+    photo_sets.write(folder / "transforms_train.json", content)
+    for name in ("view_0.png", "light.png"):
+        images.write_png(folder / f"masks/{name}", np.full((30, 40, 1), 255, np.uint8))
+    isas_cli.run(
+        *("scene=photos", f"photos.path={own}", "photos.sphere=[0,0,0,0.5]", "photos.sky=2"),
+        *("photos.texture=4", "photos.encoding=linear", "sampler=uniform", "effects=full"),
+        *("budget.iterations=1", "report=false", "frames.views=0", "frames.snapshots=0"),
+        *("evaluation.count=1", f"hydra.run.dir={tmp_path / 'run'}"),
+    )
+    found = {}
+    for encoding in ("linear", "srgb"):
+        file = tmp_path / "run/config.yaml"
+        file.write_text(file.read_text().replace("encoding: linear", f"encoding: {encoding}"))
+        assert main(["relight", str(tmp_path / "run"), str(folder), "--spp", "4"]) == 0
+        found[encoding] = json.loads((tmp_path / "run/relit/scores.json").read_text())["views"]
+    assert found["linear"]["light.exr"] == found["srgb"]["light.exr"]
+    cameras, _ = as_asked(folder)
+    shown = images.read(tmp_path / "run/relit/view_0.exr")
+    for encoding, linear in (("linear", True), ("srgb", False)):
+        told = cameras[0], cameras[0], folder / "masks/view_0.png", "", False, False, linear
+        wanted = relighting.of_picture(shown, *told)
+        assert found[encoding]["view_0"] == pytest.approx(wanted, rel=1e-3)
+    assert found["linear"]["view_0"] != found["srgb"]["view_0"]

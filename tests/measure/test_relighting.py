@@ -180,3 +180,15 @@ def test_what_is_missing_is_one_line(files, target, mask):
         relighting.of_set(novel, mine)
     with pytest.raises(InputError, match="nothing is left of a mask"):
         relighting.pictures(target, target, 0 * mask)
+
+
+def test_no_number_counts_inside_a_mask_alone(files, target):
+    novel, mine, broken = files / "transforms_novel.json", files / "mine", target.copy()
+    broken[0, 0] = np.nan
+    before = relighting.of_set(novel, mine)
+    images.write_exr(files / "test/001.exr", broken, [*"RGB"], {})
+    assert relighting.of_set(novel, mine) == before
+    broken[10, 10, 1] = np.inf
+    images.write_exr(files / "test/001.exr", broken, [*"RGB"], {})
+    with pytest.raises(InputError, match="frame 1: 1 pixels are NaN or infinite"):
+        relighting.of_set(novel, mine)

@@ -11,6 +11,7 @@ _PLACES = (
     *("", "sparse/*", "sparse", "colmap/sparse/*", "colmap/sparse", "colmap"),
     *("dense/sparse", "dense/*/sparse", "dense", "*/sparse", "*"),
 )
+_NAMES = ("sparse", "colmap", "dense")
 
 
 def chosen(folder: Path) -> tuple[Path | None, list[tuple[Path, int]]]:
@@ -54,6 +55,15 @@ def _file(folder: Path) -> Path | None:
     if len(whole) == 2 and importlib.util.find_spec("pycolmap") is None:
         return whole[1]
     return (whole or files or [None])[0]
+
+
+def around(place: Path) -> list[Path]:
+    """The folder of a model, or of a file of it, and those around it up to the set's own, as far as
+    they are called as people call them."""
+    found = [place.parent if place.is_file() else place]
+    while found[-1].name.isdigit() or found[-1].name in _NAMES:
+        found.append(found[-1].parent)
+    return found
 
 
 def images(file: Path) -> int:

@@ -96,9 +96,12 @@ def resized(camera: Camera, size: tuple[int, int], settings: PhotosConfig) -> Ca
         elif heif.names(camera.image):
             told = "HEIC pictures are turned as they are decoded: convert them as the cameras' were"
         raise InputError(f"{_sizes(camera, size)}: {told}")
-    if size == own:
-        return camera
-    across, down = (have / want for have, want in zip(size, own))
+    return scaled(camera, size)
+
+
+def scaled(camera: Camera, size: tuple[int, int]) -> Camera:
+    """The camera of a picture of that ``size``, which shows the same."""
+    across, down = (have / want for have, want in zip(size, (camera.width, camera.height)))
     return replace(
         camera,
         width=size[0],
