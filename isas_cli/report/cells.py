@@ -76,7 +76,7 @@ def exposure(
             break
     else:
         return 1.0, "sRGB curve, exposure 1"
-    level = max(_percentile(frames, 99.0), at_least)
+    level = max(images.percentile(frames, 99.0), at_least)
     factor = 1.0 / level if level > 0 else 1.0
     if level == at_least:
         return factor, f"sRGB curve, exposure {factor:.3g}: {level:.3g} is white"
@@ -86,7 +86,7 @@ def exposure(
 
 def error_scale(frames: list[np.ndarray]) -> Scale:
     """Linear from zero to the 99th percentile of all frames."""
-    top = _percentile([frame.mean(axis=2) for frame in frames], 99.0)
+    top = images.percentile([frame.mean(axis=2) for frame in frames], 99.0)
     norm = Normalize(0.0, top or 1.0, clip=True)
     label = "mean absolute difference of channels"
     return Scale(label, matplotlib.colormaps["magma"], norm, "max")
@@ -95,8 +95,8 @@ def error_scale(frames: list[np.ndarray]) -> Scale:
 def density_scale(frames: list[np.ndarray]) -> Scale:
     """Logarithmic around 1, which is uniform, over at least a factor of ten each way."""
     positive = [frame[..., 0][frame[..., 0] > 0] for frame in frames]
-    low = min(_percentile(positive, 1.0) or 0.1, 0.1)
-    high = max(_percentile(positive, 99.9), 10.0)
+    low = min(images.percentile(positive, 1.0) or 0.1, 0.1)
+    high = max(images.percentile(positive, 99.9), 10.0)
     label = "probability relative to uniform"
     norm = LogNorm(max(low, high * 1e-6), high, clip=True)
     return Scale(label, matplotlib.colormaps["viridis"], norm, "both")
@@ -146,9 +146,3 @@ def reduced(frame: np.ndarray, largest: int = LARGEST) -> np.ndarray:
     if step == 1:
         return cut
     return cut.reshape(height, -1, width, cut.shape[1] // width, 3).mean(axis=(1, 3))
-
-
-def _percentile(frames: list[np.ndarray], percent: float) -> float:
-    """The percentile of all finite values, 0 without any."""
-    values = np.concatenate([frame[np.isfinite(frame)] for frame in frames] or [np.zeros(0)])
-    return float(np.percentile(values, percent)) if values.size else 0.0

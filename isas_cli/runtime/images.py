@@ -272,10 +272,15 @@ def to_display(image: np.ndarray, exposure: float = 1.0) -> np.ndarray:
 def exposure_for(pictures: Iterable[np.ndarray]) -> float:
     """The factor that brings the 99th percentile of all finite values of linear pictures, of any
     shapes, to 1, which is white; 1 where no such value is positive."""
+    level = percentile(pictures, 99.0)
+    return 1.0 / level if level > 0 else 1.0
+
+
+def percentile(pictures: Iterable[np.ndarray], percent: float) -> float:
+    """That of all finite values of pictures, of any shapes; 0 without any."""
     values = [np.asarray(picture)[np.isfinite(picture)] for picture in pictures]
     together = np.concatenate(values) if values else np.zeros(0)
-    level = float(np.percentile(together, 99.0)) if together.size else 0.0
-    return 1.0 / level if level > 0 else 1.0
+    return float(np.percentile(together, percent)) if together.size else 0.0
 
 
 def write_png(

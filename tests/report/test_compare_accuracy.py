@@ -71,7 +71,7 @@ def test_an_error_of_zero_counts_as_half_of_the_smallest_that_was_measured(tmp_p
     run = synthetic.run(tmp_path, [0, 1, 2], [1.0, 0.25, 0.0])
     read = series.read(run, "image_rmse")
     assert read.error.tolist() == [1, 0.25, 0.125]
-    assert accuracy.levels_of([read]).tolist() == [0.5, 0.25, 0.125, 0.0625]
+    assert accuracy.levels_of({"a": [read]}).tolist() == [0.5, 0.25, 0.125, 0.0625]
 
 
 def test_evaluations_that_are_not_finite_are_left_out(tmp_path):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pandas
 
 from . import bootstrap
 from .bootstrap import Estimate
-from .gather import Method, by_scene
-from .series import AXES, MEASURES, Series, known, same_seeds, times
+from .gather import Method, by_measure
+from .series import AXES, Series, same_seeds, times
 
 COLUMNS = [
     *("scene", "measure", "level", "method", "runs", "reached"),
@@ -32,26 +34,19 @@ def table(methods: list[Method], baseline: dict[str, str]) -> pandas.DataFrame:
     does to both cancels. Bounds are NaN where a side has one run only.
     """
     rows = []
-    for scene, group in by_scene(methods).items():
-        for measure in MEASURES:
-            series = {m.label: known(m.runs, measure) for m in group}
-            levels = levels_of([s for each in series.values() for s in each])
-            base = series[baseline[scene]]
-            parts = [
-                _of_method(series[m.label], base, levels).assign(method=m.label)
-                for m in group
-                if series[m.label]
-            ]
-            if parts:
-                part = pandas.concat(parts).sort_values("level", ascending=False, kind="stable")
-                rows.append(part.assign(scene=scene, measure=measure)[COLUMNS])
+    for scene, measure, found in by_measure(methods):
+        levels, base = levels_of(found), found.get(baseline[scene], [])
+        parts = [_of_method(own, base, levels).assign(method=m) for m, own in found.items()]
+        if parts:
+            part = pandas.concat(parts).sort_values("level", ascending=False, kind="stable")
+            rows.append(part.assign(scene=scene, measure=measure)[COLUMNS])
     return pandas.concat(rows, ignore_index=True) if rows else pandas.DataFrame(columns=COLUMNS)
 
 
-def levels_of(series: list[Series]) -> np.ndarray:
+def levels_of(found: dict[str, list[Series]]) -> np.ndarray:
     """1/2, 1/4, … down to the first that no run's final error is at or below."""
     deepest = 1
-    for s in series:
+    for s in itertools.chain(*found.values()):
         while s.error[-1] <= s.error[0] * 0.5**deepest:
             deepest += 1
     return 0.5 ** np.arange(1, deepest + 1)

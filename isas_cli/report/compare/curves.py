@@ -6,8 +6,8 @@ import numpy as np
 import pandas
 
 from . import bootstrap
-from .gather import Method, by_scene
-from .series import AXES, MEASURES, Series, known
+from .gather import Method, by_measure
+from .series import AXES, Series
 
 _POINTS = 120
 COLUMNS = ["scene", "method", "measure", "axis", "x", "median", "low", "high", "runs"]
@@ -23,17 +23,13 @@ def table(methods: list[Method]) -> pandas.DataFrame:
     ``runs`` drops on the way, the median may jump.
     """
     parts = [pandas.DataFrame(columns=COLUMNS)]
-    for group in by_scene(methods).values():
-        for measure in MEASURES:
-            series = {m.label: known(m.runs, measure) for m in group}
-            for axis in AXES:
-                x = _grid([s for each in series.values() for s in each], axis)
-                for method in group:
-                    part = _curve(series[method.label], x, axis)
-                    part = part.assign(
-                        scene=method.scene, method=method.label, measure=measure, axis=axis
-                    )
-                    parts.append(part[COLUMNS])
+    for scene, measure, found in by_measure(methods):
+        for axis in AXES:
+            x = _grid([s for each in found.values() for s in each], axis)
+            for label, own in found.items():
+                part = _curve(own, x, axis)
+                part = part.assign(scene=scene, method=label, measure=measure, axis=axis)
+                parts.append(part[COLUMNS])
     parts = [part for part in parts if len(part)] or parts[:1]
     return pandas.concat(parts, ignore_index=True)
 

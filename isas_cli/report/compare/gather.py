@@ -16,7 +16,7 @@ from ...records.reader import read_json
 from ...runtime.errors import InputError, nearest
 from . import labels
 from .labels import Settings
-from .series import AXES, MEASURES, read, seed
+from .series import AXES, MEASURES, Series, known, read, seed
 
 if TYPE_CHECKING:
     import pandas
@@ -101,6 +101,14 @@ def by_scene(methods: list[Method]) -> dict[str, list[Method]]:
     for method in methods:
         grouped[method.scene].append(method)
     return dict(grouped)
+
+
+def by_measure(methods: list[Method]) -> Iterator[tuple[str, str, dict[str, list[Series]]]]:
+    """Of each scene and measure: the runs' series by their method's label, where there are any."""
+    for scene, group in by_scene(methods).items():
+        for measure in MEASURES:
+            found = {m.label: known(m.runs, measure) for m in group}
+            yield scene, measure, {label: series for label, series in found.items() if series}
 
 
 def _listed(folders: list[Path]) -> str:

@@ -8,8 +8,8 @@ from scipy import stats
 
 from . import bootstrap
 from .accuracy import levels_of, named
-from .gather import Method, by_scene
-from .series import AXES, MEASURES, Series, known, times
+from .gather import Method, by_measure
+from .series import AXES, Series, times
 
 # The error of a mean falls with the square root of the number of independent samples.
 MONTE_CARLO = -0.5
@@ -38,15 +38,11 @@ def table(methods: list[Method]) -> pandas.DataFrame:
     method, repeated in each of its rows.
     """
     rows = []
-    for scene, group in by_scene(methods).items():
-        for measure in MEASURES:
-            series = {m.label: known(m.runs, measure) for m in group}
-            levels = levels_of([s for each in series.values() for s in each])
-            for method in group:
-                if series[method.label]:
-                    part = _of_method(series[method.label], levels)
-                    part = part.assign(scene=scene, measure=measure, method=method.label)
-                    rows.append(part[COLUMNS])
+    for scene, measure, found in by_measure(methods):
+        levels = levels_of(found)
+        for label, own in found.items():
+            part = _of_method(own, levels).assign(scene=scene, measure=measure, method=label)
+            rows.append(part[COLUMNS])
     return pandas.concat(rows, ignore_index=True) if rows else pandas.DataFrame(columns=COLUMNS)
 
 
