@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import _ranges
@@ -130,39 +131,24 @@ def _caustic(results: Path) -> tuple[str, str]:
     return words, "yes" if own.iloc[0] > 0.4 else "no"
 
 
-def _shape(scene: str) -> Callable[[Path], tuple[str, str]]:
-    """`ours` ends nearer to the true shape than uniform pixels."""
+def _listed(table: str, measure: str, scene: str, *rivals: str) -> Callable:
+    """`ours` ends with less of a ``measure`` than each of ``rivals``, by a table of many scenes."""
 
     def found(results: Path) -> tuple[str, str]:
-        table = _table(results, "shapes")
-        own = table[table["scene"] == scene].set_index("method")
+        own = _table(results, table)
+        own = own[own["scene"] == scene]
         if own.empty:
             raise NotMeasured(f"{scene}: not run yet")
-        ours, uniform = (own.loc[f"silhouettes, {name}"] for name in ("ours", "uniform"))
-        words = (
-            f"`{scene}`: chamfer {_range(ours, 'chamfer')}, uniform {_range(uniform, 'chamfer')}"
-        )
-        return words, _verdict(ours, uniform, "chamfer")
+        own = own.set_index(own["method"].str.removeprefix("silhouettes, "))
+        words = [f"`{name}` {_range(own.loc[name], measure)}" for name in ("ours", *rivals)]
+        verdicts = [f"`{n}` {_verdict(own.loc['ours'], own.loc[n], measure)}" for n in rivals]
+        what = measure.removesuffix("_rmse")
+        return f"{scene}: {what}: {', '.join(words)}", f"{what}: {', '.join(verdicts)}"
 
     return found
 
 
-def _volume(scene: str, *rivals: str) -> Callable[[Path], tuple[str, str]]:
-    """`ours` ends with less error of the images than each of ``rivals``."""
-
-    def found(results: Path) -> tuple[str, str]:
-        table = _table(results, "volumes")
-        own = table[table["scene"] == scene].set_index("method")
-        if own.empty:
-            raise NotMeasured(f"{scene}: not run yet")
-        ours = own.loc["ours"]
-        words = [f"`ours` {_range(ours, 'image_rmse')}"]
-        words += [f"`{name}` {_range(own.loc[name], 'image_rmse')}" for name in rivals]
-        verdicts = [f"`{name}` {_verdict(ours, own.loc[name], 'image_rmse')}" for name in rivals]
-        return f"{scene}: image: {', '.join(words)}", f"image: {', '.join(verdicts)}"
-
-    return found
-
+_volume, _shape = partial(_listed, "volumes", "image_rmse"), partial(_listed, "shapes", "chamfer")
 
 CLAIMS = [
     Claim("1", "three albedos at once: faster than uniform", _better("catcake", "uniform")),
@@ -180,8 +166,8 @@ CLAIMS = [
     Claim("9", "better than uniform", _better("earth", "uniform")),
     Claim("9", "better than uniform", _better("bowl", "uniform")),
     Claim("9", "better than uniform", _volume("lego", "uniform")),
-    Claim("9", "better than uniform", _shape("dodoco_b")),
-    Claim("9", "better than uniform", _shape("kirby")),
+    Claim("9", "better than uniform", _shape("dodoco_b", "uniform")),
+    Claim("9", "better than uniform", _shape("kirby", "uniform")),
 ]
 
 

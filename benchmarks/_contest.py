@@ -67,33 +67,39 @@ def judged(
     geometric mean of ``measure``. See ``race``."""
     judges, others = seeds[:choosing], seeds[choosing:]
 
-    def at(name: str, factor: float) -> tuple[str, dict]:
-        return name, contestants[name] | {"optimizer.factor": factor}
+    def raced(where: str, pairs: Iterable[tuple[str, float]], seeds: list[int]) -> pandas.DataFrame:
+        each = [(name, contestants[name] | {"optimizer.factor": factor}) for name, factor in pairs]
+        return race(scene, root / where, settings, each, seeds, seconds, row)
 
-    def least(runs: pandas.DataFrame) -> pandas.DataFrame:
-        # An error of 0 is one that its evaluation could not tell from less than the others.
-        told = runs[measure].clip(lower=runs[measure][runs[measure] > 0].min())
-        of = runs.assign(logarithm=np.log(told)).groupby(["method", "factor"], sort=False)
-        means = of["logarithm"].mean().reset_index()
-        return means.loc[means.groupby("method", sort=False)["logarithm"].idxmin()]
-
-    rising = sorted(factors)
-    every = [at(name, factor) for name in contestants for factor in rising]
-    first = race(scene, root / "rates", settings, every, judges, seconds, row)
+    first = raced("rates", itertools.product(contestants, sorted(factors)), judges)
     for number in range(beyond):
-        further = []
-        for name, factor in zip(*(least(first)[column] for column in ("method", "factor"))):
-            tried = sorted(set(first.loc[first["method"] == name, "factor"]))
-            ends = {a: a * a / b for a, b in (tried[:2], tried[:-3:-1])}
-            further += [at(name, ends[factor])] if factor in ends else []
-        if not further:
+        if not (beside := further(first, measure)):
             break
-        folder = root / f"beyond-{number}"
-        more = race(scene, folder, settings, further, judges, seconds, row)
+        more = raced(f"beyond-{number}", beside, judges)
         first = pandas.concat([first, more], ignore_index=True)
-    best = least(first)
-    chosen = [at(*pair) for pair in zip(best["method"], best["factor"])]
-    return first, race(scene, root / "seeds", settings, chosen, others, seconds, row)
+    return first, raced("seeds", best(first, measure), others)
+
+
+def best(
+    runs: pandas.DataFrame, measure: str, by: str = "method", of: str = "factor"
+) -> list[tuple[str, float]]:
+    """Each of ``by`` with that ``of`` its own which has the least geometric mean of ``measure``."""
+    # An error of 0 is one that its evaluation could not tell from less than the others.
+    told = runs[measure].clip(lower=runs[measure][runs[measure] > 0].min())
+    means = np.log(told).groupby([runs[by], runs[of]], sort=False).mean()
+    return list(means.groupby(level=by, sort=False).idxmin())
+
+
+def further(
+    runs: pandas.DataFrame, measure: str, by: str = "method", of: str = "factor"
+) -> list[tuple[str, float]]:
+    """Those whose ``best`` lies at an end of what they have tried, each with the next beyond it."""
+    found = []
+    for name, value in best(runs, measure, by, of):
+        tried = sorted(set(runs.loc[runs[by] == name, of]))
+        ends = {a: a * a / b for a, b in (tried[:2], tried[:-3:-1])}
+        found += [(name, ends[value])] if value in ends else []
+    return found
 
 
 def reached(history: pandas.DataFrame, goal: float, measure: str = "parameter_rmse") -> float:

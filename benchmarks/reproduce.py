@@ -50,6 +50,7 @@ COMMON = ["estimator.batch=16384", "target.noise=0.02", "evaluation.count=24"]
 COMMON += ["evaluation.pixels=32768", "frames.views=1", "frames.snapshots=0"]
 SAMPLERS = ("uniform", "relevant", "gradient", "ours", "progress")
 _BEYOND = 3  # races at most with rates beyond a comparison's
+_RATES = "final", "sampler", "rate"  # by which each sampler's best is told
 
 
 @dataclass(frozen=True)
@@ -176,22 +177,6 @@ def _tried(folder: Path, races: int = _BEYOND + 1) -> pandas.DataFrame:
     return pandas.concat([runs(each) for each in found if each.exists()], ignore_index=True)
 
 
-def _best(tried: pandas.DataFrame) -> list:
-    """Each sampler at its best rate."""
-    best = tried.loc[tried.groupby("sampler")["final"].idxmin()]
-    return list(zip(best["sampler"], best["rate"]))
-
-
-def _further(tried: pandas.DataFrame) -> list:
-    """The samplers whose best rate lies at an end of those tried, twice or half as far."""
-    found = []
-    for sampler, rate in _best(tried):
-        own = tried.loc[tried["sampler"] == sampler, "rate"]
-        if rate in (own.min(), own.max()):
-            found.append((sampler, 2 * rate if rate == own.max() else rate / 2))
-    return found
-
-
 def kept(scene: str, folder: Path, seed: int, seconds: float) -> pandas.DataFrame:
     """What is kept of the second race of a scene; the pictures are of ``seed``."""
     found = runs(folder)
@@ -223,14 +208,15 @@ def raced(scenes: list[str], root: Path, chosen: argparse.Namespace) -> bool:
 
     going = held("rates", {scene: _every(scene) for scene in scenes}, chosen.seeds[:1], spp=1)
     for number in range(1, _BEYOND + 1):
-        beyond = {scene: _further(_tried(root / scene, number)) for scene in going}
+        tried = {scene: _tried(root / scene, number) for scene in going}
+        beyond = {scene: sorted(_contest.further(each, *_RATES)) for scene, each in tried.items()}
         there = held(f"rates-{number}", {s: b for s, b in beyond.items() if b}, chosen.seeds[:1], 1)
         going = [scene for scene in going if scene in there or not beyond[scene]]
     tried = {scene: _tried(root / scene) for scene in going}
     for scene, each in tried.items():
         shown = each.drop(columns=["folder", "history"]).sort_values(["rate", "sampler"])
         shown.to_csv(RESULTS / f"{scene}_rates.csv", index=False, float_format="%.4g")
-    best = {scene: _best(each) for scene, each in tried.items()}
+    best = {scene: sorted(_contest.best(each, *_RATES)) for scene, each in tried.items()}
     done = held("seeds", best, chosen.seeds[1:], spp=16)
     for scene in done:
         made = kept(scene, root / scene / "seeds", chosen.seeds[1], seconds[scene])
