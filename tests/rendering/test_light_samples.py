@@ -1,5 +1,5 @@
-"""Several light samples at the first hit, and isas's own replay of long paths: the same means as
-with one, the same values as Mitsuba's. Derivatives of a path's beginning alone."""
+"""Several light samples at the first hit, and isas's own paths, unrolled and replayed: the same
+means as with one, the same values as Mitsuba's. Derivatives of a path's beginning alone."""
 
 import dataclasses
 
@@ -14,8 +14,8 @@ from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 from weights import as_mitsuba
 
 from isas_cli.losses import L2
-from isas_cli.rendering import light, rays, sky
-from isas_cli.rendering.integrators import Integrator, Mixed, Paths, Replayed, Unrolled
+from isas_cli.rendering import attached, light, rays, sky
+from isas_cli.rendering.integrators import Integrator, Mixed, Paths, Replayed, Unrolled, adapt
 from isas_cli.unknowns.parameters import flat
 
 LEVEL = 1e-4
@@ -61,15 +61,29 @@ def primal(p, integrator) -> np.ndarray:
         return np.array(integrator.primal(*spawned(p, 7))[0])
 
 
-@pytest.mark.parametrize("what, depth", [(backward, 2), (backward, 7), (forward, 7), (primal, 7)])
-def test_own_replay_agrees_with_mitsubas(what, depth, monkeypatch):
+CASES = [(backward, 1), (backward, 2), (backward, 7)]
+CASES += [(what, depth) for what in (forward, primal) for depth in (4, 7)]
+
+
+@pytest.mark.parametrize("kind", [Replayed, Unrolled])
+@pytest.mark.parametrize("what, depth", CASES)
+def test_own_paths_agree_with_mitsubas(what, depth, kind, monkeypatch):
     """Path by path; with roulette where paths are long enough for it."""
     as_mitsuba(monkeypatch)
-    p = problem(UNKNOWNS, depth=depth)
-    own = Replayed(p.integrator.mitsuba, Paths(depth, depth))
+    p = problem(UNKNOWNS if depth > 1 else {"sky.radiance.value": 0.2}, depth=depth)
+    own = kind(p.integrator.mitsuba, Paths(depth, depth))
     ours, stock = what(p, own), what(p, Integrator(p.integrator.mitsuba))
     assert np.abs(stock).max() > 0
-    assert np.allclose(ours, stock, rtol=5e-4, atol=2e-5 * np.abs(stock).max())
+    assert np.allclose(ours, stock, rtol=2e-4, atol=1e-5 * np.abs(stock).max())
+
+
+def test_long_paths_are_replayed():
+    assert attached.handles(8) and not any(attached.handles(depth) for depth in (9, 2**32 - 1))
+    hidden = mi.load_dict({"type": "prb", "max_depth": 3, "hide_emitters": True})
+    kinds = {3: Unrolled, 9: Replayed}
+    for depth, kind in kinds.items():
+        assert type(adapt(mi.load_dict({"type": "prb", "max_depth": depth}))) is kind
+    assert type(adapt(hidden)) is Integrator and not adapt(hidden).cuts
 
 
 @pytest.mark.parametrize("what", [backward, primal])
@@ -178,7 +192,7 @@ def bench(request):
     return Bench(*request.param)
 
 
-CASES = [
+SAMPLED = [
     (("sun", 3), (4, 4), 1),
     (("sun", 3), (1, 1), 4),
     (("sun", 3, True), (1, 1), 4),
@@ -187,7 +201,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("bench, lights, directions", CASES, indirect=["bench"])
+@pytest.mark.parametrize("bench, lights, directions", SAMPLED, indirect=["bench"])
 def test_several_light_samples_are_unbiased(bench, lights, directions, seed):
     """A sun and a sky, unrolled; glass, replayed. In the residual as in the derivative."""
     integrator = bench.problem.integrator
