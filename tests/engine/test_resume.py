@@ -50,7 +50,11 @@ OFTEN = [
         pytest.param(["scene=pottery", "sampler=ours"], signal.SIGKILL, marks=pytest.mark.slow),
         # From one level of resolution to the next on the way.
         (["scene=lego", "sampler=progress"], signal.SIGKILL),
-        pytest.param(["scene=pottery", "sampler=balanced"], signal.SIGINT, marks=pytest.mark.slow),
+        pytest.param(
+            ["scene=pottery", "sampler=multiresolution", "sampler.base=gradient"],
+            signal.SIGINT,
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             ["scene=occlusion", "sampler=plateau", "sampler.base=differences"],
             signal.SIGKILL,
@@ -68,7 +72,7 @@ OFTEN = [
             marks=pytest.mark.slow,
         ),
     ],
-    ids=("ours", "levels", "balanced", "plateau", "silhouettes", "volume", "filter"),
+    ids=("ours", "levels", "multiresolution", "plateau", "silhouettes", "volume", "filter"),
 )
 def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(
     tmp_path, chosen, number, fixed_order

@@ -9,7 +9,6 @@ from montecarlo import welch, z_against
 from scenes_for_tests import ROUGHNESS, TEXTURE, UNKNOWNS, problem
 
 from isas_cli import losses
-from isas_cli.cli.app import main
 from isas_cli.runtime import streams
 from isas_cli.samplers.balanced import Balanced
 from isas_cli.samplers.joint import Joint
@@ -146,13 +145,3 @@ def test_masked_pixels_draw_nothing(kind):
     p.unknowns.write(p.unknowns.starts())
     half = sampler.cells.sizes[0][0] * sampler.cells.sizes[0][1]
     assert np.all(weights[:half] == 0) and weights[half:].sum() > 0
-
-
-@pytest.mark.slow  # three iterations of it are in tests/scenes
-def test_it_runs(tmp_path, monkeypatch, capfd):
-    monkeypatch.chdir(tmp_path)
-    run = ["run", "scene=pottery", "size=tiny", "sampler=joint", "sampler.refresh=2"]
-    small = ["evaluation.count=1", "evaluation.pixels=512", "frames.views=1", "frames.snapshots=0"]
-    assert main([*run, *small, "budget.iterations=3", "target.spp=4", "frames.spp=2"]) == 0
-    assert main(["run", "scene=pottery", "sampler=joint", "sampler.stage1.probes=0"]) == 2
-    assert "sampler.stage1.probes=0: at least 1" in capfd.readouterr().err.splitlines()[-1]

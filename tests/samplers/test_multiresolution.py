@@ -9,7 +9,6 @@ import pytest
 from scenes_for_tests import STAGE1, UNKNOWNS, problem
 
 from isas_cli import losses
-from isas_cli.cli.app import main
 from isas_cli.config.compose import compose, instantiate, translate
 from isas_cli.report.compare import labels
 from isas_cli.runtime.errors import InputError
@@ -210,19 +209,6 @@ def test_the_command_line_refuses_in_one_line(typed, words, refused):
     typed = typed.split()
     chosen = [] if typed[0].startswith("sampler=") else ["sampler=multiresolution"]
     assert "@" not in refused(["run", "scene=pottery", *chosen, *typed], *words)
-
-
-@pytest.mark.slow  # three iterations of it are in tests/scenes
-def test_it_runs(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    run = ["run", "scene=pottery", "size=tiny", "sampler=multiresolution", "sampler.base=gradient"]
-    small = ["evaluation.count=1", "evaluation.pixels=512", "frames.views=1", "frames.snapshots=0"]
-    more = ["sampler.base.refresh=2", "budget.iterations=3", "target.spp=4", "frames.spp=2"]
-    assert main([*run, *small, *more, "hydra.run.dir=r"]) == 0
-    written = (tmp_path / "r" / "config.yaml").read_text()
-    assert "name: multiresolution" in written and "name: gradient" in written
-    # Its own record says how to go on with it.
-    assert main(["run", "resume=r", "budget.iterations=4"]) == 0
 
 
 def test_comparisons_name_the_base():

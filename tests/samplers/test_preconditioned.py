@@ -11,7 +11,6 @@ from montecarlo import z_against
 from scenes_for_tests import ROUGHNESS, STAGE1, TEXTURE, UNKNOWNS, problem
 
 from isas_cli import losses
-from isas_cli.cli.app import main
 from isas_cli.runtime.errors import InputError
 from isas_cli.samplers.ours import Ours
 from isas_cli.samplers.preconditioned import Preconditioned, root_weights
@@ -211,13 +210,3 @@ def test_fixed_point_of_a_rendered_texture():
     assert apart[0] > 0.3, "the case is not hard enough to show anything"
     assert max(apart[-2:]) < 0.15
     assert max(spread[-2:]) < 0.2 and spread[0] > 0.8
-
-
-@pytest.mark.slow  # three iterations of it are in tests/scenes
-def test_it_runs(tmp_path, monkeypatch, capfd):
-    monkeypatch.chdir(tmp_path)
-    run = ["run", "scene=pottery", "size=tiny", "sampler=preconditioned", "sampler.refresh=2"]
-    small = ["evaluation.count=1", "evaluation.pixels=512", "frames.views=1", "frames.snapshots=0"]
-    assert main([*run, *small, "budget.iterations=3", "target.spp=4", "frames.spp=2"]) == 0
-    assert main(["run", "scene=pottery", "sampler=preconditioned", "sampler.least=0"]) == 2
-    assert "sampler.least=0" in capfd.readouterr().err.splitlines()[-1]

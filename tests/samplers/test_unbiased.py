@@ -14,7 +14,7 @@ from gradient_estimates import (
     WithoutWeights,
     configured,
     difference_quotients,
-    shared_settings,
+    looking,
     unbiased_losses,
 )
 from hard_scenes import SCENES, hard_problem
@@ -33,8 +33,6 @@ LEVEL = 1e-4
 BATCH = 4096
 REPEATS = 120
 LOSSES = unbiased_losses()
-# Cells of two pixels' side, with enough paths that the pmf follows the image and not the noise.
-LOOKS = {"stage1.resolution": 6, "stage1.spp": 4}
 # The smallest bias of any component that must be visible, as a share of the norm of its unknown's
 # gradient. Those of texels and lights show from about 0.01 on, those of roughnesses from 0.1.
 VISIBLE = 0.1
@@ -78,13 +76,6 @@ def bench(request):
     return Bench(request.param)
 
 
-def sampler(name: str):
-    """As configured, but for LOOKS where it looks at all."""
-    prefix, uses = shared_settings(name)
-    taken = {prefix + k: v for k, v in LOOKS.items() if k.rpartition(".")[2] in uses}
-    return configured("sampler", name, taken)
-
-
 # One loss with two samplers, the other one with the next two, so that the two of a scene share a
 # reference: what a sampler could do wrong, it does with all.
 COMBINED = [
@@ -98,7 +89,7 @@ COMBINED = [
 def test_every_sampler_is_unbiased(bench, chosen, seed):
     name, loss = chosen
     made = bench.gradients(loss)
-    rows = made.sampled(made.prepared(sampler(name)), REPEATS, seed)
+    rows = made.sampled(made.prepared(looking(name)), REPEATS, seed)
     assert np.all(np.isfinite(rows))
     outcome = bench.against_uniform(loss, rows)
     assert outcome.p_value > LEVEL, str(outcome)
@@ -156,7 +147,7 @@ def test_short_paths_differentiate_like_replayed_ones(scene, monkeypatch):
 @ONE_SCENE
 def test_missing_weights_are_noticed(bench, seed):
     made = Gradients(bench.problem, bench.losses["l2"], BATCH, WithoutWeights)
-    rows = made.sampled(made.prepared(sampler("ours")), REPEATS, seed)
+    rows = made.sampled(made.prepared(looking("ours")), REPEATS, seed)
     assert bench.against_uniform("l2", rows).p_value < LEVEL
 
 

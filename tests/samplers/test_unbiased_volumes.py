@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 from crosses import some
-from gradient_estimates import Gradients, WithoutWeights, configured, shared_settings
+from gradient_estimates import Gradients, WithoutWeights, configured, looking
 from montecarlo import welch
 from samplers_for_tests import pixel_samplers
 from scenes_for_tests import render_targets
 from volumes_for_tests import problem, uneven
 
 LEVEL, REPEATS, BATCH = 1e-4, 120, 4096
-LOOKS = {"stage1.resolution": 6, "stage1.spp": 4}
 # The smallest bias of an entry that must be visible, as a share of the norm of its grid's gradient.
 VISIBLE = 0.1
 
@@ -25,12 +24,6 @@ def bench():
     return gradients, gradients.uniform(3 * REPEATS, 99)
 
 
-def sampler(name: str):
-    prefix, uses = shared_settings(name)
-    taken = {prefix + k: v for k, v in LOOKS.items() if k.rpartition(".")[2] in uses}
-    return configured("sampler", name, taken)
-
-
 def against_uniform(gradients: Gradients, reference: np.ndarray, rows: np.ndarray):
     outcome = welch(
         gradients.components(rows, reference), gradients.components(reference, reference), LEVEL
@@ -42,7 +35,7 @@ def against_uniform(gradients: Gradients, reference: np.ndarray, rows: np.ndarra
 @pytest.mark.parametrize("name", some(pixel_samplers(), ("ours", "progress")))
 def test_every_sampler_is_unbiased(bench, name, seed):
     gradients, reference = bench
-    rows = gradients.sampled(gradients.prepared(sampler(name)), REPEATS, seed)
+    rows = gradients.sampled(gradients.prepared(looking(name)), REPEATS, seed)
     assert np.all(np.isfinite(rows))
     outcome = against_uniform(gradients, reference, rows)
     assert outcome.p_value > LEVEL, str(outcome)
@@ -53,5 +46,5 @@ def test_missing_weights_are_noticed(bench, seed):
     gradients, reference = bench
     broken = Gradients(gradients.problem, gradients.loss, BATCH, WithoutWeights)
     broken.values = gradients.values
-    rows = broken.sampled(broken.prepared(sampler("ours")), REPEATS, seed)
+    rows = broken.sampled(broken.prepared(looking("ours")), REPEATS, seed)
     assert against_uniform(gradients, reference, rows).p_value < LEVEL

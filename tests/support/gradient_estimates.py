@@ -42,6 +42,15 @@ def shared_settings(name: str) -> tuple[str, frozenset[str]]:
     return ("base.", made.base.uses) if hasattr(made, "base") else ("", made.uses)
 
 
+def looking(name: str) -> Sampler:
+    """As configured, but for cells of two pixels' side and enough paths in them that the pmf
+    follows the image and not the noise, where it looks at all."""
+    prefix, uses = shared_settings(name)
+    looks = {"stage1.resolution": 6, "stage1.spp": 4}
+    taken = {prefix + k: v for k, v in looks.items() if k.rpartition(".")[2] in uses}
+    return configured("sampler", name, taken)
+
+
 def unbiased_losses() -> list[str]:
     """Names of the losses of single pixels that claim an unbiased gradient from single samples."""
     made = {name: configured("loss", name) for name in options("loss")}
