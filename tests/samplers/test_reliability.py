@@ -4,7 +4,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from crosses import some
-from problems_for_tests import configured, workshop_of
+from problems_for_tests import configured, workshops
 
 from isas_cli.engine.workshop import Workshop
 from isas_cli.samplers import reliability
@@ -69,10 +69,7 @@ SMALL = ["size=tiny", "target.spp=4", "budget.iterations=1", "evaluation.pixels=
 SMALL += ["evaluation.spp=2", "effects=full"]  # picked light samples find more
 
 
-@pytest.fixture(scope="module")
-def workshop(request) -> Workshop:
-    """The problem of one scene, for all samplers."""
-    return workshop_of(f"scene={request.param}", *SMALL)
+workshop = workshops(*SMALL)
 
 
 def warning(workshop: Workshop, sampler: str) -> str | None:

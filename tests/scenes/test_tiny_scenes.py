@@ -1,22 +1,16 @@
 """Every scene with every sampler: three iterations at the size `tiny`, as configured; and what
 its views show."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from crosses import crossed, some
-from omegaconf import OmegaConf
-from problems_for_tests import configured, workshop_of
+from problems_for_tests import configured, iterated, workshop_of, workshops
 from samplers_for_tests import pixel_samplers
 from test_scenes import NAMES
 
-from isas_cli.config import schema
-from isas_cli.config.compose import compose, options, translate
-from isas_cli.engine import experiment
+from isas_cli.config.compose import options
 from isas_cli.engine.loop import Hooks
 from isas_cli.engine.workshop import Workshop
-from isas_cli.unknowns.parameters import as_numpy
 
 MOVING = ["caustic", "cup", "global_illumination", "occlusion", "shadows", "shadows_prdpt", "sort"]
 SHAPES = ["dodoco_b", "kirby", "shadowplay"]
@@ -37,40 +31,21 @@ SMALL = [
 ]
 
 
-@pytest.fixture(scope="module")
-def workshop(request) -> Workshop:
-    """The problem of one scene, from its configuration, for all samplers."""
-    return workshop_of(f"scene={request.param}", *SMALL)
+workshop = workshops(*SMALL)
 
 
 @pytest.mark.parametrize("workshop, sampler", crossed(SCENES, SAMPLERS, 1), indirect=["workshop"])
 def test_three_iterations(workshop, sampler):
-    chosen = f"scene={workshop.problem.name}", f"sampler={sampler}"
-    loop = workshop.loop(*configured(*chosen, *SMALL))
-    loop.rehearse()
-    rows: list[dict] = []
-    status = loop.run(Hooks(evaluated=rows.append))
-    workshop.problem.unknowns.write(loop.stepper.values)  # detach
-
-    assert status == "done"
-    assert loop.position.iteration == rows[-1]["iteration"] == ITERATIONS
+    # The last of these few steps may be the first of its level: no mean to be apart from.
+    levels = len(workshop.problem.unknowns.switches) > 1
+    loop, last = iterated(workshop, [f"sampler={sampler}", *SMALL], 1e-3, levels)
+    assert loop.position.iteration == ITERATIONS
     for unknown in workshop.problem.unknowns:
-        found = as_numpy(loop.stepper.values[unknown.key])
-        assert np.isfinite(found).all()
-        assert unknown.low <= found.min() and found.max() <= unknown.high
-        assert np.abs(found - unknown.start).max() > 1e-3, f"{unknown.key} has not moved"
         assert unknown.seen.mean() > 0.15, f"most of {unknown.key} is out of view"
-    last = rows[-1]
-    assert last["nonfinite"] == 0 and loop.lost == 0
     assert last["gradient_norm"] > 0
     if workshop.problem.name != "caustic_failure":
         assert loop.warnings == []
-    measured = {k: v for k, v in last.items() if isinstance(v, float)}
-    if len(workshop.problem.unknowns.switches) > 1:
-        # The last of these few steps is the first of its level: no mean to be apart from.
-        measured.pop("gradient_noise")
-    assert {"loss", "image_rmse", "parameter_rmse", "gradient_norm"} <= measured.keys()
-    assert all(np.isfinite(v) for v in measured.values()), measured
+    assert {"loss", "image_rmse", "parameter_rmse"} <= last.keys()
 
 
 @pytest.mark.parametrize("workshop", SCENES, indirect=True)
@@ -145,24 +120,3 @@ DERIVATIVES = {
     # Two at each look and two of the survey, both as often as there are passes.
     "progress": lambda s: s.settings.passes * cells(s) * 4,
 }
-
-
-@pytest.mark.parametrize("scene", [*SCENES, *MOVING])
-def test_choices_compose_together(scene):
-    """Each sampler, each loss and each size with some scene, and each scene with one of each: each
-    of these groups is composed by itself, and a composition takes a tenth of a second. All sizes of
-    each scene: tests/config/test_config.py."""
-    file = OmegaConf.load(Path(schema.folder()) / "scene" / f"{scene}.yaml")
-    sizes = OmegaConf.to_container(file.sizes)
-    assert list(sizes) == ["tiny", "default", "paper"]
-    number, losses = [*SCENES, *MOVING].index(scene), options("loss")
-    # What moves is for the samplers that choose no pixels for path replay.
-    others = [name for name in options("sampler") if name not in SAMPLERS]
-    samplers = others if scene in MOVING else SAMPLERS
-    sampler, loss = samplers[number % len(samplers)], losses[number % len(losses)]
-    size = list(sizes)[number // len(losses) % len(sizes)]
-    chosen = f"scene={scene}", f"sampler={sampler}", f"loss={loss}", f"size={size}"
-    cfg = compose(translate(chosen))
-    typed, _ = experiment.checked(cfg)
-    assert (cfg.scene.name, cfg.sampler.name, cfg.loss.name) == (scene, sampler, loss)
-    assert typed.size == size and typed.scene.arguments.items() <= sizes[size].items()
