@@ -1,4 +1,5 @@
-"""Lenses: where COLMAP's and OpenCV's own functions see points through them."""
+"""Lenses: where OpenCV's own functions see points through them. COLMAP's:
+test_photo_transforms.py."""
 
 import numpy as np
 import pytest
@@ -57,27 +58,10 @@ FISHEYE = "15.554989699 3.802152373 29.670183028 -0.663740049 -6.178947122 13.24
 FISHEYE += "34.202714398 34.533818998"
 
 
-def of_colmap(model: str, numbers) -> Camera:
-    values = dict(zip(models.PARAMETERS[model].split(), numbers))
-    found = lens(**dict(fx=values.get("fx", FOCAL), fy=values.get("fy", FOCAL)))
-    more = dict(lens=models.lens(model, values), cx=values["cx"], cy=values["cy"])
-    return Camera(**{**vars(found), **more})
-
-
 def test_every_model_of_colmap_is_read_but_the_sphere():
     pycolmap = pytest.importorskip("pycolmap")
     told = set(pycolmap.CameraModelId.__members__) - {"INVALID"}
     assert told <= {*models.PARAMETERS, "EQUIRECTANGULAR"} and set(MODELS) == set(models.PARAMETERS)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_points_are_where_colmap_sees_them(model):
-    pycolmap = pytest.importorskip("pycolmap")
-    if model not in pycolmap.CameraModelId.__members__:
-        pytest.skip(f"pycolmap {pycolmap.__version__} has no {model}")
-    theirs = pycolmap.Camera(model=model, width=40, height=30, params=MODELS[model], camera_id=1)
-    pixels, _ = of_colmap(model, MODELS[model]).project(POINTS)
-    np.testing.assert_allclose(pixels, [theirs.img_from_cam(p) for p in POINTS], atol=1e-9)
 
 
 @pytest.mark.parametrize("count", [*OPENCV, "fisheye"])
@@ -99,7 +83,7 @@ def test_points_are_where_opencv_sees_them(count):
 
 @pytest.mark.parametrize("model", MODELS)
 def test_up_to_its_reach_a_lens_keeps_the_order_of_points(model):
-    found = of_colmap(model, MODELS[model]).lens
+    found = models.lens(model, dict(zip(models.PARAMETERS[model].split(), MODELS[model])))
     plain = Lens(found.radial, below=found.below, kind=found.kind, own=found.own)
     assert plain.reach == found.reach > 0.9
     r = np.linspace(0, min(plain.reach, 50) * (1 - 1e-6), 20_001)

@@ -9,6 +9,7 @@ import photo_sets
 import pytest
 import trimesh
 from photo_sets import POSES, Files
+from test_photo_maps import built
 
 from isas_cli.config import schema
 from isas_cli.config.compose import compose, translate
@@ -124,11 +125,6 @@ def two(tmp_path) -> list[str]:
     photo_sets.transforms(Files(tmp_path, POSES))
     path = obj(tmp_path, f"usemtl a\n{LEFT}usemtl b\n{OVER}")
     return ["scene=photos", f"photos.path={tmp_path}", f"photos.mesh={path}", "photos.texture=8"]
-
-
-def built(settings: list[str]):
-    cfg = schema.typed(compose(translate(settings))).scene
-    return cfg, *assemble.bare(cfg)[:2]
 
 
 def test_each_is_an_unknown_and_leaves_again(two, tmp_path, rng):
@@ -249,8 +245,11 @@ def test_compressed_gltf(tmp_path):
         parts(path)
 
 
-@pytest.mark.parametrize("first", range(6))
-@pytest.mark.parametrize("up", ["{0} {1} 0", "0 {0} {1}", "{1} {0} {0}"])
+@pytest.mark.parametrize(
+    "first, up",
+    # A fan from the first or the fourth corner would do.
+    [*((first, "{0} {1} 0") for first in range(6)), (1, "0 {0} {1}"), (1, "{1} {0} {0}")],
+)
 def test_faces_with_notches(tmp_path, first, up):
     """An L, from whichever corner, as one face: of area 3, seen from the same side."""
     ell = np.roll([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]], first, axis=0)

@@ -156,8 +156,9 @@ def test_ros(tmp_path):
         reading.read(str(tmp_path))
 
 
-@pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
-@pytest.mark.parametrize("shape", [(-1,), (-1, 1), (1, -1)], ids=["flat", "column", "row"])
+@pytest.mark.parametrize(
+    "count, shape", [*((n, (-1,)) for n in (4, 5, 8, 12, 14)), (5, (-1, 1)), (5, (1, -1))]
+)
 def test_distortion_of_every_shape(tmp_path, count, shape):
     told = np.array(DISTORTION[:count])
     photo_sets.ours(Files(tmp_path, POSES), distortion=told.reshape(shape).tolist())

@@ -1,13 +1,12 @@
 """`transforms.json` as nerfstudio, instant-ngp and Blender write it: lenses, angles, paths, and
 what was applied to the poses."""
 
-import json
 import math
 
 import numpy as np
 import photo_sets
 import pytest
-from photo_sets import FOCAL, POSES, SIZE, Files
+from photo_sets import FOCAL, POSES, SIZE, Files, change
 from test_photo_lenses import MODELS, POINTS
 
 from isas_cli.cli.app import main
@@ -18,19 +17,13 @@ from isas_cli.scene.photos import models, reading
 TURN = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]])
 
 
-def change(folder, edit) -> None:
-    file = folder / "transforms.json"
-    content = json.loads(file.read_text())
-    edit(content)
-    file.write_text(json.dumps(content))
-
-
 def first(folder, **more):
     return reading.read(str(folder), **more).cameras[0]
 
 
-@pytest.mark.parametrize("model", [*MODELS, "PERSPECTIVE"])
-@pytest.mark.parametrize("per_frame", [False, True])
+@pytest.mark.parametrize(
+    "model, per_frame", [(m, False) for m in (*MODELS, "PERSPECTIVE")] + [("FULL_OPENCV", True)]
+)
 def test_camera_models_by_name(tmp_path, model, per_frame):
     """nerfstudio's names and COLMAP's, at the top or with a frame, mean what COLMAP means."""
     read = "OPENCV" if model == "PERSPECTIVE" else model

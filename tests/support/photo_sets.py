@@ -67,6 +67,14 @@ def transforms(files: Files, **more) -> dict:
     return write(files.folder / "transforms.json", found)
 
 
+def change(folder: Path, edit) -> None:
+    """Has ``edit`` change what is in a transforms.json."""
+    file = folder / "transforms.json"
+    content = json.loads(file.read_text())
+    edit(content)
+    write(file, content)
+
+
 def blender(files: Files) -> dict:
     """An angle of view, no principal point, no endings."""
     files.names(".png")
