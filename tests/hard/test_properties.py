@@ -1,4 +1,4 @@
-"""What holds of any numbers: distributions, losses, schedules, budgets, steps, sentences."""
+"""What holds of any numbers: distributions, losses, steps, sentences."""
 
 import math
 
@@ -16,9 +16,7 @@ from isas_cli.config.schema import OptimizerConfig
 from isas_cli.engine.optimiser import Stepper
 from isas_cli.losses import L1, L2, RelativeL2
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
-from isas_cli.runtime.budget import Budget
 from isas_cli.runtime.errors import InputError
-from isas_cli.runtime.schedule import factor
 from isas_cli.scene.views import Views
 from isas_cli.unknowns.parameters import as_numpy, unflat
 
@@ -81,44 +79,6 @@ def test_a_loss_is_least_at_its_target(loss):
         assert np.all((derivative == 0) == (single == 0))
 
     holds()
-
-
-@fixed
-@given(
-    st.sampled_from(["constant", "cosine", "exponential"]),
-    st.floats(1e-12, 1.0),
-    st.lists(st.floats(0, 1), min_size=2, max_size=8),
-)
-def test_a_schedule_falls_from_one_to_its_end(name, final, shares):
-    falling = factor(name, final, 14.0)
-
-    def at(share: float) -> float:
-        return falling(share, 3)
-
-    values = [at(share) for share in sorted(shares)]
-    assert all(a >= b - 1e-12 for a, b in zip(values, values[1:]))
-    assert all(final * (1 - 1e-9) <= value <= 1 + 1e-12 for value in values)
-    assert at(0) == pytest.approx(1)
-    assert at(1) == pytest.approx(1 if name == "constant" else final)
-
-
-LIMITS = st.one_of(st.none(), st.floats(1e-6, 1e12))
-
-
-@fixed
-@given(
-    LIMITS, st.one_of(st.none(), st.integers(1, 10**9)), LIMITS, st.floats(0, 1), st.floats(0, 1)
-)
-def test_a_budget_is_spent_when_its_first_limit_is_reached(seconds, iterations, paths, a, b):
-    budget = Budget(seconds, iterations, paths)
-    limits = [limit or math.inf for limit in (budget.seconds, iterations, paths)]
-    low, high = sorted((a, b))
-
-    def spent(share: float) -> float:
-        return budget.spent(*(share * limit if limit < math.inf else 1e30 for limit in limits))
-
-    assert 0 <= spent(low) <= spent(high) <= 1
-    assert spent(1.0) == 1
 
 
 @pytest.fixture(scope="module")
