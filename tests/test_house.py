@@ -100,6 +100,7 @@ UNIMPORTED = {
     "import isas_cli.report": "mitsuba drjit matplotlib.pyplot",
     "import isas_cli.report.compare": "mitsuba drjit",
     "import isas_cli.report.compare.page": "mitsuba drjit matplotlib.pyplot",
+    TYPED([]): "mitsuba drjit numpy hydra rich matplotlib pandas",
     TYPED(["run", "--help"]): "mitsuba drjit",
     TYPED(["run", "scene=potery"]): "mitsuba drjit",
     TYPED(["run", *FILE, "sampler=uniform", "sampler.flor=1"]): "mitsuba drjit",

@@ -10,7 +10,6 @@ from PIL import Image
 from processes import isas
 from xml_for_tests import camera, paths
 
-from isas_cli import records
 from isas_cli.cli import app
 
 SCENE = f"""<scene version="3.0.0">{paths(2)}{camera(width=12)}
@@ -97,20 +96,6 @@ def test_a_command_starts_by_itself(folder, command):
         assert (folder / LEFT[command]).is_file()
     else:
         assert SAID[command] in done.stdout
-
-
-def test_a_run_is_resumed_by_a_process_of_its_own(folder):
-    done = isas(folder, "run", *ONE, "hydra.run.dir=stopped")
-    assert done.returncode == 0, done.stderr
-    done = isas(folder, "run", "resume=stopped", "budget.iterations=3")
-    assert done.returncode == 0, done.stderr
-    assert records.load(folder / "stopped").summary["iterations"] == 3
-
-
-def test_a_sweep_starts_by_itself(folder):
-    done = isas(folder, "run", "-m", *ONE, "seed=1,2", "hydra.sweep.dir=sweep")
-    assert done.returncode == 0, done.stderr
-    assert len(list((folder / "sweep").rglob("summary.json"))) == 2
 
 
 @pytest.mark.parametrize("command", ["replay", "export", "report", "landscape", "relight"])

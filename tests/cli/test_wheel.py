@@ -80,10 +80,6 @@ def test_the_wheels_copy_is_the_one_that_is_imported(installed, tmp_path):
         assert Path(line).is_relative_to(installed.parent)
 
 
-def test_scenes_are_listed(installed, tmp_path):
-    assert "pottery" in call(installed / "isas", "scenes", cwd=tmp_path)
-
-
 def test_a_tiny_scene_runs_from_any_directory(installed, tmp_path):
     folder = tmp_path / "a run"
     overrides = ["scene=pottery", "size=tiny", "sampler=uniform", "effects=full", "target.spp=4"]

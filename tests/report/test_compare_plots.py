@@ -137,20 +137,13 @@ def test_the_page_and_the_picture_of_a_chart_show_the_same(comparison, name):
         assert on_page == pytest.approx(in_picture, rel=1e-4)
 
 
-def rows_of(table, **values):
-    """The rows of a table with these values."""
-    for name, value in values.items():
-        table = table[table[name] == value]
-    return table
-
-
 def test_curves_carry_the_medians_and_break_where_a_run_ends(comparison):
     figure = drawn("errors", comparison)
     assert [axes.get_xscale() + axes.get_yscale() for axes in figure.axes] == ["loglog"] * 4
     panels = [(m, c) for m in ("parameter_rmse", "image_rmse") for c in ("seconds", "paths")]
     for axes, (measure, cost) in zip(figure.axes, panels):
         for label, own in styles.styles(comparison).items():
-            rows = rows_of(
+            rows = content.rows(
                 comparison.curves, scene="pottery", method=label, measure=measure, axis=cost
             ).sort_values("x")
             curves = [line for line in lines(axes, own.colour) if len(line.get_xdata())]
@@ -169,7 +162,7 @@ def test_bars_are_the_ratios_and_words_stand_where_there_is_none(comparison):
     for label in ("ours", "gradient"):
         colour = to_rgba(styles.styles(comparison)[label].colour)
         levels = content.levels(comparison, "pottery", "parameter_rmse")
-        rows = rows_of(
+        rows = content.rows(
             comparison.accuracy, scene="pottery", measure="parameter_rmse", method=label
         ).set_index("level")["ratio"][levels]
         heights = [bar.get_height() + 1 for bar in upper.patches if bar.get_facecolor() == colour]

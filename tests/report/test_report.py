@@ -17,7 +17,6 @@ from isas_cli import report
 from isas_cli.records import SCHEMA_VERSION, RunWriter, load, safe_name
 from isas_cli.report import cells, figures, frames, inside, page, plots
 from isas_cli.runtime import images
-from isas_cli.runtime.errors import InputError
 
 KEYS = ("jar.bsdf.base_color.data", "jar.bsdf.roughness.data")
 VOID = {"meta", "link", "img", "br", "hr", "input"}
@@ -289,12 +288,6 @@ def test_methods_without_times_by_phase_have_no_row(tmp_path):
 def test_numbers_are_shown_to_four_digits():
     shown = [page.number(x) for x in (None, math.nan, 0, 1234567, 0.123456, 60.0, 936853.2, 1e-9)]
     assert shown == ["–", "–", "0", "1,234,567", "0.1235", "60", "936,853", "1e-09"]
-
-
-def test_a_folder_without_a_run_is_refused(tmp_path):
-    with pytest.raises(InputError, match="holds no run"):
-        report.write(tmp_path)
-    assert not any(tmp_path.iterdir())
 
 
 def test_a_chart_of_several_runs_says_that_it_has_medians():
