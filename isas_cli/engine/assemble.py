@@ -44,9 +44,9 @@ _FACTORS = (
     ("light", r"\.intensity\.value$", ".texture."),
     ("colour", r"\.weight\.(value|data)$", ".bsdf_"),
 )
-# Of targets: what is too dark to have a colour, as a share of the mean, and the difference of
-# channels, as a share of their mean, that is one.
-_DARK, _COLOURED = 0.2, 0.1
+# Of targets: what is too dark to have a colour, as a share of the mean; the difference of channels,
+# as a share of their mean, that is one; and the share of the others that has.
+_DARK, _COLOURED, _MANY = 0.2, 0.3, 0.05
 
 
 def bare(
@@ -281,7 +281,8 @@ def _greys(problem: Problem) -> list[str]:
     if problem.mask is not None:
         pixels = pixels[np.array(problem.mask) > 0]
     bright = pixels[pixels.mean(axis=1) > _DARK * pixels.mean()]
-    if not len(bright) or np.median(np.ptp(bright, axis=1) / bright.mean(axis=1)) < _COLOURED:
+    coloured = np.ptp(bright, axis=1) > _COLOURED * bright.mean(axis=1)
+    if not len(bright) or coloured.mean() < _MANY:
         return []
     told = ", ".join(f"'{key}'" for key in keys)
     return [

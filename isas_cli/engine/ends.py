@@ -14,6 +14,8 @@ _NEAR = 1e-6
 _OFF = 0.05
 # Of the way that steps could have gone, all in one direction, what is said; after so many.
 _STRAIGHT, _STEPS = 0.6, 50
+# Of the images' error at the start, what is as much at the end.
+_SAME = 0.99
 
 
 def reached(unknowns: Unknowns, values: dict) -> list[str]:
@@ -63,6 +65,17 @@ def underway(stepper: Stepper) -> list[str]:
                 "lr, or more time"
             )
     return said
+
+
+def stuck(first: dict, last: dict, steps: int) -> list[str]:
+    """What is to be said of the rows of the start and the end where images came no nearer."""
+    before, after = (row.get("image_rmse", 0.0) for row in (first, last))
+    if steps < _STEPS or not after > _SAME * before > 0:
+        return []
+    return [
+        f"image_rmse did not fall ({before:.3g} → {after:.3g}): no step led to images more like "
+        "the targets; start nearer to them, blur more widely, or take another rate"
+    ]
 
 
 def astray(first: dict, last: dict) -> list[str]:

@@ -275,6 +275,7 @@ class Recorder:
                 warnings.append(doubt)
             warnings += ends.astray(*self.ends)
             warnings += ends.underway(self.loop.stepper)
+            warnings += ends.stuck(*self.ends, self.loop.position.iteration)
         plan, last = self.loop.plan, self.loop.last or {}
         if self.left_out and plan and not plan.finish:
             if self.left_out > last.get("image_rmse", math.inf):

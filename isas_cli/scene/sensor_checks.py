@@ -18,8 +18,10 @@ def doubts(scene: mi.Scene) -> list[str]:
         width = int(sensor.film().crop_size()[0])
         grid = (np.arange(_SIDE) + 0.5) / _SIDE
         place = mi.Point2f(*(each.ravel().astype(np.float32) for each in np.meshgrid(grid, grid)))
-        ray, _ = sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))
-        beside, _ = sensor.sample_ray(0.0, 0.5, place + mi.Point2f(1 / width, 0), mi.Point2f(0.5))
+        ray, _ = sensor.sample_ray_differential(0.0, 0.5, place, mi.Point2f(0.5))
+        beside, _ = sensor.sample_ray_differential(
+            0.0, 0.5, place + mi.Point2f(1 / width, 0), mi.Point2f(0.5)
+        )
         far = np.broadcast_to(np.array(ray.maxt), place.shape[1])
         ray.maxt = dr.inf
         hit = scene.ray_intersect_preliminary(ray)

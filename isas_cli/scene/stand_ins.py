@@ -60,7 +60,7 @@ def within(scene: mi.Scene) -> list[str]:
     found = []
     for number, sensor in enumerate(scene.sensors()):
         middle = mi.Point2f(0.5)
-        ray, _ = sensor.sample_ray(0.0, 0.5, middle, middle)
+        ray, _ = sensor.sample_ray_differential(0.0, 0.5, middle, middle)
         si = scene.ray_intersect(mi.Ray3f(ray))
         if sensor.get_medium() is None and dr.any(si.is_valid() & (dr.dot(si.n, ray.d) > 0)):
             found.append(

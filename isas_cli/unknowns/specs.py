@@ -12,7 +12,7 @@ from ..config.schema import PoseConfig
 from ..runtime.errors import InputError, nearest
 from . import registry, routes
 from .kind import Kind, Loaded
-from .parameters import as_numpy, is_float, moves_geometry, read
+from .parameters import as_numpy, is_float, moves_geometry, owner, read
 from .ranges import around
 from .smoothing import stable
 from .unknowns import Unknown
@@ -217,7 +217,24 @@ def _unfit(params: mi.SceneParameters, key: str, valid: list[str]) -> str:
             f"'{key}' moves geometry, whose visibility path replay does not differentiate; move "
             f"the object by scene.poses and sampler=plateau; valid: {', '.join(valid)}"
         )
+    own = _held_by(params, key, valid)
+    if own:
+        return f"'{key}': the key of what '{key.partition('.')[0]}' holds is {' or '.join(own)}"
     return f"'{key}' is no differentiable parameter; {nearest(key, valid)}"
+
+
+def _held_by(params: mi.SceneParameters, key: str, valid: list[str]) -> list[str]:
+    """Of ``valid`` keys those that go on like ``key`` after its first name, and lie within the
+    object of that id: parts of a shape are called by what they are to it."""
+    head, _, rest = key.partition(".")
+
+    def within(thing) -> bool:
+        while thing is not None and thing.id() != head:
+            thing = params.hierarchy[thing][0]
+        return thing is not None
+
+    same = [each for each in valid if each in params and each.endswith(f".{rest}")]
+    return [f"'{each}'" for each in same if rest and within(owner(params, each))]
 
 
 def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
@@ -240,9 +257,15 @@ def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
             "not finite: mend its file"
         )
     if truth is not None and (truth.min() < low or truth.max() > high):
+        in_bytes = high == 1 < truth.max() <= 255 and "vertex_" in kind.key and truth.min() >= 0
+        instead = (
+            "Mitsuba takes a mesh's colours of 8 bits as they stand, up to 255: divide them by 255"
+            if in_bytes
+            else f"give range: {around(low, high, truth)}"
+        )
         raise InputError(
             f"{where}: the scene's own value, the truth, is outside its range "
-            f"[{low:g}, {high:g}]; give range: {around(low, high, truth)}"
+            f"[{low:g}, {high:g}]; {instead}"
         )
     reason = truth is not None and kind.refusal(truth)
     if reason:

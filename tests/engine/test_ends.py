@@ -119,6 +119,14 @@ def test_what_is_still_on_its_way_is_said(tmp_path):
     assert told(5.5, 0.1) == [] == told(6.0, 0.02)
 
 
+def test_images_that_came_no_nearer_are_said():
+    def told(before: float, after: float, steps: int = 100) -> int:
+        return len(ends.stuck({"image_rmse": before}, {"image_rmse": after}, steps))
+
+    assert told(0.06, 0.06) == told(0.06, 0.08) == 1
+    assert told(0.06, 0.05) == told(0.0, 0.0) == told(0.0, 0.01) == told(0.06, 0.06, 10) == 0
+
+
 GREY = f"""<scene version="3.0.0">{paths(2)}{camera()}<emitter type="constant"/>
   <shape type="rectangle" id="wall"><bsdf type="diffuse"><float name="reflectance" value="0.3"/>
   </bsdf></shape></scene>"""

@@ -1,6 +1,7 @@
 """`transforms.json` as nerfstudio, instant-ngp and Blender write it: lenses, angles, paths, and
 what was applied to the poses."""
 
+import json
 import math
 
 import numpy as np

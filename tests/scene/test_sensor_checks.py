@@ -41,12 +41,22 @@ def test_coordinates_that_32_bits_do_not_tell_apart_are_said(at):
     assert "what it sees lies 4e+06 units from the origin" in told and "0.25 units apart" in told
 
 
-@pytest.mark.parametrize("kind", ["radiancemeter", "distant"])
+@pytest.mark.parametrize("kind", ["radiancemeter", "distant", "irradiancemeter"])
 def test_the_rays_of_a_meter_are_no_matter(kind):
     """All are one, or alike: no two pixels are to be told apart."""
     view = mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])
     film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
     place = {"direction": [0, 0, -1]} if kind == "distant" else {"to_world": view}
     ball = {"type": "scene", "ball": {"type": "sphere"}, "sky": {"type": "constant"}}
-    made = mi.load_dict(ball | {"meter": {"type": kind, "film": film} | place})
+    meter = {"meter": {"type": kind, "film": film} | place}
+    if kind == "irradiancemeter":  # which is of the shape that it lies on
+        table = mi.ScalarTransform4f().translate([0, 0, 5]).rotate([0, 1, 0], 180)
+        meter = {
+            "table": {
+                "type": "rectangle",
+                "to_world": table,
+                "sensor": {"type": kind, "film": film},
+            }
+        }
+    made = mi.load_dict(ball | meter)
     assert sensor_checks.doubts(made) == []

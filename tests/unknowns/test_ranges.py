@@ -307,3 +307,15 @@ def test_a_truth_with_what_is_no_number_is_refused():
     params.update()
     with pytest.raises(InputError, match="3 of its 12 numbers are not finite: mend its file"):
         parse(params, {"ball.bsdf.reflectance.data": UnknownConfig(start=0.5)}, True)
+
+
+def test_what_an_id_of_the_file_holds_is_named_by_its_own_key():
+    """Not the key that is spelt most like it, which may be another object's."""
+    text = """<scene version="3.0.0"><shape type="sphere" id="lamp"><bsdf type="diffuse"/></shape>
+    <shape type="sphere" id="ball"><bsdf type="twosided" id="paint"><bsdf type="diffuse">
+    <rgb name="reflectance" value="0.3"/></bsdf></bsdf></shape></scene>"""
+    params = mi.traverse(mi.load_string(text, optimize=False))
+    with pytest.raises(InputError, match="holds is 'ball.bsdf.brdf_0.reflectance.value'$"):
+        parse(params, {"paint.reflectance.value": UnknownConfig(start=0.5)}, True)
+    with pytest.raises(InputError, match="did you mean"):
+        parse(params, {"pant.reflectance.value": UnknownConfig(start=0.5)}, True)
