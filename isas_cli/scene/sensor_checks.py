@@ -36,7 +36,8 @@ def doubts(scene: mi.Scene) -> list[str]:
             )
         points = np.abs(np.array(ray(hit.t))).max(axis=0)
         largest = np.maximum(points, np.abs(np.array(ray.o)).max(axis=0))
-        apart = np.linalg.norm(np.array(ray.d) - np.array(beside.d), axis=0) * t
+        near = np.where(np.isfinite(t), t, 0)
+        apart = np.linalg.norm(np.array(ray.d) - np.array(beside.d), axis=0) * near
         apart += np.linalg.norm(np.array(ray.o) - np.array(beside.o), axis=0)
         # The rays of a meter are one, or all alike: its pixels have no width.
         seen = np.isfinite(t) & (apart > 0)
