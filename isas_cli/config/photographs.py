@@ -43,8 +43,9 @@ class PhotosConfig:
     of ``focal``, the length, ``centre``, the principal point, and ``radial`` distortion, and
     ``lenses``: whether pictures whose files say the same lens have one, ``shared``, or one
     ``each``; ``saturated``: from which value of an 8- or 16-bit or camera raw file on, of its
-    largest, a pixel does not count (None: all count); ``encoding``: of the files, ``auto``: as
-    images are read everywhere, ``srgb`` (no camera raw or floating-point file is) or ``linear``;
+    largest, a pixel does not count, nor, of a floating-point file whose light is cut off, one that
+    has its largest number (None: all count); ``encoding``: of the files, ``auto``: as images are
+    read everywhere, ``srgb`` (no camera raw or floating-point file is) or ``linear``;
     ``background``: whether pixels count that the object does not fill, or ``black``: they do, and
     are black in photographs and renderings, where alpha or masks end the object;
     ``images``, ``masks``: folders where the pictures and masks lie (None: where the

@@ -26,6 +26,11 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 _INT32 = range(-(2**31), 2**31)
 _INTEGER_FORMATS = {oiio.UINT8: 255.0, oiio.UINT16: 65535.0}
 _FLOAT_FORMATS = (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
+# What readers note of files a part of which is missing or wrong, and fill up.
+_BROKEN = ("premature end", "bad huffman code")
+# Of a picture's pixels the share that has its largest number where light is cut off, at least and
+# at most; and what is just below that number, as a share of it.
+_NOTABLE, _NEARLY_ALL, _JUST = 0.01, 0.9, 0.02
 # Endings of files whose colours may be multiplied by alpha.
 _ASSOCIATED = (".exr", ".tif", ".tiff")
 # CIE x and y of red, green, blue and white (ITU-R BT.709), which sRGB has too.
@@ -166,6 +171,13 @@ def counted(path: str | Path) -> bool:
     return _header(path).format.basetype in _INTEGER_FORMATS
 
 
+def made_by(path: str | Path) -> str:
+    """The program that a picture says it was written by, or "". Raises InputError."""
+    if raw.names(path) or heif.names(path):
+        return ""
+    return _header(path).get_string_attribute("Software")
+
+
 def _header(path: str | Path) -> oiio.ImageSpec:
     source = _opened(Path(path))
     spec = source.spec()
@@ -188,9 +200,7 @@ def read_alpha(path: str | Path, turned: bool = True) -> np.ndarray | None:
         place = _alpha(spec)
         if place is None:
             return None
-        pixels = source.read_image(oiio.FLOAT)
-        if pixels is None:
-            raise InputError(f"{path}: cannot be read: {_reason(source)}")
+        pixels = _pixels(path, source, oiio.FLOAT)
     finally:
         source.close()
     alpha = np.ascontiguousarray(_framed(pixels, spec)[..., place], np.float32)
@@ -215,6 +225,29 @@ def multiplied(path: str | Path) -> bool:
         return False  # of BMP OpenImageIO does not say
     spec = _header(path)
     return _alpha(spec) is not None and not spec.get_int_attribute("oiio:UnassociatedAlpha", 0)
+
+
+def cut_off(image: np.ndarray) -> np.ndarray:
+    """Where light is cut off in a picture of floating-point numbers, ``(H, W, 3)``: where a channel
+    has the largest number that it has anywhere, if more pixels share that than lie just below it
+    while their other channels differ, or if it is another's such number; ``(H, W) bool``. A flat
+    face or background, all of whose channels are alike, is not."""
+    most = image.max(axis=(0, 1))
+    full, near = image == most, image >= (1 - _JUST) * most
+    cut = []
+    for channel in range(image.shape[2]):
+        count = np.count_nonzero(full[..., channel])
+        share = count / full[..., channel].size
+        if (
+            not _NOTABLE <= share <= _NEARLY_ALL
+            or np.count_nonzero(near[..., channel]) >= 2 * count
+        ):
+            continue
+        others = np.delete(image[full[..., channel]], channel, axis=1)
+        low, high = np.percentile(others, (10, 90), axis=0)
+        if (high - low).max() > _JUST * most[channel]:
+            cut.append(most[channel])
+    return full[..., np.isin(most, cut)].any(axis=2)
 
 
 def write_exr(
@@ -376,9 +409,7 @@ def _read_colours(path: Path, turned: bool) -> tuple[np.ndarray, bool, Said]:
                 f"{path}: {spec.width} × {spec.height} pixels need {memory.gib(needed)} of memory, "
                 f"and {memory.gib(most)} are free"
             )
-        pixels = source.read_image(oiio.UNKNOWN)
-        if pixels is None:
-            raise InputError(f"{path}: cannot be read: {_reason(source)}")
+        pixels = _pixels(path, source, oiio.UNKNOWN)
     finally:
         source.close()
     pixels = _framed(pixels, spec)
@@ -386,6 +417,19 @@ def _read_colours(path: Path, turned: bool) -> tuple[np.ndarray, bool, Said]:
     if turned:
         colours = upright(colours, spec.get_int_attribute("Orientation", 1))
     return colours, linear, profiles.said(path, spec)
+
+
+def _pixels(path: Path, source: oiio.ImageInput, kind) -> np.ndarray:
+    """All pixels of an open file, (H, W, C) of the type ``kind``. Raises InputError, also where a
+    part of them is missing, which readers fill up with grey and note alone."""
+    pixels, told = source.read_image(kind), _message(source)
+    if pixels is None:
+        raise InputError(f"{path}: cannot be read: {_first_line(told)}")
+    if any(words in told.lower() for words in _BROKEN):
+        raise InputError(
+            f"{path}: is cut short or damaged, and a part of its pixels is missing: copy it anew"
+        )
+    return pixels
 
 
 def _frame(spec: oiio.ImageSpec) -> tuple[int, int]:
@@ -485,8 +529,12 @@ def _write(path: Path, format_name: str, spec: oiio.ImageSpec, pixels: np.ndarra
 
 def _reason(source) -> str:
     """Why ``source``, a file or OpenImageIO itself, failed, in one line."""
+    return _first_line(_message(source))
+
+
+def _message(source) -> str:
     try:
-        return _first_line(source.geterror())
+        return source.geterror()
     except UnicodeDecodeError:  # it quotes the damaged file
         return "damaged"
 

@@ -108,7 +108,7 @@ def check_scene(scene: mi.Scene, textures: dict[str, mi.Texture]) -> list[str]:
     """
     import mitsuba as mi
 
-    warnings, charts = [], {key: {} for key in textures}
+    warnings, charts, places = [], {key: {} for key in textures}, {}
     # With those of groups, which are no shapes of the scene.
     every = [each for each in mi.traverse(scene).hierarchy if isinstance(each, mi.Shape)]
     for shape in every:
@@ -146,7 +146,8 @@ def check_scene(scene: mi.Scene, textures: dict[str, mi.Texture]) -> list[str]:
                 )
             matrix = np.array(values[f"{place}.to_uv"].matrix, np.float64)
             charts[key][name] = (texcoords @ matrix[:2, :2].T + matrix[:2, 2])[faces]
-    return warnings + [text for keys, own in _alike(charts) for text in _shared(own, keys)]
+            places[name] = vertices, faces
+    return warnings + [text for keys, own in _alike(charts) for text in _shared(own, places, keys)]
 
 
 def _alike(charts: dict[str, dict]) -> list[tuple[list[str], dict[str, np.ndarray]]]:
@@ -169,18 +170,43 @@ def _textures_of(values: mi.SceneParameters, textures: dict) -> list[tuple[str, 
     ]
 
 
-def _shared(charts: dict[str, np.ndarray], keys: list[str]) -> list[str]:
+def _shared(charts: dict[str, np.ndarray], places: dict[str, tuple], keys: list[str]) -> list[str]:
     """A warning where places of the surface share texels of the unknowns ``keys``. ``charts``: mesh
-    → ``(F, 3, 2)``."""
-    share = overlap(np.concatenate(list(charts.values()))) if charts else 0.0
-    if share < LARGEST_OVERLAP:
+    → ``(F, 3, 2)``; ``places``: → its vertices and faces."""
+    if not charts:
         return []
+    corners = np.concatenate(list(charts.values()))
     mesh, it = ("mesh", "it uses") if len(charts) == 1 else ("meshes", "they use")
     told = ", ".join(f"'{key}'" for key in keys) + (" is" if len(keys) == 1 else " are")
+    if _area(corners) < 1 / _GRID**2:
+        return [
+            f"{mesh} {', '.join(charts)}: the triangles' texture coordinates span no area, so that "
+            f"each shows a single texel: {told} of one colour there: unwrap it"
+        ]
+    share = overlap(corners)
+    if share >= LARGEST_OVERLAP:
+        share = overlap(corners[_once(charts, places)])
+    if share < LARGEST_OVERLAP:
+        return []
     return [
         f"{mesh} {', '.join(charts)}: {share:.0%} of the texels that {it} belong to two or more "
         f"places of the surface: {told} a compromise there"
     ]
+
+
+def _area(corners: np.ndarray) -> float:
+    """Of all triangles ``(F, 3, 2)`` together."""
+    (ax, ay), (bx, by) = np.moveaxis(corners[:, 1:] - corners[:, :1], 0, -1)
+    return float(np.abs(ax * by - ay * bx).sum() / 2)
+
+
+def _once(charts: dict[str, np.ndarray], places: dict[str, tuple]) -> np.ndarray:
+    """Numbers of the triangles of ``charts`` but those that lie where another does, with the same
+    texels: it is the other's back, as of faces with two sides."""
+    own = [np.dstack([places[name][0][places[name][1]], uv]) for name, uv in charts.items()]
+    _, corner = np.unique(np.concatenate(own).reshape(-1, 5), axis=0, return_inverse=True)
+    _, first = np.unique(np.sort(corner.reshape(-1, 3), axis=1), axis=0, return_index=True)
+    return first
 
 
 def overlap(corners: np.ndarray, size: int = _GRID) -> float:

@@ -316,6 +316,45 @@ def test_a_missing_or_unreadable_picture_is_one_line(tmp_path):
         assert str(tmp_path / name) in str(error.value) and "\n" not in str(error.value), name
 
 
+@pytest.mark.parametrize("name", ["a.jpg", "progressive.jpg", "a.png", "a.tif", "a.webp", "a.bmp"])
+@pytest.mark.parametrize("kept", [0.5, 0.9])
+def test_a_picture_that_is_cut_short_is_refused(tmp_path, rng, name, kept):
+    """Readers fill up what is missing, and note it alone."""
+    path = tmp_path / name
+    pixels = rng.integers(0, 255, (48, 64, 3), np.uint8)
+    Image.fromarray(pixels).save(path, quality=90, progressive="progressive" in name)
+    assert images.read(path).shape == (48, 64, 3)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(kept * len(whole))])
+    for read in (images.read, images.read_mask):
+        with pytest.raises(InputError, match=name) as error:
+            read(path)
+        assert "\n" not in str(error.value)
+
+
+def test_bytes_too_many_in_a_jpeg_mean_nothing(tmp_path):
+    """As some telephones leave them: readers note that, too."""
+    Image.new("RGB", (64, 48), (90, 160, 40)).save(tmp_path / "a.jpg")
+    whole = (tmp_path / "a.jpg").read_bytes()
+    (tmp_path / "a.jpg").write_bytes(whole[:-2] + bytes(20) + whole[-2:])
+    assert images.read(tmp_path / "a.jpg").shape == (48, 64, 3)
+
+
+def test_where_light_is_cut_off(rng):
+    """Told from a flat face or background, from what is smooth, and from a picture's own noise."""
+    rows, columns = np.mgrid[:60, :80] / 60
+    smooth = np.stack([1.2 - (rows - 0.5) ** 2, 0.8 * columns, 0.3 + 0 * rows], 2)
+    assert not images.cut_off(smooth.astype(np.float16).astype(np.float32)).any()
+    bright = (smooth * rng.uniform(0.5, 1.5, (60, 80, 1))).astype(np.float32)
+    assert not images.cut_off(bright).any()
+    assert (images.cut_off(np.minimum(bright, 0.9)) == (bright >= 0.9).any(axis=2)).all()
+    for face in ((0.9, 0.4, 0.3), (2.0, 2.0, 2.0)):
+        flat = bright / 2
+        flat[:20] = face
+        assert not images.cut_off(flat).any()
+    assert not images.cut_off(np.full((60, 80, 3), 3.0, np.float32)).any()
+
+
 def test_non_finite_pixels_are_refused_and_counted_unless_wanted(tmp_path):
     image = picture()
     image[1, 2, 0], image[3, 3] = np.nan, np.inf

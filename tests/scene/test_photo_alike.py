@@ -43,7 +43,10 @@ def told(folder, poses=POSES, turn=None, pictures=None) -> list[str]:
     if turn is not None:
         box.apply_transform(turn)
     box.export(folder / "box.ply")
-    asked = PhotosConfig(path=str(folder), mesh=str(folder / "box.ply"), saturated=None)
+    return said(PhotosConfig(path=str(folder), mesh=str(folder / "box.ply"), saturated=None))
+
+
+def said(asked: PhotosConfig) -> list[str]:
     lines = photographs.load(asked).warnings
     return [line for line in lines if "has no texture coordinates" not in line]
 
@@ -114,3 +117,22 @@ def test_a_light_that_goes_with_the_camera(tmp_path, lamp):
     taken = photographs.load(asked)
     factor = brightness.moved(taken.all, taken.surface)
     assert factor is None if lamp is None else factor > 1.1
+
+
+@pytest.mark.parametrize("form", ["transforms", "ours"])
+def test_poses_that_lead_the_other_way(tmp_path, form):
+    """From world to camera where the file means from camera to world, or the reverse."""
+    pictures = [picture(pose) for pose in AROUND]
+    content = getattr(photo_sets, form)(Files(tmp_path, AROUND, pictures))
+    trimesh.creation.box(2 * HALF).export(tmp_path / "box.ply")
+    asked = PhotosConfig(str(tmp_path), mesh=str(tmp_path / "box.ply"), saturated=None)
+    assert said(asked) == []
+    name, entries, key = {
+        "transforms": ("transforms.json", "frames", "transform_matrix"),
+        "ours": ("cameras.json", "views", "world_to_camera"),
+    }[form]
+    for each in content[entries]:
+        each[key] = np.linalg.inv(each[key]).tolist()
+    photo_sets.write(tmp_path / name, content)
+    (line,) = said(asked)
+    assert "behind the camera or outside the picture, and in none if each pose is inverted" in line

@@ -312,3 +312,14 @@ def test_of_a_model_in_both_forms_the_binary_one_counts(tmp_path, monkeypatch, r
     assert layouts.chosen(tmp_path)[0].name == taken
     (note,) = layouts.notes(model, tmp_path)
     assert f"holds its model twice: {taken} is taken" in note
+
+
+def test_a_table_of_angles_is_no_model(tmp_path):
+    """Metashape's, which its dialogue offers to call cameras.txt; other cameras stand before it."""
+    told = "# Cameras (1)\n# PhotoID, X, Y, Z, Omega, Phi, Kappa, r11, r12, r13\n"
+    (tmp_path / "cameras.txt").write_text(told + "a 1.txt\t0\t0\t2\t0\t0\t0\t1\t0\t0\n")
+    with pytest.raises(InputError, match="cameras.txt: is no COLMAP file.*Metashape.*XML") as error:
+        reading.read(str(tmp_path))
+    assert "\n" not in str(error.value)
+    photo_sets.neus(Files(tmp_path, POSES))
+    assert reading.read(str(tmp_path)).kind == "NeuS"

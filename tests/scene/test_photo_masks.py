@@ -214,3 +214,33 @@ def test_no_number_where_a_mask_hides_it_is_none(tmp_path, taken, background):
             assert not (each.mask[:hidden].any() if not background else each.image[:hidden].any())
     with pytest.raises(InputError, match="000.exr: 160 pixels are NaN or infinite; mend or mask"):
         taken(masks="none")
+
+
+def test_noise_of_a_jpeg_is_no_label(tmp_path, taken, rng):
+    """What a video leaves of black is more than what is white."""
+    from PIL import Image
+
+    (tmp_path / "masks").mkdir()
+    for number in range(3):
+        pixels = rng.integers(0, 6, SIZE[::-1], np.uint8)
+        pixels[3:20, 15:33] = 252
+        Image.fromarray(pixels).save(tmp_path / f"masks/{number:03d}.jpg", quality=98)
+    assert taken().warnings == []
+    for number in range(3):
+        pixels = np.zeros(SIZE[::-1], np.uint8)
+        pixels[:, 10:20], pixels[:, 20:30] = 10, 16
+        Image.fromarray(pixels).save(tmp_path / f"masks/{number:03d}.jpg", quality=98)
+    assert "labels" in taken().warnings[0]
+
+
+@pytest.mark.parametrize("wide, said", [(1, False), (4, True)])
+def test_a_band_of_middle_grey_is_told(tmp_path, taken, wide, said):
+    """Trimaps have one where nobody knows what is the object; a soft edge is thinner."""
+    for number in range(3):
+        pixels = np.zeros((*SIZE[::-1], 1), np.uint8)
+        pixels[8 - wide : 22 + wide, 12 - wide : 28 + wide] = 128
+        pixels[8:22, 12:28] = 255
+        (tmp_path / "masks").mkdir(exist_ok=True)
+        images.write_png(tmp_path / f"masks/{number:03d}.png", pixels)
+    told = [line for line in taken().warnings if "trimaps" in line]
+    assert len(told) == said and ("masks/000.png" in told[0] if said else True)

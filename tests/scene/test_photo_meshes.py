@@ -300,3 +300,99 @@ def test_a_mesh_without_coordinates_has_one_colour_which_is_said(tmp_path):
     mesh = obj(tmp_path, f"usemtl a\n{plain}usemtl b\n{APART}")
     taken = photographs.load(PhotosConfig(str(tmp_path), mesh=mesh, texture=64))
     assert any("mesh.obj (object_a) has no texture" in line for line in taken.warnings)
+
+
+def test_faces_that_go_on_after_a_backslash(tmp_path):
+    """As CAD programs break lines; at the end of a comment it is a folder's."""
+    text = "# C:\\scans\\\nf 1/1 2/2 \\\n3/3 \\\n4/4\nf 2/5 \\\n 5/6 6/7 3/8\n"
+    found = parts(obj(tmp_path, text))["object"]
+    assert len(found.faces) == 4
+    left, right = (shape._part(found, chosen, False) for chosen in sides(found))
+    assert as_in_the_file(left, 0, 0.4) and as_in_the_file(right, 0.6, 1)
+
+
+def sides(found) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles of the left square and of the right one."""
+    left = found.vertices[found.faces][..., 0].max(axis=1) <= 1
+    return left, ~left
+
+
+PLACES = [[0, 0], [0.5, 0], [0.5, 1], [0, 1], [1, 0], [1, 1]]
+UNLIKE = [[1, 4, 5], [0, 1, 2, 3], [1, 5, 2]]
+
+
+@pytest.mark.parametrize(
+    "form, texture",
+    [
+        *(("<", name) for name in ("s t", "texture_u texture_v", "texcoord", None)),
+        *((">", "texcoord"), ("ascii", "s t"), ("ascii", None)),
+    ],
+)
+def test_a_ply_of_triangles_and_quadrilaterals(tmp_path, form, texture):
+    """As Blender writes an ordinary mesh; coordinates of vertices, or of faces."""
+    of_faces = texture == "texcoord"
+    names = ["x", "y", "z", *(texture.split() if texture and not of_faces else [])]
+    kind = {"<": "binary_little_endian", ">": "binary_big_endian"}.get(form, form)
+    head = f"ply\nformat {kind} 1.0\nelement vertex 6\n"
+    head += "".join(f"property float {name}\n" for name in names)
+    head += "element face 3\nproperty list uchar uint vertex_indices\n"
+    head += "property list uchar float texcoord\n" * of_faces
+    rows = [[x, y, 0, x, y][: len(names)] for x, y in PLACES]
+    lists = [([face, np.ravel([PLACES[n] for n in face]).tolist()]) for face in UNLIKE]
+    if form == "ascii":
+        lines = [*rows, *([len(f), *f, *([len(t), *t] if of_faces else [])] for f, t in lists)]
+        body = "".join(" ".join(map(str, line)) + "\n" for line in lines).encode()
+    else:
+        body = np.array(rows, f"{form}f4").tobytes()
+        for face, own in lists:
+            body += struct.pack(f"{form}B{len(face)}I", len(face), *face)
+            body += struct.pack(f"{form}B{len(own)}f", len(own), *own) if of_faces else b""
+    (tmp_path / "mesh.ply").write_bytes((head + "end_header\n").encode() + body)
+    found = parts(str(tmp_path / "mesh.ply"))["object"]
+    corners = found.vertices[found.faces].astype(float)
+    a, b, c = np.moveaxis(corners[..., :2], 1, 0)
+    doubled = np.linalg.det(np.stack([b - a, c - a], axis=1))
+    assert len(doubled) == 4 and (doubled > 0).all() and np.isclose(doubled.sum(), 2)
+    assert as_in_the_file(found, 0, 1) if texture else not len(found.texcoords)
+
+
+def test_a_ply_that_is_cut_short_is_refused(tmp_path):
+    trimesh.creation.box().export(tmp_path / "box.ply")
+    whole = (tmp_path / "box.ply").read_bytes()
+    (tmp_path / "box.ply").write_bytes(whole[:-7])
+    with pytest.raises(InputError, match="box.ply: cannot be read: ") as error:
+        parts(str(tmp_path / "box.ply"))
+    assert "\n" not in str(error.value)
+
+
+def test_an_off_of_many_corners(tmp_path):
+    """An L as one face, which is not convex, beside a triangle."""
+    ell = "0 0 0\n2 0 0 # a corner\n2 1 0\n1 1 0\n1 2 0\n0 2 0\n3 0 0\n3 1 0\n"
+    faces = "6 0 1 2 3 4 5\n3 1 6 7 255 0 0\n"
+    (tmp_path / "ell.off").write_text(f"OFF\n8 2 0\n\n{ell}{faces}")
+    found = parts(str(tmp_path / "ell.off"))["object"]
+    a, b, c = np.moveaxis(found.vertices[found.faces].astype(float)[..., :2], 1, 0)
+    doubled = np.linalg.det(np.stack([b - a, c - a], axis=1))
+    assert len(doubled) == 5 and (doubled > 0).all() and np.isclose(doubled.sum(), 7)
+
+
+@pytest.mark.parametrize(
+    "name, uri",
+    [
+        ("my scan.bin", "my%20scan.bin"),
+        ("Büste.bin", "B%C3%BCste.bin"),
+        ("50%25.bin", "50%25.bin"),
+        ("plain.bin", "plain.bin"),
+    ],
+)
+def test_gltf_names_files_as_uris(tmp_path, name, uri):
+    """Also as programs write them that do not know of that."""
+    texture = np.column_stack([CORNER[:, :1], 1 - CORNER[:, 1:], np.zeros((6, 2))])
+    with open(glb(tmp_path, texture.astype("f4")), "rb") as file:
+        whole = file.read()
+    end = 20 + struct.unpack("<I", whole[12:16])[0]
+    tree = json.loads(whole[20:end])
+    tree["buffers"][0]["uri"] = uri
+    (tmp_path / name).write_bytes(whole[end + 8 :])
+    (tmp_path / "my scan.gltf").write_text(json.dumps(tree))
+    assert as_in_the_file(parts(str(tmp_path / "my scan.gltf"))["object"], 0, 1)

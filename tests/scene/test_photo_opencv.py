@@ -235,6 +235,7 @@ def test_storage_that_is_wrong(tmp_path):
     told = "a.yml: has poses of 3 views and names of 0 pictures: add images:"
     with pytest.raises(InputError, match=told):
         reading.read(str(tmp_path))
+    (tmp_path / "a.yml").write_text(FILES["listed.yml"])
     (tmp_path / "b.xml").write_text(FILES["views.xml"])
     with pytest.raises(
         InputError, match="a.yml and b.xml are all files with a camera_matrix: photos.camera"
@@ -259,3 +260,19 @@ def test_storage_that_is_wrong(tmp_path):
     (tmp_path / "a.yml").write_text("a: 1")
     with pytest.raises(InputError, match="a.yml: holds no camera_matrix"):
         reading.read(str(tmp_path), cameras="a.yml")
+
+
+def test_a_calibration_beside_other_cameras_is_not_theirs(tmp_path):
+    """Of the camera alone, or with the chessboard's poses, which name no picture; alone it says
+    what is missing."""
+    (tmp_path / "left.yml").write_text(YAML.format(version=":1.0"))
+    with pytest.raises(InputError, match="left.yml: has no list of views"):
+        reading.read(str(tmp_path))
+    (tmp_path / "right.xml").write_text(XML + "</opencv_storage>\n")
+    nameless = FILES["listed.yml"].partition("images:")[0]
+    (tmp_path / "board.yaml").write_text(nameless)
+    photo_sets.neus(Files(tmp_path, POSES))
+    assert reading.read(str(tmp_path)).kind == "NeuS"
+    Files(tmp_path, POSES).names(".png")
+    (tmp_path / "views.yml").write_text(FILES["views-4.yml"])
+    assert reading.read(str(tmp_path)).kind == "views.yml"

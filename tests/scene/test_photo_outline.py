@@ -282,3 +282,43 @@ def test_where_object_and_wall_are_alike_the_mask_counts(ball):
         Image.fromarray(np.uint8(255 * (covered() > 0.5))).save(ball / f"masks/{number}.png")
     each = load(ball, background="black", saturated=None)[0]
     assert np.array_equal(each.part, covered() > 0.5)
+
+
+@pytest.mark.parametrize(
+    "factor, said", [(1.0, ""), (1.02, ""), (1.12, "larger"), (0.88, "smaller")]
+)
+@pytest.mark.parametrize("background", [False, "black"])
+def test_a_mesh_of_another_size_than_its_outline_by_some_percent(ball, factor, said, background):
+    """In all views, in width and height alike: a focal length, or the mesh itself. Not where that
+    is to be found, and not where it is of another shape."""
+    mesh = ball / "ball.obj"
+    trimesh.creation.icosphere(subdivisions=4, radius=factor * RADIUS).export(mesh)
+    given = {"sphere": None, "mesh": str(mesh), "background": background}
+    lines = told(ball, **given)
+    assert [line.split(" than alpha")[0].split()[-1] for line in lines] == [said] * bool(said)
+    assert told(ball, **given, lens=["focal"]) == told(ball, **given, pose=True) == []
+    tall = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
+    tall.apply_scale([1, factor, 1])
+    tall.export(mesh)
+    assert told(ball, **given) == []
+
+
+def test_an_alpha_that_leaves_out_a_frame_leaves_the_word_to_masks(ball):
+    """As of pictures that were undistorted: what lies beyond is not known. One that ends an object
+    in the middle ends it."""
+    (ball / "masks").mkdir()
+    frame = np.zeros((HEIGHT, WIDTH))
+    frame[4:-4, 3:-3] = 1
+    for number in range(4):
+        rewrite(ball, number, frame)
+        Image.fromarray(np.uint8(255 * (covered() > 0.5))).save(ball / f"masks/{number}.png")
+    for each in load(ball, background="black", saturated=None):
+        assert 0.5 < (each.part * (each.part > 0)).sum() / covered().sum() < 1.5
+        assert ((each.part < 0) >= (frame == 0)).all() and not each.mask[frame == 0].any()
+    for each in load(ball, saturated=None):
+        assert ((each.mask > 0) == (covered() > 0.5) & (frame > 0)).all()
+    for number in range(4):
+        rewrite(ball, number, covered())
+        Image.fromarray(np.uint8(255 * (covered() > 0))).save(ball / f"masks/{number}.png")
+    for each in load(ball, background="black", saturated=None):
+        assert np.allclose(each.part, covered(), atol=3e-3)

@@ -1,5 +1,7 @@
 """Pictures as people have them: turned, resized, missing, elsewhere, of other colours."""
 
+from unicodedata import normalize
+
 import numpy as np
 import OpenImageIO as oiio
 import photo_sets
@@ -294,3 +296,34 @@ def test_light_of_unknown_primaries_stays_light(tmp_path):
         loaded(tmp_path, encoding="srgb")
     (told,) = material.colour(PhotosConfig(texture=str(tmp_path / "0.exr")))[1]
     assert told.endswith("convert it to linear Rec. 709")
+
+
+@pytest.mark.parametrize("disk, listed", [("NFD", "NFC"), ("NFC", "NFD")])
+def test_accents_are_spelt_in_two_ways(tmp_path, disk, listed):
+    """macOS has them beside their letters; of pictures, folders, masks and names that are given."""
+    content = photo_sets.transforms(Files(tmp_path, POSES))
+    folder = tmp_path / normalize(disk, "Küche")
+    (folder / "masks").mkdir(parents=True)
+    mask = np.ones((*SIZE[::-1], 3), np.float32)
+    mask[:10] = 0
+    for number, frame in enumerate(content["frames"]):
+        save(folder / normalize(disk, f"é{number}.png"), RAMP)
+        save(folder / "masks" / normalize(listed, f"é{number}.png"), mask)
+        frame["file_path"] = normalize(listed, f"Küche/é{number}.png")
+    photo_sets.write(tmp_path / "transforms.json", content)
+    taken = loaded(tmp_path, test=[normalize(disk, "é1.png")])
+    assert taken.warnings == [] and len(taken.shown) == 2
+    assert all(likeness(each.image, RAMP) for each in taken.all)
+    assert all(each.mask[10:].all() and not each.mask[:10].any() for each in taken.all)
+
+
+def test_light_that_a_float_file_cuts_off_does_not_count(tmp_path, rng):
+    """As of 8 bits; unless all is to count."""
+    bright = RAMP * rng.uniform(0.6, 2.4, RAMP.shape).astype(np.float32)
+    pictures = [np.minimum(bright, 0.9), bright, np.minimum(bright, 0.9)]
+    photo_sets.transforms(Files(tmp_path, POSES, pictures))
+    first, whole, _ = loaded(tmp_path).shown
+    assert ((first.mask == 0) == (bright >= 0.9).any(axis=2)).all()
+    assert first.lost["saturated"] == (bright >= 0.9).any(axis=2).sum() > 12
+    assert whole.mask.all() and "saturated" not in whole.lost
+    assert all(each.mask.all() for each in loaded(tmp_path, saturated=None).shown)

@@ -440,3 +440,16 @@ def test_a_name_of_two_views_is_refused(tmp_path):
 def test_a_theta_lens_of_zero_is_one(tmp_path):
     photo_sets.transforms(Files(tmp_path, POSES), ftheta_p0=0.0)
     refused(tmp_path, "ftheta_p0; valid: ")
+
+
+@pytest.mark.parametrize(
+    "write",
+    [metashape, polycam, xmp, photo_sets.transforms, photo_sets.ours, neus],
+    ids=lambda write: write.__name__,
+)
+def test_what_macos_puts_beside_files_is_nothing(tmp_path, write):
+    """On disks of other systems, a second file for each, ._NAME."""
+    write(tmp_path if write in (metashape, polycam, xmp) else Files(tmp_path, POSES))
+    for file in [each for each in tmp_path.rglob("*") if each.is_file()]:
+        file.with_name(f"._{file.name}").write_bytes(b"\0\5\x16\7Mac OS X\xff" + bytes(99))
+    agree(tmp_path)

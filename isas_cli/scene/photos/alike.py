@@ -20,6 +20,7 @@ from ...scenes.meshes import Surface
 from . import brightness, edges
 from .importing import Photograph
 from .outlines import scattered
+from .transforms import TO_OPENCV
 
 # Places that two views must share; views that each is compared with, at most.
 _SHARED, _MOST = 50, 12
@@ -32,6 +33,9 @@ _AS_GOOD = 0.97  # of the best: a box fits as well when it is turned round
 # most 0.71 where it is turned, of another scale, or pictures are cropped. (Correlations are as low
 # of mirrors, 0.1, and of a glossy head's hull, 0.3, as of what does not fit.)
 _TELLING, _ON = 3, 0.8
+# Of the object's points, the share in a picture from which on it is seen; and of views, how many
+# must not see it.
+_SEEN, _MANY = 0.1, 1 / 3
 _NORMAL = 1.4826  # a normal number's deviation, over its median
 
 
@@ -39,6 +43,8 @@ def doubts(photographs: list[Photograph], surface: Surface | None, cut: bool = F
     """What should be said. ``cut``: whether the surface is a hull, which the cameras put there."""
     if surface is None or len(photographs) < 3:
         return []
+    if not cut and (told := _inverted(photographs, surface)):
+        return told
     found = _blind(photographs, surface)
     together, apart, _ = _pairs(photographs, surface)
     if not np.isfinite(together).any():
@@ -78,6 +84,38 @@ def _off_edges(photographs: list[Photograph], surface: Surface) -> bool:
     ranks = edges.ranks(photographs, surface)
     ranks = ranks[np.isfinite(ranks)]
     return len(ranks) >= _TELLING and float(np.median(ranks)) < _ON
+
+
+def _inverted(photographs: list[Photograph], surface: Surface) -> list[str]:
+    """Of poses that lead the other way, from world to camera in place of from camera to world: as
+    they stand many views do not see the object, and inverted all do. Files whose cameras have
+    other axes (OpenGL's) have them on both sides."""
+    points = scattered(surface)
+    poses = [each.camera.to_world for each in photographs]
+    seen = [_sees(p, np.linalg.inv(pose), points) for p, pose in zip(photographs, poses)]
+    blind = len(seen) - sum(seen)
+    if blind < max(2, len(seen) * _MANY):
+        return []
+    for axes in (np.eye(4), TO_OPENCV):
+        if all(_sees(p, axes @ pose @ axes, points) for p, pose in zip(photographs, poses)):
+            break
+    else:
+        return []
+    return [
+        f"the object is in {blind} of {len(seen)} views behind the camera or outside the picture, "
+        "and in none if each pose is inverted: their file probably has matrices from world to "
+        "camera where those from camera to world are meant, or the other way round: invert them"
+    ]
+
+
+def _sees(photograph: Photograph, to_camera: np.ndarray, points: np.ndarray) -> bool:
+    """Whether a view would show the object if ``to_camera (4, 4)`` were its pose."""
+    camera = photograph.camera
+    x, y, depth = to_camera[:3, :3] @ points.T + to_camera[:3, 3:]
+    before = np.where(depth > 0, depth, np.inf)
+    x, y = x * camera.fx / before + camera.cx, y * camera.fy / before + camera.cy
+    inside = (depth > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+    return bool(inside.mean() >= _SEEN)
 
 
 def _blind(photographs: list[Photograph], surface: Surface) -> list[str]:

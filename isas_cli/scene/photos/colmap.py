@@ -9,6 +9,7 @@ in `images.txt` do not count. Binary models are turned into text by ``pycolmap``
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -59,6 +60,8 @@ class _Model:
 
 
 _IMAGES, _POINTS = "images.bin", "points3D.bin"
+# The heads of a table that Metashape and others write, too, in a cameras.txt.
+_ANGLES = re.compile(r"^#.*omega.*phi.*kappa", re.IGNORECASE | re.MULTILINE)
 
 
 def claims(file: Path) -> bool:
@@ -70,8 +73,18 @@ def find(folder: Path) -> Path | None:
     return layouts.chosen(folder)[0]
 
 
+def foreign(file: Path) -> bool:
+    """Whether it is a table of places and angles."""
+    return file.suffix == ".txt" and _ANGLES.search(read_text(file)) is not None
+
+
 def read(file: Path, asked: Asked) -> Capture:
     """Raises InputError, naming the file and the line, for what is missing or wrong."""
+    if foreign(file):
+        raise InputError(
+            f"{file}: is no COLMAP file but a table of angles (Omega, Phi, Kappa), which is not "
+            "read: of Metashape take the XML (File > Export > Export Cameras)"
+        )
     if file.suffix == ".txt":
         return _read(_Model(file.parent, file.parent), asked)
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -132,7 +133,13 @@ def inside(folder: Path) -> list[Path]:
     """The pictures of a folder, in the order of their names; none where there is no such."""
     if not folder.is_dir():
         return []
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
+    return [path for path in ordered(folder.iterdir()) if path.suffix.lower() in PICTURES]
+
+
+def ordered(paths: Iterable[Path]) -> list[Path]:
+    """In the order of their names, without hidden ones: beside every file on a disk of another
+    system macOS puts a second, ._NAME, which is nothing of its kind."""
+    return sorted(path for path in paths if not path.name.startswith("."))
 
 
 def listed_mask(folder: Path, name: Any, where: str) -> Path | None:
@@ -177,12 +184,25 @@ def _file(folder: Path, name: Any, where: str) -> Path | None:
     if not isinstance(name, str):
         raise InputError(f"{where}: {name!r} is no name of a picture")
     endings = ["", *PICTURES, *(ending.upper() for ending in PICTURES)]
-    for spelt in dict.fromkeys((name, name.replace("\\", "/"))):  # as Windows parts folders
+    for spelt in _spellings(name):
         for ending in endings:
             path = Path(f"{folder / spelt}{ending}")
             if os.path.isfile(path):  # which also says no to a name that no file can have
                 return path
     return None
+
+
+def _spellings(name: str) -> list[str]:
+    """As it stands, as Windows parts folders, and with accents as part of their letters or beside
+    them, as macOS has them: a set's file and its disk may differ in that."""
+    both = name, name.replace("\\", "/")
+    more = (unicodedata.normalize(form, each) for form in ("NFC", "NFD") for each in both)
+    return list(dict.fromkeys((*both, *more)))
+
+
+def same_letters(name: str) -> str:
+    """What is the same for all spellings of accents."""
+    return unicodedata.normalize("NFC", name)
 
 
 def existing(folder: Path, name: str) -> Path | None:
@@ -201,7 +221,7 @@ def below(folders: Iterable[Path], name: str, where: str) -> Path:
 def _below(folder: Path, name: str) -> Path | None:
     """``name`` in a folder that stands for the first of its own ones, or for several of them, also
     with another ending."""
-    for spelt in dict.fromkeys((name, name.replace("\\", "/"))):  # as Windows parts folders
+    for spelt in _spellings(name):
         parts = [part for part in Path(spelt).parts if part not in (".", "..", "/")]
         for path in (folder.joinpath(*parts[first:]) for first in range(len(parts))):
             for each in (path, path.with_suffix("")):
@@ -293,7 +313,7 @@ class _Search:
         for pattern in patterns if here else ():
             for ending in PLAIN:
                 name = pattern.format(name=picture.name, stem=picture.stem, ending=ending)
-                found = here.get(name.lower())
+                found = here.get(same_letters(name.lower()))
                 if found is not None and found not in self._pictures:
                     return found
         return None
@@ -301,10 +321,10 @@ class _Search:
     def _files(self, folder: Path) -> dict[str, Path]:
         if folder not in self._listed:
             try:
-                files = sorted(each.name for each in os.scandir(folder) if each.is_file())
+                files = [file for file in ordered(folder.iterdir()) if file.is_file()]
             except OSError:
                 files = []
-            self._listed[folder] = {name.lower(): folder / name for name in files}
+            self._listed[folder] = {same_letters(file.name.lower()): file for file in files}
         return self._listed[folder]
 
     def unused(self, masks: list[Path | None]) -> list[str]:

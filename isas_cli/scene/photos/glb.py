@@ -2,16 +2,18 @@
 
 trimesh has texture coordinates only of what has a material, and whole numbers that stand for 0 to
 1 (``normalized``) as they stand. Attributes whose names begin with an underscore it hands on: so
-these stand there once more, and are set in afterwards.
+these stand there once more, and are set in afterwards. It takes URIs for names of files.
 """
 
 from __future__ import annotations
 
 import io
 import json
+import os
 import struct
 from importlib.util import find_spec
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -42,6 +44,9 @@ def load(file: Path):
     for mesh in tree.get("meshes", []):
         for primitive in mesh["primitives"]:
             _mark(primitive["attributes"], tree["accessors"])
+    for each in (*tree.get("buffers", []), *tree.get("images", [])):
+        if "uri" in each:
+            each["uri"] = _file(file.parent, each["uri"])
     changed = json.dumps(tree).encode()
     if binary:
         changed += b" " * (-len(changed) % 4)
@@ -64,6 +69,12 @@ def _chunk(data: bytes) -> bytes:
         raise ValueError("is no GLB file of glTF 2.0")
     (length,) = struct.unpack("<I", data[12:16])
     return data[20 : 20 + length]
+
+
+def _file(folder: Path, uri: str) -> str:
+    """The name of a URI's file, whose blanks are %20 and the like, unless one is called so."""
+    as_it_is = uri.startswith("data:") or os.path.isfile(folder / uri)
+    return uri if as_it_is else unquote(uri)
 
 
 def _mark(attributes: dict, accessors: list[dict]) -> None:

@@ -29,6 +29,8 @@ _SMALL = 256
 BLACK = "black"
 # A weight of at least this much is whole: interpolation rounds.
 _WHOLE = 0.999
+# Of white, the noise that lossy files leave in a mask's black.
+_NOISE = 0.1
 # What undoes a tag's turn; the others undo themselves.
 _BACK = {6: 8, 8: 6}
 
@@ -41,7 +43,9 @@ class Photograph:
     says of its colours that could not be heeded, or None; ``variance``: of a pixel's noise, or None
     where the photograph does not tell (``noise.of_one``); ``part (H, W)``: how much of each pixel
     the object fills, where that counts (``photos.background=black``), -1 where nothing says it;
-    ``white``: what most of its mask's file is that is not black, or None without one."""
+    ``white``: what most of its mask's file is that is not black, or None without one; ``unsure``:
+    whether that has a broad band between (``outlines.unsure``); ``box``: of its alpha or, where
+    that ends the object, mask (``outlines.box``), or None."""
 
     camera: Camera
     image: np.ndarray
@@ -51,6 +55,8 @@ class Photograph:
     variance: float | None = None
     part: np.ndarray | None = None
     white: float | None = None
+    unsure: bool = False
+    box: np.ndarray | None = None
 
 
 def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photograph:
@@ -68,18 +74,26 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
     given = None if camera.mask is None else _given_mask(camera, settings, turned)
     if given is not None and not camera.hides and opaque(alpha):
         alpha = None
+    ending = None if camera.hides else given  # what may say where the object ends
+    rim = None
     if settings.background == BLACK:
-        part, associated = _part(camera, alpha, None if camera.hides else given)
+        if alpha is not None and ending is not None and outlines.framed(alpha, ending):
+            rim, alpha = alpha >= _WHOLE, None  # it does not say so
+        part, associated = _part(camera, alpha, ending)
         plain = part
         if alpha is None and np.isin(part, (0, 1)).all():
             image, part = outlines.softened(image, part)
         elif not associated:
             image = image * part[..., None]
+        if rim is not None:
+            part = np.where(rim, part, np.float32(-1))
         if outlines.empty(part):
             raise InputError(
                 f"{camera.image}: by its alpha or mask it shows nothing of the object: leave this "
                 "view out, or mend its mask"
             )
+    ended = alpha if part is None else plain
+    box = None if ended is None else outlines.box(ended)
     mask, lost = _mask(camera, picture, alpha, settings, given, part)
     images.check_finite(camera.image, bad & (mask > 0) & (True if part is None else part > 0))
     if part is not None:
@@ -118,9 +132,11 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
             "leave this view out, or mend its mask"
         )
     white = None
-    if given is not None and not camera.hides:
-        white = float(np.median(given[given > 0])) if given.any() else 0.0
-    return Photograph(target, image, mask, lost, picture.doubt, variance, part, white)
+    if ending is not None:
+        lit = ending[ending > (_NOISE if camera.mask.suffix.lower() in noise.LOSSY else 0)]
+        white = float(np.median(lit)) if lit.size else 0.0
+    unsure = ending is not None and outlines.unsure(ending)
+    return Photograph(target, image, mask, lost, picture.doubt, variance, part, white, unsure, box)
 
 
 def opaque(alpha: np.ndarray | None) -> bool:
@@ -165,13 +181,16 @@ def _mask(
         # A pixel that is partly transparent shows what is behind as well.
         mask *= alpha >= _WHOLE
         lost["transparent"] = int(np.count_nonzero(alpha < _WHOLE))
-    if settings.saturated is not None and images.counted(camera.image):
+    if settings.saturated is not None:
         # Said of the file's numbers, not of light.
+        counted = images.counted(camera.image)
         full = picture.brightest >= np.float32(settings.saturated)
+        full = full if counted else images.cut_off(picture.image)
         if part is not None:
             full &= part > 0
         mask *= ~full
-        lost["saturated"] = int(np.count_nonzero(full))
+        if counted or full.any():
+            lost["saturated"] = int(np.count_nonzero(full))
     return mask, lost
 
 

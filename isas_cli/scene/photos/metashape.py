@@ -18,7 +18,7 @@ from ...runtime.errors import InputError
 from . import layouts
 from .base import Asked, Capture, claimed, load_xml, lone, matrix, number, read_text, whole, words
 from .camera import Camera
-from .finding import below, present
+from .finding import below, ordered, present
 from .lens import Lens
 
 _TYPES = {"frame": "flat", "fisheye": "fisheye"}
@@ -36,7 +36,7 @@ def claims(file: Path) -> bool:
 
 def find(folder: Path) -> Path | None:
     """Raises InputError for several."""
-    found = [file for file in sorted(folder.glob("*.xml")) if claimed(file, claims)]
+    found = [file for file in ordered(folder.glob("*.xml")) if claimed(file, claims)]
     return lone(folder, found, "cameras of Metashape")
 
 

@@ -32,7 +32,7 @@ def load(file: Path):
     raises, and ValueError."""
     import trimesh
 
-    text = file.read_text(encoding="utf-8", errors="replace")
+    text = _joined(file.read_text(encoding="utf-8", errors="replace"))
     names, resolver = _check_some(text), trimesh.resolvers.FilePathResolver(str(file))
     text = _cut(text)
     if len(names) > 1:
@@ -41,6 +41,15 @@ def load(file: Path):
     stream = io.BytesIO(text.encode())
     scene = trimesh.load_scene(stream, file_type="obj", process=False, resolver=resolver)
     return scene, names
+
+
+def _joined(text: str) -> str:
+    """The same, with lines whole that go on in the next after a backslash. One at the end of a
+    comment, as of a folder's name, means nothing."""
+    if "\\\n" not in text:
+        return text
+    text = re.sub(r"^[ \t]*#.*", "", text, flags=re.MULTILINE)
+    return re.sub(r"\\\n", " ", text)
 
 
 def _check_some(text: str) -> list[str]:
@@ -85,6 +94,17 @@ def _cut(text: str) -> str:
                 f"f {' '.join(words[corner] for corner in ear)}" for ear in _ears(flat[face])
             )
     return "\n".join(lines) + "\n"
+
+
+def triangles(corners: np.ndarray) -> np.ndarray:
+    """Which corners of each of faces ``(F, N, 3)`` its triangles have, ``(F, N - 2, 3)``."""
+    count = corners.shape[1]
+    fan = np.stack([np.zeros(count - 2, int), np.arange(1, count - 1), np.arange(2, count)], axis=1)
+    found = np.tile(fan, (len(corners), 1, 1))
+    flat, notched = _flattened(corners)
+    for face in np.flatnonzero(notched):
+        found[face] = _ears(flat[face])
+    return found
 
 
 def _flattened(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ YAML reads; OpenCV 5 by "%YAML 1.2".
 
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 from xml.etree import ElementTree
@@ -17,10 +18,13 @@ import yaml
 from ...runtime.errors import InputError
 from . import ours
 from .base import Asked, Capture, claimed, lone, read_text
+from .finding import ordered
 
 _YAML, _XML = (".yml", ".yaml"), ".xml"
 # What tells such a file from others of its ending.
 _WORD, _ROOT = "camera_matrix", "opencv_storage"
+# What lists pictures.
+_LISTS = re.compile(r"<(?:views|images)\b|^\s*(?:views|images)\s*:", re.MULTILINE)
 
 
 class _Loader(yaml.SafeLoader):
@@ -43,10 +47,16 @@ def find(folder: Path) -> Path | None:
     """Raises InputError for several."""
     found = [
         file
-        for file in sorted(folder.iterdir())
+        for file in ordered(folder.iterdir())
         if file.suffix.lower() in (*_YAML, _XML) and file.is_file() and claimed(file, _likely)
     ]
-    return lone(folder, found, "files with a camera_matrix")
+    listing = [file for file in found if not foreign(file)]
+    return lone(folder, listing or found[:1], "files with a camera_matrix")
+
+
+def foreign(file: Path) -> bool:
+    """Whether it is a camera's calibration alone, which names no pictures."""
+    return _LISTS.search(read_text(file)) is None
 
 
 def _likely(file: Path) -> bool:

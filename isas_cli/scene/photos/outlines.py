@@ -5,11 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, map_coordinates, uniform_filter
+from scipy.ndimage import (
+    distance_transform_edt,
+    map_coordinates,
+    minimum_filter,
+    uniform_filter,
+)
 
 from ...scenes.meshes import Surface
 
 if TYPE_CHECKING:
+    from .camera import Camera
     from .importing import Photograph
 
 # Points of a surface that are looked for in each picture.
@@ -17,8 +23,11 @@ _POINTS = 4000
 # A share of those in the picture below which masks are doubted, and one that inverted masks would
 # have at least.
 _DOUBTED, _INVERTED = 0.3, 0.8
-# What an alpha or mask is at least, or at most, that is the same everywhere.
-_FULL, _EMPTY = 0.99, 0.01
+# What an alpha or mask is at least, or at most, that is the same everywhere; and at least, where a
+# pixel shows nothing else.
+_FULL, _EMPTY, _WHOLE = 0.99, 0.01, 0.999
+# A normal number's deviation, over its median; and how many of these are sure.
+_NORMAL, _SURE = 1.4826, 3.0
 # What most of a mask is that is not black; below, it holds labels, or 8 bits in a file of 16, not
 # weights: VOC's have 1 for the object, and 255 for the rim that nobody labelled.
 DARK = 0.25
@@ -32,6 +41,11 @@ _SIZED = 1.3
 # how much of that difference a mixture may be off; and of how many of the border's pixels that must
 # tell something, so that the others need not.
 _BORDER, _REACH, _CONTRAST, _MIXED, _TOLD = 1.5, 4.0, 0.1, 0.1, 0.2
+# Where a mesh is larger or smaller by the same factor in all views, by how much at least, how many
+# of these and of pixels, in views where it is so large; and views that are asked.
+_LARGER, _FEWEST, _WIDER, _SMALL, _ASKED = 0.04, 4, 1.5, 20, 12
+# Of a mask, what is middle grey; and of a picture's side, where a frame may be.
+_MIDDLE, _FRAME = (0.4, 0.6), 6
 _LARGE = 512  # pixels: finer pictures say no more of how deep a place lies inside
 
 
@@ -68,6 +82,39 @@ def inverted(part: np.ndarray) -> bool:
     middle = part[high : 2 * high + 1, wide : 2 * wide + 1]
     around = border.size > 0 and (border > 0.5).mean() >= _AROUND
     return bool(around and (middle > 0.5).mean() < 0.5)
+
+
+def framed(alpha: np.ndarray, given: np.ndarray) -> bool:
+    """Whether a picture's ``alpha`` says what was photographed, and its mask ``given`` what the
+    object is: it is whole, or whole but for a frame, as undistortion leaves one, within which the
+    mask leaves something out."""
+    whole = alpha >= _WHOLE
+    high, wide = (side // _FRAME for side in alpha.shape)
+    inner = np.s_[high : alpha.shape[0] - high, wide : alpha.shape[1] - wide]
+    return bool(whole.all() or (whole[inner].all() and (given[inner] <= 0.5).any()))
+
+
+def unsure(given: np.ndarray) -> bool:
+    """Whether a mask has, besides black and white, a broad band of one middle grey, as trimaps have
+    where nobody knows what is the object."""
+    middle = (given > _MIDDLE[0]) & (given < _MIDDLE[1])
+    if not middle.any():
+        return False
+    grey = given == given[middle][0]
+    return bool((grey | (given == 0) | (given == 1)).all() and minimum_filter(grey, 3).any())
+
+
+def box(filled: np.ndarray) -> np.ndarray | None:
+    """Where what is more than half ``filled`` begins and ends, ``(2, 2)``, as shares of the
+    picture's width and height; None of nothing, and of what reaches the border."""
+    inside = filled > 0.5
+    if not inside.any():
+        return None
+    sides = np.array(inside.shape[::-1])
+    ends = np.transpose([np.flatnonzero(inside.any(axis=axis))[[0, -1]] for axis in (0, 1)])
+    if (ends[0] == 0).any() or (ends[1] == sides - 1).any():
+        return None
+    return (ends + [[0], [1]]) / sides
 
 
 def empty(part: np.ndarray) -> bool:
@@ -143,6 +190,14 @@ def doubts(
     masked = [
         p for p in photographs if p.part is not None or p.lost.get("masked by its file") is not None
     ]
+    unknown = [p for p in photographs if p.unsure]
+    if unknown:
+        found.append(
+            f"the masks of {len(unknown)} of {len(photographs)} pictures, first "
+            f"{unknown[0].camera.mask}, have a broad band of middle grey, as trimaps have where "
+            "nothing is known: it counts half or, where masks end the object, as the object: save "
+            "masks of black and white"
+        )
     if surface is None or not masked:
         return found
     points = scattered(surface)
@@ -164,6 +219,39 @@ def doubts(
     elif met < _DOUBTED:
         found.append(f"masks hide most of the object: {told}")
     return found
+
+
+def larger(
+    photographs: "list[Photograph]", cameras: "dict[str, Camera]", surface: Surface
+) -> list[str]:
+    """That the object is larger or smaller by some percent than alpha or masks show it, if it is so
+    in all views, in width and in height alike. ``cameras``: as their file has them, by name."""
+    logs, wide = [], []
+    for each in photographs[:: -(-len(photographs) // _ASKED)]:
+        camera = cameras[each.camera.name]
+        place, depth = camera.project(surface.vertices)
+        if each.box is None or not (depth > 0).all():
+            continue
+        sides = np.ptp(each.box, axis=0) * [camera.width, camera.height]
+        if sides.min() >= _SMALL:
+            logs.append(np.log(np.ptp(place, axis=0) / sides))
+            wide.append(sides.mean())
+    if len(logs) < _FEWEST:
+        return []
+    off = float(np.median(logs))
+    spread = _NORMAL * float(np.median(np.abs(np.array(logs) - off)))
+    least = max(_LARGER, _SURE * spread, _WIDER / np.median(wide))
+    ended = any(each.part is not None for each in photographs)
+    most = np.log(_SIZED) if ended else np.inf  # beyond, ``doubts`` says it
+    if not least < abs(off) < most:
+        return []
+    how, why = ("larger", "end inside the object") if off > 0 else ("smaller", "hold more than it")
+    return [
+        f"the mesh is {abs(np.expm1(off)):.0%} {how} than alpha or masks show the object, in "
+        f"width and in height, in {len(logs)} views alike: its size or the focal length is off "
+        f"({'' if ended else 'photos.background=black with '}photos.pose=true or "
+        f"photos.lens=[focal] finds it), or masks {why}"
+    ]
 
 
 def _met(photograph: "Photograph", points: np.ndarray) -> float | None:

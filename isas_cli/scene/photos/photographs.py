@@ -14,6 +14,7 @@ from ...runtime.errors import InputError
 from ...scenes.meshes import Surface
 from . import (
     alike,
+    borders,
     brightness,
     finding,
     hull,
@@ -23,6 +24,7 @@ from . import (
     precision,
     reading,
     shape,
+    surroundings,
     turns,
 )
 from .base import Capture
@@ -116,6 +118,11 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     told += [] if parts is None else material.check(settings, parts)
     found = Photographs(*made, capture, parts, settings, told, colour)
     told += outlines.doubts(found.all, found.surface, settings.mesh is None)
+    if settings.mesh is not None and not (settings.pose or "focal" in settings.lens):
+        named = {camera.name: camera for camera in capture.cameras}
+        told += outlines.larger(found.all, named, found.surface)
+    told += borders.doubts(found.all, found.surface)
+    told += surroundings.doubts(settings, capture.cameras)
     told += alike.doubts(found.all, found.surface, hulled)
     told += precision.doubts(found.all, found.surface)
     return found

@@ -16,7 +16,7 @@ import numpy as np
 from ...runtime.errors import InputError
 from .base import Asked, Capture, load_json, name_of, number, whole
 from .camera import Camera
-from .finding import picture, present
+from .finding import ordered, picture, present
 from .transforms import TO_OPENCV
 
 # Cameras and their pictures, the better ones first.
@@ -32,11 +32,11 @@ def claims(file: Path) -> bool:
 def find(folder: Path) -> Path | None:
     """The first camera's file."""
     if folder.name in dict(_PAIRS) and folder.with_name(dict(_PAIRS)[folder.name]).is_dir():
-        return next(iter(sorted(folder.glob("*.json"))), None)
+        return next(iter(ordered(folder.glob("*.json"))), None)
     for place in _PLACES:
         for cameras, pictures in _PAIRS:
             if (folder / place / pictures).is_dir():
-                files = sorted((folder / place / cameras).glob("*.json"))
+                files = ordered((folder / place / cameras).glob("*.json"))
                 if files:
                     return files[0]
     return None
@@ -46,7 +46,7 @@ def read(file: Path, asked: Asked) -> Capture:
     """Raises InputError, naming the file, for what is missing or wrong."""
     folder = file.parent
     pictures = folder.with_name(dict(_PAIRS)[folder.name])
-    files = sorted(folder.glob("*.json"))
+    files = ordered(folder.glob("*.json"))
     found = [present(_camera, each, pictures, asked.root) for each in files]
     cameras = [camera for camera in found if camera is not None]
     notes = []

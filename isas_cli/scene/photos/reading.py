@@ -23,6 +23,7 @@ from . import (
 )
 from .base import Asked, Capture
 from .camera import Camera
+from .finding import same_letters
 
 # Sets that come with isas, by name.
 OWN = ("chessboard", "head")
@@ -82,9 +83,10 @@ def _found(folder: Path, where: str):
     """The format of a folder, and the file that says so. ``where``: for messages."""
     # The first alone: others may ask which of their files is meant.
     every = ((module, file) for module in _FORMATS if (file := module.find(folder)) is not None)
-    found = next(every, None)
-    if found is not None and found[0] is ours and ours.foreign(found[1]):
-        found = next(every, found)
+    first = found = next(every, None)
+    while found is not None and _foreign(*found):
+        found = next(every, None)
+    found = found or first
     if found is None:
         raise InputError(
             f"{where}: no cameras there: looked for {ours.NAME}, "
@@ -94,6 +96,12 @@ def _found(folder: Path, where: str):
             "cameras.sfm and OpenMVG's sfm_data.json"
         )
     return found
+
+
+def _foreign(module, file: Path) -> bool:
+    """Whether a file is probably another program's of that name: others are asked before."""
+    asked = getattr(module, "foreign", None)
+    return asked is not None and asked(file)
 
 
 def _named_file(folder: Path, cameras: str):
@@ -162,7 +170,11 @@ def without(cameras: list[Camera], names: Sequence[str]) -> list[Camera]:
 def _named(cameras: list[Camera], name: str, setting: str) -> Camera:
     names = [(c.name, Path(c.name).name, Path(c.name).stem) for c in cameras]
     for part in range(3):
-        found = [camera for camera, each in zip(cameras, names) if each[part] == name]
+        found = [
+            camera
+            for camera, each in zip(cameras, names)
+            if same_letters(each[part]) == same_letters(name)
+        ]
         if len(found) > 1:
             raise InputError(
                 f"photos.{setting}: {name} is the name of {len(found)} views, "

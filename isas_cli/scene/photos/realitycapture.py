@@ -18,7 +18,7 @@ import numpy as np
 from ...runtime.errors import InputError
 from .base import Asked, Capture, claimed, load_xml, name_of, read_text, words
 from .camera import Camera
-from .finding import picture, present, size
+from .finding import ordered, picture, present, size
 from .lens import Lens
 
 _SPACE = "{http://www.capturingreality.com/ns/xcr/1.1#}"
@@ -40,7 +40,7 @@ def find(folder: Path) -> Path | None:
     """The first of its files: those beside pictures before a table."""
     for ending in ("xmp", "csv"):
         for place in (folder, folder / "images"):
-            found = (file for file in sorted(place.glob(f"*.{ending}")) if claimed(file, claims))
+            found = (file for file in ordered(place.glob(f"*.{ending}")) if claimed(file, claims))
             if (first := next(found, None)) is not None:
                 return first
     return None
@@ -53,7 +53,7 @@ def read(file: Path, asked: Asked) -> Capture:
             f"{file}: RealityCapture's table of angles is not read, as nobody says exactly what "
             f"they mean: export XMP beside the pictures, or {_WAY_OUT}"
         )
-    files = [each for each in sorted(file.parent.glob(f"*{file.suffix}")) if claimed(each, claims)]
+    files = [each for each in ordered(file.parent.glob(f"*{file.suffix}")) if claimed(each, claims)]
     told = {each: _told(each) for each in files}
     posed = [each for each in files if set(told[each]) >= _POSE]
     lost = [each.name for each in files if each not in posed]

@@ -19,12 +19,17 @@ from ..mesh_checks import LARGEST_OVERLAP, check_values, degenerate, overlap
 from ..mesh_files import upwards
 from ..shape_error import enclosed
 from ..topology import Topology
-from . import glb, obj
+from . import glb, obj, polygons
 from .base import Capture
 
 OBJECT = "object"
 _NONE = np.zeros((0, 2), np.float32)
 _KINDS = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+# Of these, besides OBJ, what trimesh does not read alone.
+_READERS = {
+    **{".glb": glb.load, ".gltf": glb.load},
+    **{".ply": polygons.load, ".off": polygons.load},
+}
 # Between the normals of two triangles that meet: beyond, there is an edge.
 _CREASE = 40.0  # degrees
 
@@ -155,8 +160,8 @@ def _pieces(file: Path) -> list[_Piece]:
     if file.suffix.lower() == ".obj":
         scene, order = obj.load(file)
     else:
-        packed = file.suffix.lower() in (".glb", ".gltf")
-        scene = glb.load(file) if packed else trimesh.load_scene(file, process=False)
+        read = _READERS.get(file.suffix.lower())
+        scene = read(file) if read else trimesh.load_scene(file, process=False)
         order = list(scene.geometry)
     found, materials = [], {}
     # In the file's order, which its graph of nodes has not.
