@@ -8,6 +8,7 @@ import _ranges
 import pandas
 
 FULL, PLAIN, STOCK = "full", "ours", "Mitsuba's loop"
+PHOTOGRAPHED = "materials_joint, photographed"
 
 
 def facts(results: Path) -> dict:
@@ -16,6 +17,7 @@ def facts(results: Path) -> dict:
 
     table = _ranges.marked(read("pbdr"), read("pbdr_rates"))
     by = {scene: rows.set_index("method") for scene, rows in table.groupby("scene", sort=False)}
+    photographed = read("pbdr_photographs").set_index("method")
     return {
         "scenes": {scene: rows.reset_index().to_dict("records") for scene, rows in by.items()},
         "seconds": dict(table.groupby("scene", sort=False)["seconds"].max()),
@@ -28,7 +30,8 @@ def facts(results: Path) -> dict:
             if row["method"] == PLAIN
         ],
         "shape": read("pbdr_shape").to_dict("records"),
-        "claims": _claims(by),
+        "photographed": photographed.reset_index().to_dict("records"),
+        "claims": _claims(by | {PHOTOGRAPHED: photographed}),
         "prior": {scene: _ratio(rows, "mpea", "without the prior") for scene, rows in by.items()},
         "smoothing": {
             scene: _ratio(rows, "re", "without smoothing")

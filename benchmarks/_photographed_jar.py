@@ -55,7 +55,7 @@ def main(folder: Path) -> None:
             place = MIDDLE + DISTANCE * back
             picture = f"{light[:-4]}_{number:03d}.png"
             pixels = _seen(folder, light, material, place, 1000 * seed + number)
-            Image.fromarray(_taken(pixels, rng)).save(folder / picture)
+            Image.fromarray(taken(pixels, rng)).save(folder / picture)
             right = np.cross([0, 1, 0], back) / np.linalg.norm(np.cross([0, 1, 0], back))
             pose = np.eye(4)
             pose[:3] = np.column_stack([right, np.cross(back, right), back, place])
@@ -86,7 +86,7 @@ def _seen(folder: Path, light: str, material: dict, place: np.ndarray, seed: int
     return np.array(mi.render(mi.load_dict(scene), spp=PATHS, seed=seed))
 
 
-def _taken(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def taken(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """As a camera takes it: photons and reading, sRGB, 8 bits, alpha beside straight colours."""
     alpha = np.clip(pixels[..., 3:], 0, 1)
     colour = np.clip(pixels[..., :3] / np.maximum(alpha, 1e-4), 0, None)

@@ -27,9 +27,14 @@ pixels (`ours`), with and without the paper's parts, and with uniform ones, and 
 loop, all in the stages of the scene's configuration; and `ours` with everything moving from the
 start. Writes results/pbdr_shape.csv.
 
+With `--photographs`: `materials_joint` from pictures that another renderer has made and a camera
+taken (`_photographed_materials.py`), its base table with fewer samplers. RE holds their noise.
+Writes results/pbdr_photographs.csv.
+
     make reproduce SCENES=pbdr
     .venv/bin/python benchmarks/pbdr.py --more
     .venv/bin/python benchmarks/pbdr.py --shape
+    .venv/bin/python benchmarks/pbdr.py --photographs
 """
 
 from __future__ import annotations
@@ -37,10 +42,13 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
 import _contest
+import _photographed_materials
 import numpy as np
 import pages
 import pandas
@@ -112,7 +120,7 @@ def methods(scene: str) -> dict[str, dict]:
 def measured(run: records.Run) -> dict:
     history = run.history
     first, last = history.iloc[0], history.iloc[-1]
-    errors = {key: last[f"parameter_rmse/{key}"] for key in run.config["scene"]["unknowns"]}
+    errors = apart(run)
     materials = {k: v for k, v in errors.items() if ".bsdf" in k}
     colours = [k for k in materials if any(w in k for w in ("diffuse", "color", "reflectance"))]
     rough = [k for k in materials if any(w in k for w in ("roughness", "alpha"))]
@@ -128,6 +136,35 @@ def measured(run: records.Run) -> dict:
         "roughness": np.mean([errors[k] for k in rough]),
         "iterations": int(last["iteration"]),
     }
+
+
+def apart(run: records.Run) -> dict[str, float]:
+    """How far each unknown ends from its truth, root mean square; of photographs, which tell none,
+    from that of the scene that they were taken of."""
+    last, scene = run.history.iloc[-1], run.config["scene"]
+    if not scene["targets"]:
+        return {key: last[f"parameter_rmse/{key}"] for key in scene["unknowns"]}
+    _, unknowns, values = _moved(run, relit=False)
+    found = {key: np.array(values[key]) - np.array(x) for key, x in unknowns.truths().items()}
+    return {key: float(np.sqrt(np.mean(np.square(each)))) for key, each in found.items()}
+
+
+PHOTOGRAPHED = _photographed_materials.SCENE
+
+
+def photographs(seeds: list[int], seconds: float) -> pandas.DataFrame:
+    """A row for each method on PHOTOGRAPHED: medians and ranges."""
+    contestants = methods(PHOTOGRAPHED)
+    contestants = {name: contestants[name] for name in (FULL, PLAIN, "uniform", "progress", STOCK)}
+    with tempfile.TemporaryDirectory(prefix="isas-pbdr-") as root:
+        folder = Path(root) / "pictures"
+        subprocess.run([sys.executable, _photographed_materials.__file__, folder], check=True)
+        pictures = ",".join(map(str, sorted(folder.glob("*.exr"))))
+        settings = [each for each in SETTINGS if not each.startswith("target.")]
+        settings += [*NOISY, f"scene.targets=[{pictures}]"]
+        where = PHOTOGRAPHED, Path(root), settings, contestants, FACTORS
+        found = _contest.judged(*where, seeds, seconds, measured, ERROR, 1)[1]
+        return table(found, seconds)
 
 
 SHAPE, SHAPE_SECONDS = "object_joint_shape", 12.0
@@ -271,6 +308,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", default=[*SCENES])
     parser.add_argument("--more", action="store_true", help="the samplers that are left")
     parser.add_argument("--shape", action="store_true", help=f"{SHAPE} alone")
+    parser.add_argument("--photographs", action="store_true", help=f"{PHOTOGRAPHED} from pictures")
     chosen = parser.parse_args()
     suffix = "_more" if chosen.more else ""
     from isas_cli.runtime import backend
@@ -280,6 +318,11 @@ def main() -> None:
         made = shapes(chosen.seeds, chosen.seconds or SHAPE_SECONDS)
         print(made.to_string(index=False), flush=True)
         _contest.write(RESULTS / "pbdr_shape.csv", made)
+        return pages.write()
+    if chosen.photographs:
+        made = photographs(chosen.seeds, chosen.seconds or SCENES[PHOTOGRAPHED])
+        print(made.to_string(index=False), flush=True)
+        _contest.write(RESULTS / "pbdr_photographs.csv", made)
         return pages.write()
     for scene in chosen.scenes:
         seconds = chosen.seconds or SCENES[scene]
