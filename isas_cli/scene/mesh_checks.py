@@ -178,14 +178,14 @@ def _shared(charts: dict[str, np.ndarray], places: dict[str, tuple], keys: list[
     corners = np.concatenate(list(charts.values()))
     mesh, it = ("mesh", "it uses") if len(charts) == 1 else ("meshes", "they use")
     told = ", ".join(f"'{key}'" for key in keys) + (" is" if len(keys) == 1 else " are")
-    if _area(corners) < 1 / _GRID**2:
+    if np.abs(_areas(corners)).sum() < 1 / _GRID**2:
         return [
             f"{mesh} {', '.join(charts)}: the triangles' texture coordinates span no area, so that "
             f"each shows a single texel: {told} of one colour there: unwrap it"
         ]
     share = overlap(corners)
     if share >= LARGEST_OVERLAP:
-        share = overlap(corners[_once(charts, places)])
+        share = overlap(corners[_fronts(charts, places)])
     if share < LARGEST_OVERLAP:
         return []
     return [
@@ -194,19 +194,23 @@ def _shared(charts: dict[str, np.ndarray], places: dict[str, tuple], keys: list[
     ]
 
 
-def _area(corners: np.ndarray) -> float:
-    """Of all triangles ``(F, 3, 2)`` together."""
-    (ax, ay), (bx, by) = np.moveaxis(corners[:, 1:] - corners[:, :1], 0, -1)
-    return float(np.abs(ax * by - ay * bx).sum() / 2)
+def _areas(corners: np.ndarray) -> np.ndarray:
+    """Of triangles ``(F, 3, 2)``, ``(F,)``, negative clockwise."""
+    (ax, ay), (bx, by) = np.moveaxis(corners[:, 1:] - corners[:, :1], 0, -1).swapaxes(0, 1)
+    return (ax * by - ay * bx) / 2
 
 
-def _once(charts: dict[str, np.ndarray], places: dict[str, tuple]) -> np.ndarray:
-    """Numbers of the triangles of ``charts`` but those that lie where another does, with the same
-    texels: it is the other's back, as of faces with two sides."""
+def _fronts(charts: dict[str, np.ndarray], places: dict[str, tuple]) -> np.ndarray:
+    """Which triangles of ``charts`` count, ``(F,)``: not those that are turned round in the texture
+    and have all their corners, in space and there, in common with others that are not. Of faces
+    that are there twice these are one side's, cut into triangles as they may be."""
     own = [np.dstack([places[name][0][places[name][1]], uv]) for name, uv in charts.items()]
-    _, corner = np.unique(np.concatenate(own).reshape(-1, 5), axis=0, return_inverse=True)
-    _, first = np.unique(np.sort(corner.reshape(-1, 3), axis=1), axis=0, return_index=True)
-    return first
+    rows = np.concatenate(own)
+    _, corner = np.unique(rows.reshape(-1, 5), axis=0, return_inverse=True)
+    corner, turned = corner.reshape(-1, 3), _areas(rows[..., 3:]) < 0
+    known = np.zeros(corner.max() + 1, bool)
+    known[corner[~turned]] = True
+    return ~(turned & known[corner].all(axis=1))
 
 
 def overlap(corners: np.ndarray, size: int = _GRID) -> float:

@@ -174,11 +174,10 @@ NESTED = {
 @pytest.mark.parametrize("name", NESTED)
 def test_the_mesh_of_a_texture_is_found_however_deep_it_lies(folder, name):
     inside, key = NESTED[name]
-    # Two triangles of two squares in space, which lie side by side in the picture or fall together.
-    two = np.concatenate([SQUARE, SQUARE + np.float32([0, 0, 1])])
-    write(folder / "folded.obj", [*HALF, *HALF], [[0, 1, 2], [4, 6, 7]], two)
+    # Two triangles of one square in space, which lie side by side in the picture or fall together.
+    write(folder / "folded.obj", [*HALF, *HALF], [[0, 1, 2], [4, 6, 7]], np.tile(SQUARE, (2, 1)))
     assert warnings_of(folder, obj("quad", inside, "folded.obj"), key) == []
-    write(folder / "folded.obj", [*HALF, *HALF], [[0, 1, 2], [4, 5, 6]], two)
+    write(folder / "folded.obj", [*HALF, *HALF], [[0, 1, 2], [4, 5, 6]], np.tile(SQUARE, (2, 1)))
     (warning,) = warnings_of(folder, obj("quad", inside, "folded.obj"), key)
     assert warning == (
         "mesh quad: 100% of the texels that it uses belong to two or more places of the surface: "
@@ -188,11 +187,13 @@ def test_the_mesh_of_a_texture_is_found_however_deep_it_lies(folder, name):
     assert warnings_of(folder, obj("quad", inside, "folded.obj")) == []
 
 
-def test_faces_with_a_back_share_nothing_with_it(folder):
-    """Each twice, of which the second is turned round, as SketchUp has them."""
-    back = [[0, 2, 1], [0, 3, 2]]
-    write(folder / "mesh.obj", UV, [[0, 1, 2], [0, 2, 3], *back])
-    assert warnings_of(folder, obj("quad", paint()), KEY) == []
+@pytest.mark.parametrize("back", [[[0, 2, 1], [0, 3, 2]], [[3, 2, 1], [3, 1, 0]]])
+def test_faces_with_a_back_share_nothing_with_it(folder, back):
+    """Each twice, of which the second is turned round, as SketchUp has them; cut along the same
+    diagonal or the other."""
+    for faces in ([[0, 1, 2], [0, 2, 3], *back], [*back, [0, 1, 2], [0, 2, 3]]):
+        write(folder / "mesh.obj", UV, faces)
+        assert warnings_of(folder, obj("quad", paint()), KEY) == []
     uv, faces = np.concatenate([UV, UV + [0.5, 0]]), [[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6]]
     write(folder / "mesh.obj", uv, faces, np.tile(SQUARE, (2, 1)))
     (warning,) = warnings_of(folder, obj("quad", paint()), KEY)

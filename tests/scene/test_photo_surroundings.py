@@ -14,7 +14,7 @@ from isas_cli.scene.photos import photographs
 
 # From a world whose up is y to one whose up is z, and upside down.
 TURNS = {"y": np.eye(3), "z": [[1, 0, 0], [0, 0, -1], [0, 1, 0]], "-y": np.diag([1, -1, -1])}
-ASIDE = [look_at((x, 0.5, 2.5), (0.0, 0.0, 0.0)) for x in (-0.5, 0.0, 0.5)]
+ASIDE = [look_at((x, 0.5, 2.5), (0.0, 0.0, 0.0)) for x in (-0.5, 0.1, 0.6)]
 
 
 def told(folder, poses=AROUND, turn="y", pictures=None, **settings) -> list[str]:
