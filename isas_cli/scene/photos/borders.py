@@ -65,9 +65,6 @@ def _black(photograph: "Photograph") -> np.ndarray:
 
 def _within(photograph: "Photograph", points: np.ndarray, rim: np.ndarray) -> float:
     """Of the object's points in a picture, the share that lies in its ``rim``."""
-    camera = photograph.camera
-    place, depth = camera.project(points)
-    inside = (depth > 0) & (place >= 0).all(axis=1)
-    inside &= (place < [camera.width, camera.height]).all(axis=1)
+    place, _, inside = photograph.camera.seen(points)
     column, row = place[inside].astype(int).T
     return float(rim[row, column].mean()) if len(row) else 0.0
