@@ -23,6 +23,7 @@ from isas_cli.config import schema
 from isas_cli.config.compose import compose, translate
 from isas_cli.engine import assemble
 from isas_cli.estimators.two_path import TwoPath
+from isas_cli.losses import Loss
 from isas_cli.rendering import rays, undone
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.runtime import backend
@@ -39,7 +40,7 @@ _PATHS = 1 << 16  # of an estimate, about
 _NEVER = 1000  # vertices after which Russian roulette begins: on no path
 
 
-class _Linear:
+class _Linear(Loss):
     """A loss whose derivative by a pixel is the target: by it an estimator of a loss's gradient
     gives the derivative of a picture's weighted sum."""
 

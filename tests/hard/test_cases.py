@@ -37,7 +37,8 @@ def test_it_stays_stable(case, tmp_path):
     # What is said to be no result need not be one, and a loss that was noise alone goes either way.
     assert warnings or first.loss <= 0 or last.loss <= first.loss * 1.01
     assert last.nonfinite == 0
-    assert all(case.warns in w for w in warnings), warnings
+    told = case.warns.split("|")
+    assert all(any(word in w for word in told) for w in warnings), warnings
     assert bool(warnings) == bool(case.warns) or not case.sure, warnings
 
 

@@ -119,6 +119,7 @@ CASES = [
         "a camera inside the medium, which Mitsuba knows only if the file says so",
         *(1.0, _uneven(), FROM_ONE),
         origin="0,0,0.5",
+        warns="stands within the medium",
     ),
     _volume(
         *("a single point", "a grid of 1 × 1 × 1", 0.2, np.full((1, 1, 1), 0.5), FROM_ONE),
