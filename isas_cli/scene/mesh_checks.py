@@ -109,8 +109,10 @@ def check_scene(scene: mi.Scene, textures: dict[str, mi.Texture]) -> list[str]:
     import mitsuba as mi
 
     warnings, charts, places = [], {key: {} for key in textures}, {}
-    # With those of groups, which are no shapes of the scene.
-    every = [each for each in mi.traverse(scene).hierarchy if isinstance(each, mi.Shape)]
+    every = scene.shapes()
+    if any(shape.class_name() == "Instance" for shape in every):
+        # With those of groups, which are no shapes of the scene.
+        every = [each for each in mi.traverse(scene).hierarchy if isinstance(each, mi.Shape)]
     for shape in every:
         values = mi.traverse(shape)
         name = shape.id()
