@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 # A triangle is degenerate when its area is below this fraction of the squared diagonal of the
 # bounding box: the rounding of float32 positions alone gives areas of this order.
 SMALLEST_AREA = 1e-12
+_BARE = ("SDFGrid",)  # shapes of Mitsuba's without texture coordinates
 # Repeats of an unknown texture beyond this count are taken for damage, not for tiling; of others,
 # which may be in metres, from where float32 tells no fraction of a texel.
-_BARE = ("SDFGrid",)  # shapes of Mitsuba's without texture coordinates
 LARGEST_TEXCOORD, LARGEST_UNUSED = 1000.0, 1e6
 # Of an OBJ file that has coordinates for only some faces, Mitsuba leaves the others' as they lie in
 # memory.

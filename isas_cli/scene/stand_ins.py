@@ -16,9 +16,9 @@ def warnings(scene: mi.Scene, integrator: mi.Integrator) -> list[str]:
     Mitsuba's ``path`` leaves what a camera sees through gaps alone out with the emitters that are
     hidden, ``prb`` does not. Volumetric ones count no edge where a path goes through a gap, which
     ``prb`` does; and ``prbvolpath`` ends a path one emitter later than ``volpath``, with the weight
-    that it has beside a light sample which is not taken there. ``direct`` may take light samples
-    alone. It also begins every path outside
-    of media, whatever a sensor says of the one that it stands in.
+    that it has beside a light sample which is not taken there. It also begins every path outside
+    of media, whatever a sensor says of the one that it stands in. ``direct`` may take light samples
+    alone.
     """
     kind, depth = getattr(integrator, "stands_for", None), integrator.max_depth
     if getattr(integrator, "blind", False):

@@ -340,21 +340,6 @@ def test_bytes_too_many_in_a_jpeg_mean_nothing(tmp_path):
     assert images.read(tmp_path / "a.jpg").shape == (48, 64, 3)
 
 
-def test_where_light_is_cut_off(rng):
-    """Told from a flat face or background, from what is smooth, and from a picture's own noise."""
-    rows, columns = np.mgrid[:60, :80] / 60
-    smooth = np.stack([1.2 - (rows - 0.5) ** 2, 0.8 * columns, 0.3 + 0 * rows], 2)
-    assert not images.cut_off(smooth.astype(np.float16).astype(np.float32)).any()
-    bright = (smooth * rng.uniform(0.5, 1.5, (60, 80, 1))).astype(np.float32)
-    assert not images.cut_off(bright).any()
-    assert (images.cut_off(np.minimum(bright, 0.9)) == (bright >= 0.9).any(axis=2)).all()
-    for face in ((0.9, 0.4, 0.3), (2.0, 2.0, 2.0)):
-        flat = bright / 2
-        flat[:20] = face
-        assert not images.cut_off(flat).any()
-    assert not images.cut_off(np.full((60, 80, 3), 3.0, np.float32)).any()
-
-
 def test_non_finite_pixels_are_refused_and_counted_unless_wanted(tmp_path):
     image = picture()
     image[1, 2, 0], image[3, 3] = np.nan, np.inf

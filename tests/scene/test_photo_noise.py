@@ -1,4 +1,5 @@
-"""How noisy photographs are: of white noise on slopes and edges, of pairs, and what is not told."""
+"""How noisy photographs are: of white noise on slopes and edges, of pairs, and what is not told;
+and where light is cut off in them."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +9,7 @@ import pytest
 
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime import images
-from isas_cli.scene.photos import importing, noise
+from isas_cli.scene.photos import clipped, importing, noise
 from isas_cli.scene.photos.camera import Camera
 from isas_cli.scene.photos.importing import Photograph
 from isas_cli.scene.photos.lens import Lens
@@ -91,3 +92,18 @@ def test_what_resampling_leaves_of_it_is_told(width, tmp_path):
     counts = (noisy.mask > 0) & (clean.mask > 0)
     there = np.std((noisy.image - clean.image)[counts])
     assert np.sqrt(noisy.variance) == pytest.approx(there, rel=0.15)
+
+
+def test_where_light_is_cut_off(rng):
+    """Told from a flat face or background, from what is smooth, and from a picture's own noise."""
+    rows, columns = np.mgrid[:60, :80] / 60
+    smooth = np.stack([1.2 - (rows - 0.5) ** 2, 0.8 * columns, 0.3 + 0 * rows], 2)
+    assert not clipped.cut_off(smooth.astype(np.float16).astype(np.float32)).any()
+    bright = (smooth * rng.uniform(0.5, 1.5, (60, 80, 1))).astype(np.float32)
+    assert not clipped.cut_off(bright).any()
+    assert (clipped.cut_off(np.minimum(bright, 0.9)) == (bright >= 0.9).any(axis=2)).all()
+    for face in ((0.9, 0.4, 0.3), (2.0, 2.0, 2.0)):
+        flat = bright / 2
+        flat[:20] = face
+        assert not clipped.cut_off(flat).any()
+    assert not clipped.cut_off(np.full((60, 80, 3), 3.0, np.float32)).any()

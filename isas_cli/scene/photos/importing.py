@@ -15,7 +15,7 @@ from ...config.photographs import PhotosConfig
 from ...runtime import images, raw
 from ...runtime.cache import cached, digest
 from ...runtime.errors import InputError
-from . import noise, outlines, turns
+from . import clipped, noise, outlines, turns
 from .camera import Camera
 
 # Raised when what is kept means something else.
@@ -185,7 +185,7 @@ def _mask(
         # Said of the file's numbers, not of light.
         counted = images.counted(camera.image)
         full = picture.brightest >= np.float32(settings.saturated)
-        full = full if counted else images.cut_off(picture.image)
+        full = full if counted else clipped.cut_off(picture.image)
         if part is not None:
             full &= part > 0
         mask *= ~full
