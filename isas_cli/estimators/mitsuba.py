@@ -195,8 +195,11 @@ class WholeImages(Gradients):
         pixel = dr.arange(mi.UInt32, width * height)
         target = dr.gather(mi.Color3f, p.targets, first + pixel)
         adjoint = self.loss.derivative(dr.unravel(mi.Color3f, image.array), target) * p.share
-        adjoint = dr.ravel(rays.masked(adjoint, p.mask, first + pixel))
-        dr.eval(adjoint)
+        adjoint = rays.masked(adjoint, p.mask, first + pixel)
+        whole = dr.all(dr.isfinite(adjoint))
+        adjoint = dr.ravel(dr.select(whole, adjoint, 0))
+        dr.eval(adjoint, whole)
+        self.nonfinite += int(dr.count(~whole)[0])
         return adjoint
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -129,8 +131,7 @@ class TwoPath(Gradients):
         third = exposed is not None and not integrator.crosses
         self._paths = 1 + third + 2 * bool(moved)
 
-        # Paths whose residual was not finite so far. Dr.Jit leaves them out of the sums that
-        # gradients are: without a count nobody would know.
+        # Paths whose residual was not finite so far: without a count nobody would know.
         self._lost = [dr.opaque(mi.UInt32, 0)]
 
         def kernel(
@@ -164,6 +165,10 @@ class TwoPath(Gradients):
                         residual = rays.masked(residual, mask, pixel, windows)
                         residuals.append(residual)
                         missed.append(~dr.all(dr.isfinite(residual)))
+                    # One that is not finite would spoil the sums that gradients are, by its own
+                    # derivative as well: a path along which nothing is sent back adds none.
+                    spoiled = functools.reduce(operator.or_, missed)
+                    residuals[:] = [dr.select(spoiled, 0, each) for each in residuals]
                     # With the next kernel: counted in one of its own, the paths would be traced
                     # again.
                     dr.schedule(residuals, missed)
@@ -184,6 +189,7 @@ class TwoPath(Gradients):
                     slope = sum(slopes[1:], slopes[0]) * (scale / len(slopes))
                     if views.given is not None:
                         slope *= dr.gather(mi.Color3f, views.given, view)
+                    slope = dr.select(dr.all(dr.isfinite(slope)), slope, 0)
                     dr.eval(slope)
                     exposure.add(leaves[exposed.key], view, slope)
                 if moved:
@@ -191,6 +197,7 @@ class TwoPath(Gradients):
                     placed = {field: at for (_, field, _), (_, at, _) in zip(moved, jitter)}
                     step = _half_difference(integrator, *where, seeds[4], placed)
                     slope = dr.sum(residual * step) * scale
+                    slope = dr.select(dr.isfinite(slope), slope, 0)
                     dr.eval(slope)
                     for (key, _, each), (offset, _, table) in zip(moved, jitter):
                         cameras.add(leaves[key], view, each, slope, offset, table)

@@ -180,6 +180,7 @@ class Shadows(Border):
                 )
                 weight = dr.sum(adjoint * step) * crossing.speed
                 weight *= views / (drawn.probability * samples)
+                valid &= dr.isfinite(weight)
                 weight = dr.select(valid, weight, 0)
                 dr.eval(weight)
                 with dr.resume_grad():

@@ -92,7 +92,7 @@ class Silhouettes(Border):
                     *(rays.stream(seeds[2], samples), paths),
                 )
                 weight = dr.sum(adjoint * step) * crossing.speed / (drawn.probability * samples)
-                weight = dr.select(seen, weight, 0)
+                weight = dr.select(seen & dr.isfinite(weight), weight, 0)
                 dr.eval(weight, adjoint)
                 if adaptive:
                     meet(met, crossing, films, adjoint)

@@ -55,7 +55,7 @@ def test_it_names_unknown_iteration_and_pixel_and_can_be_had_again(tmp_path, cap
 
 
 def test_paths_are_shown_whose_part_is_left_out(tmp_path, capsys):
-    """What is no number at all Dr.Jit adds to no gradient."""
+    """What is no number at all is added to no gradient."""
     wall = np.full((16, 16, 3), 0.5)
     wall[:, 8:] = np.nan
     assert run(tmp_path, wall, "budget.iterations=2") == 0

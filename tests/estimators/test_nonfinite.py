@@ -14,6 +14,7 @@ from test_aside import problem as with_plastic
 from isas_cli.config.schema import BlurConfig, UnknownConfig
 from isas_cli.estimators.aside import Aside
 from isas_cli.estimators.finite_differences import FiniteDifferences
+from isas_cli.estimators.mitsuba import WholeImages
 from isas_cli.estimators.plateau import Plateau
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.losses.l2 import L2
@@ -82,3 +83,25 @@ def test_differences_beside_paths_survive_it(monkeypatch):
     for key in clean:
         assert np.isfinite(spoiled[key]).all()
         np.testing.assert_allclose(spoiled[key], clean[key], rtol=0.2)
+
+
+def path_replay(p):
+    return TwoPath(p, L2(), BATCH, freeze=False)
+
+
+def of_mitsuba(p):
+    return WholeImages(p, L2(), BATCH)
+
+
+@pytest.mark.parametrize("make", [path_replay, of_mitsuba])
+def test_a_sum_of_all_paths_survives_a_few_that_are_none(make):
+    """Of one number: whatever lanes of a packet add up with it."""
+    p = problem({ROUGHNESS: UnknownConfig(start=0.4)})
+    clean, none = of(p, make)
+    pixels = np.array(p.targets)
+    pixels[3 * 40 : 3 * 40 + 3] = np.nan
+    p.set_targets(mi.Float(pixels), p.mask, "spoiled")
+    spoiled, lost = of(p, make)
+    assert none == 0 and lost > 0
+    assert np.isfinite(spoiled[ROUGHNESS]).all()
+    np.testing.assert_allclose(spoiled[ROUGHNESS], clean[ROUGHNESS], rtol=0.2)
