@@ -14,7 +14,8 @@ from ..scene.problem import Problem
 from ..unknowns.parameters import as_numpy
 from ..unknowns.unknowns import Unknown
 
-# Of the range, or of the number where that has no end, to each side; and the least of it.
+# Of the range to each side, or of the number or its start where that has no end; and the least of
+# it where there is no other measure.
 _STEP, _LEAST = 0.01, 1e-3
 
 
@@ -25,7 +26,8 @@ class Aside:
         1/N Σ_i ⟨∂ℒ/∂I⟩_{j_i} (I_{j_i}(θ + h e_k) - I_{j_i}(θ - h e_k)) / 2h / p_{j_i} .
 
     Both sides along paths of the same random numbers, ∂ℒ/∂I from a path of its own. h is a
-    hundredth of the unknown's range; at the range's ends the difference is to one side.
+    hundredth of the unknown's range, or of what it is where that has no end; at the range's ends
+    the difference is to one side.
 
     Bias: O(h²) of the images' third derivative, O(h) at an end, beside that of a loss whose
     derivative is not linear. Entries k cost two paths a pixel each, and one for all.
@@ -118,6 +120,7 @@ class Aside:
 
 def _sides(unknown: Unknown, place: float) -> tuple[float, float]:
     wide = unknown.high - unknown.low
-    step = _STEP * (wide if np.isfinite(wide) else abs(place))
-    step = max(step, _LEAST)
+    if not np.isfinite(wide):  # in whatever unit
+        wide = max(abs(place), float(np.abs(unknown.start).max()))
+    step = _STEP * wide or _LEAST
     return max(unknown.low, place - step), min(unknown.high, place + step)

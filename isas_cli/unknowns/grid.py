@@ -13,6 +13,7 @@ from ..runtime.errors import InputError
 from ..scene.file_checks import check_volume
 from .kind import Kind, Loaded
 from .parameters import is_differentiable, is_grid
+from .ranges import fed
 
 # Of a density that scatters: where there is none at all, no path tells that some is missing. And
 # the most, as paths cost by their collisions.
@@ -46,8 +47,10 @@ class Grid(Kind):
         if "albedo" in self.words:
             self.range, self.unit, self.bare = _ALBEDO, "albedo", (0.0, 0.0)
         elif "sigma_t" in self.words:
-            low = min(_DENSITY[0], self.bare[0])  # in thin ones less
-            self.range, self.unit, self.bare = (low, _DENSITY[1]), "1 / scene unit", (0.0, 0.0)
+            ends = fed(loaded.params, key)
+            factor = next(factor for _, word, factor in ends if word == "sigma_t")
+            low = min(_DENSITY[0] / factor, self.bare[0])  # in thin ones less
+            self.range, self.bare = (low, _DENSITY[1] / factor), (0.0, 0.0)
         # Down to two points along the longest side.
         self.doublings = max(0, (max(self.present.shape[:3]) - 1).bit_length() - 1)
 

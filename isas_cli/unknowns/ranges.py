@@ -48,6 +48,9 @@ _OF_BSDFS = {
     **dict.fromkeys(("eumelanin", "pheomelanin", "sigma_a"), _POSITIVE),
 }
 _OF_EMITTERS = dict.fromkeys(("cutoff_angle", "beam_width"), (0.0, 90.0))
+# Degrees between a spot's beam and its cutoff, at least: light falls off in between alone, and
+# where nothing lies there its derivative is none.
+_FALLOFF = 0.1
 _OF_MEDIA = {"albedo": _UNIT}
 _OF_PHASES = {
     "g": (-0.99, 0.99),
@@ -100,11 +103,19 @@ def usual(params: mi.SceneParameters, key: str) -> tuple[float, float, str]:
     for holder, word, factor in fed(params, key):
         a, b = _of(holder, word, params[key])
         low, high = max(low, a / factor), min(high, b / factor)
-        unit = unit or _UNITS.get(word, "")
+        unit = unit or (_UNITS.get(word, "") if factor == 1 else "")
     return (low, high, unit) if low < high else (*_ANY, unit)
 
 
 def _of(holder: mi.Object, word: str, value) -> tuple[float, float]:
+    if isinstance(holder, mi.Emitter) and word in _OF_EMITTERS:
+        low, high = _OF_EMITTERS[word]
+        beam, cutoff = (
+            as_numpy(mi.traverse(holder)[each]).item() for each in ("beam_width", "cutoff_angle")
+        )
+        if beam >= cutoff:
+            return low, high
+        return (beam + _FALLOFF, high) if word == "cutoff_angle" else (low, cutoff - _FALLOFF)
     for kind, table, default in _TABLES:
         if isinstance(holder, getattr(mi, kind)):
             found = table.get((holder.class_name(), word), table.get(word, default))
@@ -122,7 +133,15 @@ def fed(params: mi.SceneParameters, key: str) -> list[tuple[mi.Object, str, floa
         return _by_attribute(params, holder, name) or [(holder, name, 1.0)]
     if not isinstance(holder, (mi.Texture, mi.Volume)):
         return [(holder, name, 1.0)]
-    return [(*end, 1.0) for end in _ends(_known(params), holder)]
+    return [(*end, _multiplied(*end)) for end in _ends(_known(params), holder)]
+
+
+def _multiplied(holder: mi.Object, word: str) -> float:
+    """What a medium multiplies its density with."""
+    if word != "sigma_t" or not isinstance(holder, mi.Medium):
+        return 1.0
+    scale = float(mi.traverse(holder)["scale"])
+    return scale if scale > 0 else 1.0
 
 
 def role(params: mi.SceneParameters, key: str) -> str:

@@ -1,6 +1,7 @@
 """Differences beside path replay, by numbers that Mitsuba does not differentiate rightly."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import drjit as dr
 import mitsuba as mi
@@ -10,6 +11,7 @@ from montecarlo import welch
 from scenes_for_tests import without_targets
 
 from isas_cli.engine import assemble
+from isas_cli.estimators import aside
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.losses.l2 import L2
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
@@ -115,3 +117,12 @@ def test_a_density_alike_everywhere_is_warned_of():
     assert "wrong" in assemble._flat_densities([One], object())[0]
     One.start = np.random.default_rng(0).random((2, 2, 2, 1))
     assert assemble._flat_densities([One], object()) == []
+
+
+def test_a_step_is_as_small_as_what_it_changes():
+    """A density per millimetre; and one that starts at none."""
+    thin = SimpleNamespace(low=0.0, high=np.inf, start=np.array([2e-4]))
+    low, high = aside._sides(thin, 1e-4)
+    assert (low, high) == pytest.approx((9.8e-5, 1.02e-4))
+    none = SimpleNamespace(low=0.0, high=np.inf, start=np.array([0.0]))
+    assert aside._sides(none, 0.0) == (0.0, 1e-3)

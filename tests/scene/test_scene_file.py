@@ -1,5 +1,6 @@
 """scene=file: a user's own Mitsuba XML, with rendered targets and with pictures."""
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pandas
@@ -12,6 +13,7 @@ from isas_cli.cli.app import main
 from isas_cli.rendering import targets
 from isas_cli.runtime import images
 from isas_cli.scene import scene_file
+from isas_cli.unknowns.parameters import owner
 
 KEY = "paint.brdf_0.base_color.data"
 FEW = ["scene=file", "frames.spp=4", "target.spp=16", "estimator.batch=2048"]
@@ -412,3 +414,20 @@ def test_a_bitmap_whose_format_is_said(folder, refused, said, works):
         assert run(*command) == 0
     else:
         refused(["run", *command], "holds whole numbers", "take the format of this bitmap out")
+
+
+def test_the_largest_value_of_a_grid_follows_it(folder):
+    """And not what the file says, beyond which Mitsuba samples distances wrongly."""
+    mi.VolumeGrid(np.full((2, 2, 2), 0.5, np.float32)).write("own/grid.vol")
+    smoke = """<shape type="cube" id="box"><medium type="heterogeneous" name="interior">
+      <volume name="sigma_t" type="gridvolume"><string name="filename" value="grid.vol"/>
+      <float name="max_value" value="1"/></volume></medium><bsdf type="null"/></shape>"""
+    (folder / "own" / "it.xml").write_text(xml(integrator="volpath", extra=smoke))
+    params = mi.traverse(scene_file.load("own/it.xml", None)[0])
+    (key,) = (key for key in params.keys() if key.endswith("sigma_t.data"))
+    params[key] = mi.TensorXf(np.full((2, 2, 2, 1), 3.0, np.float32))
+    params.update()
+    medium = owner(params, key)
+    while not isinstance(medium, mi.Medium):
+        medium = params.hierarchy[medium][0]
+    assert medium.get_majorant(dr.zeros(mi.MediumInteraction3f), True).x[0] == pytest.approx(3)

@@ -87,7 +87,6 @@ def test_lights_and_what_shines_through_them_are_not_negative():
     positive = 0.0, INFINITE
     assert ranges.usual(params, "spot.texture.data")[:2] == positive
     assert ranges.usual(params, "panel.emitter.radiance.data") == (*positive, "radiance")
-    assert ranges.usual(params, "spot.cutoff_angle")[:2] == (0.0, 90.0)
 
 
 def test_what_several_share_lies_in_the_ranges_of_all():
@@ -208,11 +207,27 @@ def test_a_thin_grid_with_nothing_in_it_stays_above_a_share_of_its_most():
     assert made.low == pytest.approx(2e-5) and made.truth.min() >= np.float32(made.low)
 
 
-@pytest.mark.parametrize("word, known", [("cutoff_angle", "degrees"), ("beam_width", "degrees")])
-def test_angles_are_no_shares(word, known):
+@pytest.mark.parametrize(
+    "word, low, high", [("cutoff_angle", 15.1, 90.0), ("beam_width", 0.0, 19.9)]
+)
+def test_a_spot_keeps_an_edge_in_which_its_light_falls_off(word, low, high):
     lamp = {"type": "spot", "cutoff_angle": 20.0, "beam_width": 15.0}
     params = mi.traverse(mi.load_dict({"type": "scene", "spot": lamp}, optimize=False))
-    assert ranges.usual(params, f"spot.{word}")[2] == known
+    *found, unit = ranges.usual(params, f"spot.{word}")
+    assert found == pytest.approx([low, high]) and unit == "degrees"
+
+
+def test_a_grid_s_range_is_of_what_its_medium_makes_of_it():
+    counts = {
+        "type": "gridvolume",
+        "data": mi.TensorXf(np.full((2, 2, 2, 1), 30000.0)),
+        "raw": True,
+    }
+    fog = {"type": "heterogeneous", "sigma_t": counts, "albedo": 0.5, "scale": 1e-4}
+    described = {"type": "scene", "box": {"type": "cube", "interior": fog}}
+    params = mi.traverse(mi.load_dict(described, optimize=False))
+    (made,) = parse(params, {"box.interior_medium.sigma_t.data": UnknownConfig(start=1e4)}, True)
+    assert made.high == pytest.approx(1e8) and made.kind.unit == ""
 
 
 def test_what_thin_glass_lets_through_is_a_colour():
@@ -295,7 +310,7 @@ def test_a_texture_s_own_file_is_a_start_at_its_truth(tmp_path, raw, rng):
 def test_how_wide_a_light_is_is_no_brightness(light, role):
     spot = {"type": "spot", "cutoff_angle": 30.0}
     params = mi.traverse(mi.load_dict({"type": "scene", "spot": spot}, optimize=False))
-    (made,) = parse(params, {f"spot.{light}": UnknownConfig(start=5.0)}, True)
+    (made,) = parse(params, {f"spot.{light}": UnknownConfig(start=40.0)}, True)
     assert made.kind.role == role
 
 
