@@ -147,7 +147,8 @@ class Estimator:
                     f"scene.unknowns['{unknown.key}'].levels: {self.chosen} blurs and moves whole "
                     "unknowns; leave levels out"
                 )
-        if "forward" in sampler.needs and not problem.integrator.has_forward:
+        forward = problem.integrator.has_forward or sampler.forgoes
+        if "forward" in sampler.needs and not forward:
             raise InputError(
                 f"sampler={sampler.name} differentiates paths in forward mode, which the scene's "
                 f"integrator {problem.integrator.name} cannot: take sampler=uniform or "

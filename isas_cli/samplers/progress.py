@@ -11,8 +11,9 @@ import mitsuba as mi
 from ..runtime.errors import InputError
 from ..unknowns.parameters import flat, unflat
 from .allocation import tangents
-from .sampler import Looking, Sampler, Stage1Settings
+from .sampler import Looking, OnImages, Sampler, Stage1Settings
 from .stage1.path_cost import PathCost
+from .uniform import Uniform
 
 # Paths of one pass over the cells, about: in batches, and at most.
 _BATCHES, _LANES = 8, 1 << 18
@@ -195,6 +196,17 @@ class Progress(Sampler):
     uses = Sampler.uses - {"probes"}
     needs = frozenset(("forward", "backward", "moments"))
     works = Masses
+    forgoes = True
+
+    def on(self, problem, loss, batch, freeze=True, blurred=None) -> OnImages:
+        if problem.integrator.has_forward:
+            return super().on(problem, loss, batch, freeze, blurred)
+        problem.warnings.append(
+            f"sampler={self.name}: the scene's integrator {problem.integrator.name} does not "
+            "differentiate paths in forward mode, so pixels are drawn uniformly: sampler=gradient "
+            "looks at residuals alone, sampler=uniform at nothing"
+        )
+        return Uniform().on(problem, loss, batch, freeze, blurred)
 
     def __post_init__(self) -> None:
         super().__post_init__()

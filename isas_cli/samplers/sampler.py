@@ -223,6 +223,9 @@ class Sampler:
     # 'backward', the widths of the unknowns' 'blur', Adam's 'moments'. An estimator that does not
     # give one of these (``Estimator.gives``) does not take the sampler.
     needs: ClassVar[frozenset[str]] = frozenset()
+    # Whether it draws uniformly, with a word, where the scene's integrator does not differentiate
+    # paths in forward mode, instead of being refused: what is taken by itself has to do anywhere.
+    forgoes: ClassVar[bool] = False
 
     floor: float = 0.05
     refresh: int = 50

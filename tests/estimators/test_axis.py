@@ -20,6 +20,7 @@ from isas_cli.estimators.silhouettes import ByShape
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.rendering import integrators
 from isas_cli.runtime.errors import InputError
+from isas_cli.samplers.uniform import Alike
 
 MADE = {
     "two_path": TwoPath,
@@ -114,7 +115,10 @@ def test_media_and_samplers_that_need_forward_mode_are_refused_in_one_line():
             assert f"sampler={name} differentiates paths in forward mode" in str(error)
             assert "PRBVolpathIntegrator" in str(error) and "\n" not in str(error)
     everyone = set(options("sampler")) - {"differences", *PRESETS}
-    assert set(refused) == everyone - PLAIN
+    assert set(refused) == everyone - PLAIN - {"progress"}
+    # Which is what is taken by itself.
+    found = settings.looks(configured("sampler", "progress"), p, loss)
+    assert isinstance(found, Alike) and "pixels are drawn uniformly" in p.warnings[-1]
 
 
 def test_an_integrator_without_path_replay_is_refused():
