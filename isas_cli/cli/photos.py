@@ -14,6 +14,7 @@ from ..scene.photos import brightness, checks, photographs, reading, sheet
 from . import one, photo_tables
 
 _OUTPUT = "output="
+_OF_HULLS = ("photos.start=", "photos.voxels=")
 # Exposures that differ by less than a sixth of a stop are alike.
 _ALIKE = 2 ** (1 / 6)
 
@@ -113,6 +114,8 @@ def _place(folder: Path) -> Path:
 
 def _command(folder: str, settings: list[str], described: bool) -> str:
     """What runs with the same settings, as a shell takes it."""
-    words = ["isas", "run", "scene=photos", f"photos.path={folder}", *settings]
-    # Without an object there is nothing to run: what is missing stands where it goes.
+    # Without an object there is nothing to run: what is missing stands where it goes, and what is
+    # of a hull does not.
+    kept = [each for each in settings if described or not each.startswith(_OF_HULLS)]
+    words = ["isas", "run", "scene=photos", f"photos.path={folder}", *kept]
     return shlex.join(words) + ("" if described else " photos.mesh=FILE")

@@ -111,6 +111,7 @@ def _cameras(pictures: Path, own: PhotosConfig) -> tuple[list, set[str]]:
             with finding.looking(settings, root) as sources:
                 found = reading.read(settings.path, None, file)
                 if found.worlds and own.world != "mesh":
+                    sources.missing.clear()
                     found = reading.read(settings.path, None, file, own.world)
             break
         except InputError as error:
@@ -119,6 +120,8 @@ def _cameras(pictures: Path, own: PhotosConfig) -> tuple[list, set[str]]:
                 raise InputError(f"{error}{hint if 'photos.' in str(error) else ''}") from None
     photographs.check(found, sources)
     found.notes += photographs.elsewhere(found, sources)
+    if _is_of(place, own):
+        found.cameras = reading.without(found.cameras, own.without)
     cameras, told = finding.masked(found.cameras, root, sources)
     over, more = turns.turned(cameras, found, settings.orientation)
     for line in (*found.notes, *photographs.left_out(sources), *told, *more):

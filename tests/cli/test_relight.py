@@ -316,6 +316,8 @@ def test_the_run_s_own_set_is_found_as_the_run_found_it(tmp_path):
         assert [c.mask for c in cameras] == [tmp_path / f"cut/view_{n}.png" for n in range(2)]
         np.testing.assert_allclose(cameras[0].to_world, photo_sets.POSES[0], atol=1e-9)
         assert (cameras[0].width, cameras[0].fx) == (20, FOCAL / 2)
+    (camera,), _ = as_asked(tmp_path, path=str(tmp_path), **own, without=["view_1.png"])
+    assert camera.image.name == "view_0.png"
     (camera,), _ = as_asked(tmp_path, path="another", **own)
     assert camera.image == tmp_path / "view_0.exr" and camera.mask is None
 

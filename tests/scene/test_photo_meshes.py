@@ -325,7 +325,7 @@ UNLIKE = [[1, 4, 5], [0, 1, 2, 3], [1, 5, 2]]
     "form, texture",
     [
         *(("<", name) for name in ("s t", "texture_u texture_v", "texcoord", None)),
-        *((">", "texcoord"), ("ascii", "s t"), ("ascii", None)),
+        *((">", "texcoord"), *(("ascii", name) for name in ("s t", "texcoord", None))),
     ],
 )
 def test_a_ply_of_triangles_and_quadrilaterals(tmp_path, form, texture):
@@ -335,6 +335,8 @@ def test_a_ply_of_triangles_and_quadrilaterals(tmp_path, form, texture):
     kind = {"<": "binary_little_endian", ">": "binary_big_endian"}.get(form, form)
     head = f"ply\nformat {kind} 1.0\nelement vertex 6\n"
     head += "".join(f"property float {name}\n" for name in names)
+    coloured = form == "<" and texture is None
+    head += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue") if coloured)
     head += "element face 3\nproperty list uchar uint vertex_indices\n"
     head += "property list uchar float texcoord\n" * of_faces
     rows = [[x, y, 0, x, y][: len(names)] for x, y in PLACES]
@@ -343,7 +345,7 @@ def test_a_ply_of_triangles_and_quadrilaterals(tmp_path, form, texture):
         lines = [*rows, *([len(f), *f, *([len(t), *t] if of_faces else [])] for f, t in lists)]
         body = "".join(" ".join(map(str, line)) + "\n" for line in lines).encode()
     else:
-        body = np.array(rows, f"{form}f4").tobytes()
+        body = b"".join(np.array(row, f"{form}f4").tobytes() + b"abc" * coloured for row in rows)
         for face, own in lists:
             body += struct.pack(f"{form}B{len(face)}I", len(face), *face)
             body += struct.pack(f"{form}B{len(own)}f", len(own), *own) if of_faces else b""
@@ -354,6 +356,27 @@ def test_a_ply_of_triangles_and_quadrilaterals(tmp_path, form, texture):
     doubled = np.linalg.det(np.stack([b - a, c - a], axis=1))
     assert len(doubled) == 4 and (doubled > 0).all() and np.isclose(doubled.sum(), 2)
     assert as_in_the_file(found, 0, 1) if texture else not len(found.texcoords)
+    assert all(piece.coloured == coloured for piece in shape._pieces(tmp_path / "mesh.ply"))
+
+
+def test_a_ply_of_faces_with_notches(tmp_path):
+    """Alike in their number of corners: an L, and another beside it."""
+    ell = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]])
+    rows = [f"{x} {y} 0" for x, y in [*ell, *(ell + [3, 0])]]
+    rows += [f"6 {' '.join(map(str, range(first, first + 6)))}" for first in (0, 6)]
+    head = "ply\nformat ascii 1.0\nelement vertex 12\nproperty float x\nproperty float y\n"
+    head += "property float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    (tmp_path / "ell.ply").write_text(head + "\n".join(rows) + "\n")
+    found = parts(str(tmp_path / "ell.ply"))["object"]
+    a, b, c = np.moveaxis(found.vertices[found.faces].astype(float)[..., :2], 1, 0)
+    doubled = np.linalg.det(np.stack([b - a, c - a], axis=1))
+    assert len(doubled) == 8 and (doubled > 0).all() and np.isclose(doubled.sum(), 12)
+
+
+def test_a_corner_that_is_none_is_refused(tmp_path):
+    (tmp_path / "it.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 -1\n")
+    with pytest.raises(InputError, match="it.off: triangle 0 has the vertex -1"):
+        parts(str(tmp_path / "it.off"))
 
 
 def test_a_ply_that_is_cut_short_is_refused(tmp_path):

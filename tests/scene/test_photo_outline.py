@@ -11,7 +11,7 @@ from runs_for_tests import QUIET, ran
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
-from isas_cli.scene.photos import photographs
+from isas_cli.scene.photos import outlines, photographs
 
 WIDTH, HEIGHT, FOCAL, RADIUS = 40, 32, 45.0, 0.6
 GREY = 128
@@ -315,6 +315,9 @@ def test_an_alpha_that_leaves_out_a_frame_leaves_the_word_to_masks(ball):
     for each in load(ball, background="black", saturated=None):
         assert 0.5 < (each.part * (each.part > 0)).sum() / covered().sum() < 1.5
         assert ((each.part < 0) >= (frame == 0)).all() and not each.mask[frame == 0].any()
+        assert each.box is not None and outlines.box(frame) is None
+    for each in load(ball, background="black", saturated=None, width=WIDTH // 2):
+        assert (each.part[[0, 1, -2, -1]] < 0).all() and (each.part[2:-2, 2:-2] >= 0).all()
     for each in load(ball, saturated=None):
         assert ((each.mask > 0) == (covered() > 0.5) & (frame > 0)).all()
     for number in range(4):
@@ -322,3 +325,10 @@ def test_an_alpha_that_leaves_out_a_frame_leaves_the_word_to_masks(ball):
         Image.fromarray(np.uint8(255 * (covered() > 0))).save(ball / f"masks/{number}.png")
     for each in load(ball, background="black", saturated=None):
         assert np.allclose(each.part, covered(), atol=3e-3)
+
+
+def test_alpha_ends_a_close_object_whose_mask_leaves_a_glare_out():
+    alpha, given = np.zeros((30, 40)), np.ones((30, 40))
+    alpha[3:-3, 4:-4], given[12:18, 15:25] = 1, 0
+    assert not outlines.framed(alpha, given)
+    assert outlines.framed(alpha, given * alpha)

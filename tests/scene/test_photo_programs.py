@@ -351,8 +351,14 @@ def test_masks_of_neus_are_in_the_order_of_their_names(tmp_path):
     capture = agree(tmp_path)
     assert [camera.mask.name for camera in capture.cameras] == ["000.png", "001.png", "002.png"]
     assert "mask: its masks are called otherwise than the pictures" in capture.notes[1]
-    (tmp_path / "mask/002.png").unlink()
-    with pytest.raises(InputError, match="hull is made: .*view_0.png has neither"):
+    for number in range(3):  # in another order than theirs
+        (tmp_path / "mask" / f"{number:03d}.png").rename(tmp_path / f"mask/{2 - number}.png")
+        (tmp_path / f"mask/{2 - number}.png").rename(tmp_path / f"mask/view_{number}_mask.png")
+    capture = agree(tmp_path)
+    assert [c.mask.name for c in capture.cameras] == [f"view_{n}_mask.png" for n in range(3)]
+    assert len(capture.notes) == 1
+    (tmp_path / "mask/view_2_mask.png").unlink()
+    with pytest.raises(InputError, match="hull is made: .*view_2.png has neither"):
         photographs.load(PhotosConfig(path=str(tmp_path)))
 
 

@@ -10,7 +10,7 @@ from test_photo_alike import AROUND, HALF, picture
 
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime import images
-from isas_cli.scene.photos import photographs
+from isas_cli.scene.photos import borders, photographs
 
 # From a world whose up is y to one whose up is z, and upside down.
 TURNS = {"y": np.eye(3), "z": [[1, 0, 0], [0, 0, -1], [0, 1, 0]], "-y": np.diag([1, -1, -1])}
@@ -88,3 +88,10 @@ def test_black_borders_that_the_object_reaches(tmp_path):
     assert told(tmp_path, pictures=[rim(picture(pose)) for pose in AROUND]) == []
     before = [np.where(shown == np.float32(0.9), 0, shown) for shown in map(picture, near)]
     assert told(tmp_path, near, pictures=before) == []
+    # An alpha that is whole says nothing of them.
+    told(tmp_path, near, pictures=[rim(picture(pose)) for pose in near])
+    mesh = str(tmp_path / "box.ply")
+    taken = photographs.load(PhotosConfig(path=str(tmp_path), mesh=mesh, saturated=None))
+    for each in taken.all:
+        each.lost["transparent"] = 0
+    assert borders.doubts(taken.all, taken.surface) == [line]

@@ -92,12 +92,13 @@ def _inverted(photographs: list[Photograph], surface: Surface) -> list[str]:
     other axes (OpenGL's) have them on both sides."""
     points = scattered(surface)
     poses = [each.camera.to_world for each in photographs]
-    seen = [_sees(p, np.linalg.inv(pose), points) for p, pose in zip(photographs, poses)]
+    seen = [_sees(p, pose, points) for p, pose in zip(photographs, poses)]
     blind = len(seen) - sum(seen)
     if blind < max(2, len(seen) * _MANY):
         return []
     for axes in (np.eye(4), TO_OPENCV):
-        if all(_sees(p, axes @ pose @ axes, points) for p, pose in zip(photographs, poses)):
+        inverted = (axes @ np.linalg.inv(pose) @ axes for pose in poses)
+        if all(_sees(p, pose, points) for p, pose in zip(photographs, inverted)):
             break
     else:
         return []
@@ -108,13 +109,9 @@ def _inverted(photographs: list[Photograph], surface: Surface) -> list[str]:
     ]
 
 
-def _sees(photograph: Photograph, to_camera: np.ndarray, points: np.ndarray) -> bool:
-    """Whether a view would show the object if ``to_camera (4, 4)`` were its pose."""
-    camera = photograph.camera
-    x, y, depth = to_camera[:3, :3] @ points.T + to_camera[:3, 3:]
-    before = np.where(depth > 0, depth, np.inf)
-    x, y = x * camera.fx / before + camera.cx, y * camera.fy / before + camera.cy
-    inside = (depth > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+def _sees(photograph: Photograph, pose: np.ndarray, points: np.ndarray) -> bool:
+    """Whether a view would show the object from ``pose (4, 4)``."""
+    inside = replace(photograph.camera, to_world=pose).seen(points)[2]
     return bool(inside.mean() >= _SEEN)
 
 

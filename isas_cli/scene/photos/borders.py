@@ -27,8 +27,8 @@ _INTO, _REACHED = 2, 0.01
 def doubts(photographs: "list[Photograph]", surface: Surface | None) -> list[str]:
     """What should be said of pictures without alpha and masks: that the object goes on where they
     are black, alike in all views, which counts as its colour."""
-    bare = [p for p in photographs if not {"masked by its file", "transparent"} & set(p.lost)]
-    bare = [p for p in bare if p.part is None]
+    out = "masked by its file", "transparent"
+    bare = [p for p in photographs if p.part is None and not any(map(p.lost.get, out))]
     if surface is None or len(bare) < _FEWEST:
         return []
     ((shape, _),) = Counter(p.image.shape for p in bare).most_common(1)

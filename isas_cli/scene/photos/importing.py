@@ -107,7 +107,7 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
     same = camera.ideal and (target.width, target.height) == (camera.width, camera.height)
     if not same:
         made = cached(
-            f"photograph-{_key(camera, image, mask, settings)}",
+            f"photograph-{_key(camera, image, mask, target.width)}",
             lambda: dict(zip(("image", "mask"), resample(camera, target, image, mask))),
         )
         image, mask = made["image"], made["mask"]
@@ -116,7 +116,8 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
             known = (part >= 0).astype(np.float32)
             if target.width < camera.width:
                 # Or each small pixel of the border would be unknown: the mask is right to half one.
-                part, known = np.where(part < 0, plain, part), np.ones_like(known)
+                part = np.where(part < 0, plain, part)
+                known = np.ones_like(known) if rim is None else rim.astype(np.float32)
             grey = np.repeat(part[..., None], 3, axis=2)
             shrunk, inside = resample(camera, target, grey, known)
             part = np.where(inside > 0, shrunk[..., 0], -1).astype(np.float32)
@@ -295,7 +296,7 @@ def _noise_kept(camera: Camera, target: Camera) -> float:
     return float(np.mean(np.square(found[counts > 0]))) if counts.any() else 1.0
 
 
-def _key(camera: Camera, image: np.ndarray, mask: np.ndarray, settings: PhotosConfig) -> str:
+def _key(camera: Camera, image: np.ndarray, mask: np.ndarray, width: int) -> str:
     """By what the pictures hold, not by where they lie."""
     pixels = hashlib.blake2b(np.ascontiguousarray(image).tobytes(), digest_size=16)
     pixels.update(np.ascontiguousarray(mask).tobytes())
@@ -304,4 +305,4 @@ def _key(camera: Camera, image: np.ndarray, mask: np.ndarray, settings: PhotosCo
         for name, value in asdict(camera).items()
         if isinstance(value, (int, float)) or name == "lens"
     }
-    return digest(_FORMAT, pixels.hexdigest(), numbers, settings.width)
+    return digest(_FORMAT, pixels.hexdigest(), numbers, width)

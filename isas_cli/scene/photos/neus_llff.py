@@ -5,7 +5,7 @@
   pixels from the middle of the first, and so is it here, but where the principal point is half the
   picture's size exactly: that comes from COLMAP's cameras, which count from the corner.
   ``scale_mat_n`` leads from a sphere of radius 1 to that world, and is of no use to a mesh in it.
-  Masks are taken in the order of their names as well: these may be others than the pictures'.
+  Masks are taken in the order of their names as well, where these are others than the pictures'.
 - `poses_bounds.npy`, of LLFF: rows of 17 numbers, a 3×5 matrix and two depths. Of the matrix the
   first three columns are the camera's axes (down, right, backward), the fourth is its place, the
   fifth height, width and focal length of its picture, whose middle is the principal point.
@@ -27,6 +27,7 @@ from .finding import inside, listing, size
 _NAMES = ("cameras_sphere.npz", "cameras.npz", "poses_bounds.npy")
 _FOLDERS = ("image", "images", "rgb")
 _MASKS = ("mask", "masks")
+_MARK = re.compile(r"[_.-]?mask[_.-]?")
 _MATRIX = re.compile(r"world_mat_(\d+)")
 # Pixels: of what a decomposition leaves, and of skew across a picture, which no camera here has.
 _ROUNDING, _SKEW = 1e-3, 0.25
@@ -73,6 +74,10 @@ def _neus(file: Path, arrays: dict, asked: Asked) -> Capture:
     matrices = [_projection(known[n], f"{file}: world_mat_{n}") for n in sorted(known)]
     centred, cameras, pictures = 0, [], _pictures(file, asked, len(known))
     masks = next((m for name in _MASKS if len(m := inside(file.parent / name)) == len(known)), [])
+    # Where names tell, they count: '10_mask' comes before '1_mask', and '1.png' before '10.png'.
+    named = {_MARK.sub("", mask.stem): mask for mask in masks}
+    told = {image.stem for image in pictures} <= set(named)
+    masks = [named[image.stem] for image in pictures] if told else masks
     every = zip(sorted(known), pictures, masks or [None] * len(known), matrices)
     for number, image, mask, matrix in every:
         (width, height), where = size(image), f"{file}: world_mat_{number}"
@@ -99,7 +104,7 @@ def _neus(file: Path, arrays: dict, asked: Asked) -> Capture:
         name = name_of(image, asked.root)
         cameras.append(Camera(name, image, *numbers, pose, mask, described=str(file)))
     notes = [f"{file}: its {len(cameras)} cameras are of the pictures in the order of their names"]
-    if [mask.stem for mask in masks] != [image.stem for image in pictures if masks]:
+    if masks and not told:
         notes.append(
             f"{masks[0].parent}: its masks are called otherwise than the pictures, and are theirs "
             "in the order of their names"

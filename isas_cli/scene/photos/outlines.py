@@ -85,13 +85,18 @@ def inverted(part: np.ndarray) -> bool:
 
 
 def framed(alpha: np.ndarray, given: np.ndarray) -> bool:
-    """Whether a picture's ``alpha`` says what was photographed, and its mask ``given`` what the
-    object is: it is whole, or whole but for a frame, as undistortion leaves one, within which the
-    mask leaves something out."""
-    whole = alpha >= _WHOLE
-    high, wide = (side // _FRAME for side in alpha.shape)
-    inner = np.s_[high : alpha.shape[0] - high, wide : alpha.shape[1] - wide]
-    return bool(whole.all() or (whole[inner].all() and (given[inner] <= 0.5).any()))
+    """Whether a picture's ``alpha``, which is not whole, says what was photographed, and its mask
+    ``given`` what the object is: but for a frame it is whole, as undistortion leaves it, within
+    which the mask leaves something out, and the frame as well."""
+    whole, inner = alpha >= _WHOLE, _inner(alpha)
+    out = given <= 0.5
+    return bool(whole[inner].all() and out[inner].any() and out[~whole].mean() > 0.5)
+
+
+def _inner(picture: np.ndarray) -> tuple[slice, slice]:
+    """What of a picture lies within a frame that it may have."""
+    (height, width), (high, wide) = picture.shape, (side // _FRAME for side in picture.shape)
+    return slice(high, height - high), slice(wide, width - wide)
 
 
 def unsure(given: np.ndarray) -> bool:
@@ -106,9 +111,10 @@ def unsure(given: np.ndarray) -> bool:
 
 def box(filled: np.ndarray) -> np.ndarray | None:
     """Where what is more than half ``filled`` begins and ends, ``(2, 2)``, as shares of the
-    picture's width and height; None of nothing, and of what reaches the border."""
+    picture's width and height; None of nothing, of what reaches the border, and of all but a frame,
+    as an alpha is that says what was photographed."""
     inside = filled > 0.5
-    if not inside.any():
+    if not inside.any() or inside[_inner(inside)].all():
         return None
     sides = np.array(inside.shape[::-1])
     ends = np.transpose([np.flatnonzero(inside.any(axis=axis))[[0, -1]] for axis in (0, 1)])

@@ -1,12 +1,13 @@
 """PLY and OFF, also of faces of unlike or many corners.
 
 Of a binary PLY trimesh takes the first face's number of corners for that of all, and so refuses
-triangles beside quadrilaterals, which Blender writes. Of OFF it refuses more than four corners, and
-takes a comment's line for others.
+triangles beside quadrilaterals, which Blender writes; faces with notches it cuts into fans. Of OFF
+it refuses more than four corners, and takes a comment's line for others.
 """
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,47 +25,62 @@ _TYPES = {
 # What a PLY file calls a face's corners, and texture coordinates of vertices and of faces.
 _CORNERS = ("vertex_indices", "vertex_index")
 _OF_VERTICES, _OF_FACES = (("texture_u", "texture_v"), ("u", "v"), ("s", "t")), "texcoord"
+_COLOURS = ("red", "green", "blue")
 
 
 def load(file: Path):
     """Its scene as trimesh has it. Raises what its readers raise."""
     import trimesh
 
+    colours = None
     if file.suffix.lower() == ".off":
         vertices, faces, uv = _off(file.read_text(encoding="utf-8", errors="replace"))
     else:
-        try:
-            return trimesh.load_scene(file, process=False)
-        except ValueError:
-            if b"format binary" not in (data := file.read_bytes())[:100]:
-                raise
-        vertices, faces, uv = _ply(data)
+        data = file.read_bytes()
+        with contextlib.suppress(ValueError):
+            scene = trimesh.load_scene(file, process=False)
+            if sum(len(each.faces) for each in scene.geometry.values()) <= _counted(data):
+                return scene  # of triangles: others it cuts into fans
+        vertices, faces, uv, colours = _ply(data)
     visual = None if uv is None else trimesh.visual.TextureVisuals(uv=uv)
-    return trimesh.Scene(trimesh.Trimesh(vertices, faces, visual=visual, process=False))
+    given = {"vertex_colors": colours} if uv is None and colours is not None else {}
+    return trimesh.Scene(trimesh.Trimesh(vertices, faces, visual=visual, process=False, **given))
 
 
-def _ply(data: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Places ``(V, 3)``, triangles ``(F, 3)``, and texture coordinates ``(V, 2)``, v upwards, or
-    None."""
+def _counted(data: bytes) -> int:
+    """The faces that a PLY file says it has."""
+    found = re.search(rb"^element face (\d+)", data.partition(b"end_header")[0], re.MULTILINE)
+    return int(found[1]) if found else 0
+
+
+def _ply(data: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """Places ``(V, 3)``, triangles ``(F, 3)``, and, or None, texture coordinates ``(V, 2)``, v
+    upwards, and colours ``(V, 3)``."""
     read = _elements(data)
     vertex, face = read["vertex"], read["face"]
     places = np.stack([vertex[axis] for axis in "xyz"], axis=1)
     faces, corners = _cut(places, face[next(name for name in _CORNERS if name in face)])
     if _OF_FACES in face:
         own = np.concatenate(face[_OF_FACES]).reshape(-1, 2)[corners.ravel()]
-        return places[faces.ravel()], np.arange(faces.size).reshape(-1, 3), own
-    pair = next((pair for pair in _OF_VERTICES if set(pair) <= set(vertex)), None)
-    return places, faces, None if pair is None else np.stack([vertex[n] for n in pair], axis=1)
+        return places[faces.ravel()], np.arange(faces.size).reshape(-1, 3), own, None
+
+    def stacked(several: tuple[tuple[str, ...], ...]) -> np.ndarray | None:
+        names = next((names for names in several if set(names) <= set(vertex)), None)
+        return None if names is None else np.stack([vertex[name] for name in names], axis=1)
+
+    return places, faces, stacked(_OF_VERTICES), stacked((_COLOURS,))
 
 
 def _elements(data: bytes) -> dict[str, dict[str, Sequence]]:
-    """What a binary PLY file has, by elements and their properties: an array, or of lists one
-    each. Raises ValueError for one that ends too soon."""
+    """What a PLY file has, by elements and their properties: an array, or of lists one each. Raises
+    ValueError for one that ends too soon."""
     end = re.search(rb"^end_header\r?\n", data, re.MULTILINE)
     if end is None:
         raise ValueError("has no end_header")
     head = data[: end.start()].decode(errors="replace")
-    order, at, listed = ">" if "binary_big_endian" in head else "<", end.end(), {}
+    order = ">" if "binary_big_endian" in head else "<"
+    words = data[end.end() :].split() if "format ascii" in head else None
+    at, listed = 0 if words is not None else end.end(), {}
     for line in map(str.split, head.splitlines()):
         if line[:1] == ["element"]:
             listed[line[1]] = int(line[2]), (properties := [])
@@ -72,24 +88,31 @@ def _elements(data: bytes) -> dict[str, dict[str, Sequence]]:
             types = [np.dtype(order + _TYPES[word]) for word in line[1:-1] if word != "list"]
             properties.append((line[-1], types))
 
-    def taken(kind: np.dtype, count: int) -> np.ndarray:
+    def taken(kinds: list[np.dtype], count: int) -> list[np.ndarray]:
+        """The columns of so many rows of these types."""
         nonlocal at
         if count < 0:  # which NumPy takes for all there is
             raise ValueError(f"has a list of {count} entries")
-        at += kind.itemsize * count
-        return np.frombuffer(data, kind, count, at - kind.itemsize * count)
+        if words is not None:
+            first, at = at, at + count * len(kinds)
+            rows = np.array(words[first:at]).astype(np.float64).reshape(count, len(kinds))
+            return [column.astype(kind) for column, kind in zip(rows.T, kinds)]
+        row = np.dtype([(str(number), kind) for number, kind in enumerate(kinds)])
+        first, at = at, at + count * row.itemsize
+        rows = np.frombuffer(data, row, count, first)
+        return [rows[name] for name in row.names]
 
     found = {}
     for name, (count, properties) in listed.items():
         if all(len(types) == 1 for _, types in properties):
-            rows = taken(np.dtype([(own, types[0]) for own, types in properties]), count)
-            found[name] = {own: rows[own] for own, _ in properties}
+            columns = taken([types[0] for _, types in properties], count)
+            found[name] = {own: column for (own, _), column in zip(properties, columns)}
             continue
         found[name] = {own: [] for own, _ in properties}
         for _ in range(count):
             for own, (*counted, kind) in properties:
-                several = int(taken(counted[0], 1)[0]) if counted else 1
-                found[name][own].append(taken(kind, several))
+                several = int(taken(counted, 1)[0][0]) if counted else 1
+                found[name][own].append(taken([kind], several)[0])
     return found
 
 

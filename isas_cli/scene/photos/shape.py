@@ -15,7 +15,7 @@ from ...config.photographs import PhotosConfig
 from ...runtime.errors import InputError
 from ...scenes import lathe, meshes
 from ...scenes.meshes import Surface
-from ..mesh_checks import LARGEST_OVERLAP, check_values, degenerate, overlap
+from ..mesh_checks import LARGEST_OVERLAP, check_indices, check_values, degenerate, overlap
 from ..mesh_files import upwards
 from ..shape_error import enclosed
 from ..topology import Topology
@@ -91,6 +91,7 @@ def _read(path: str, one: bool, capture: Capture) -> dict[str, Surface]:
     before = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
     vertices = np.concatenate([piece.vertices for piece in pieces])
     faces = np.concatenate([piece.faces + first for piece, first in zip(pieces, before)])
+    check_indices(faces, len(vertices), f"photos.mesh={path}")
     flat = degenerate(vertices, faces)
     faces = _outward(vertices, np.delete(faces, flat, axis=0).astype(np.uint32))
     names = np.repeat([piece.material for piece in pieces], [len(piece.faces) for piece in pieces])
@@ -122,7 +123,7 @@ def _read(path: str, one: bool, capture: Capture) -> dict[str, Surface]:
 def _outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """The faces of a closed mesh so that its normals point outwards: both sides are shown alike,
     but a normal map's bumps are glTF's dents on a back."""
-    if enclosed(vertices[faces]) >= 0 or Topology.of(vertices, faces).flaws():
+    if not len(faces) or enclosed(vertices[faces]) >= 0 or Topology.of(vertices, faces).flaws():
         return faces
     return np.ascontiguousarray(faces[:, ::-1])
 
