@@ -14,7 +14,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..config import searchpath
-from ..runtime import interrupt
+from ..runtime import interrupt, memory
 from ..runtime.errors import InputError, IsasError, nearest
 
 _RUN_HELP = """\
@@ -273,9 +273,12 @@ def main(arguments: list[str] | None = None) -> int:
         return _interrupted()
     except BrokenPipeError:
         return _deaf()
-    except Exception:
+    except Exception as error:
         if interrupt.asked():  # it may come out as another exception
             return _interrupted()
+        if memory.exhausted(error):
+            print(f"isas: {memory.EXHAUSTED}", file=sys.stderr)
+            return InputError.status
         traceback.print_exc()
         what = "this is a defect of isas: please report it with the lines above"
         print(f"isas: {what}", file=sys.stderr)

@@ -14,6 +14,7 @@ import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import ChoiceSweep
 from hydra.errors import HydraException
+from omegaconf import OmegaConf
 
 from ..config import paths, searchpath
 from ..config.compose import compose, options, translate
@@ -149,7 +150,22 @@ def planned(own: dict[str, str], overrides: list[str], home: str | None = None) 
             relative = str(place.relative_to(folder))
             written.append({"label": label, "folder": relative, "settings": settings})
     _distinct("contestants: folder", [each["folder"] for each in written])
+    _check_unlike(entries)
     return Plan(folder, entries, written, home or os.getcwd(), slice_seconds(own))
+
+
+def _check_unlike(entries: list[Entry]) -> None:
+    """Raises InputError where two contestants are the same but for the name of their sampler."""
+    found: dict[str, str] = {}
+    for entry in entries:
+        cfg = entry.cfg.copy()
+        cfg.sampler.name = cfg.name = ""
+        first = found.setdefault(OmegaConf.to_yaml(cfg, resolve=True), entry.label)
+        if first != entry.label:
+            raise InputError(
+                f"{first} and {entry.label} differ in the name alone with scene={cfg.scene.name}: "
+                f"both take estimator={cfg.estimator.name}, with the same settings: leave one out"
+            )
 
 
 def write_yaml(path: Path, content: dict[str, Any]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
@@ -63,6 +63,8 @@ class Choices:
         """Raises InputError for what they cannot do on ``problem``, which needs no targets yet."""
         from . import footprint
 
+        # What is said here is said again where they get to work; others share this problem.
+        problem = replace(problem, warnings=[*problem.warnings])
         self.estimator.check(problem, self.sampler, self.loss)
         if self.profile and not problem.integrator.has_forward:
             raise InputError(

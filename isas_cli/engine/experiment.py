@@ -162,11 +162,11 @@ def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
         try:
             status = loop.run(recorder.hooks(stop))
         except NumericalError as error:
-            recorder.close("numerical failure")
+            recorder.close(NumericalError.ended)
             from . import replay
 
             found = replay.again(loop, loop.position.iteration - 1)
-            _announce(recorder, "numerical failure", recorder.illustrate())
+            _announce(recorder, NumericalError.ended, recorder.illustrate())
             raise NumericalError(f"{error}; {found}; isas replay {recorder.folder}") from error
         recorder.close(status)
         # Stopped once, a run has its pictures made; stopped while they are made, it does not.

@@ -249,6 +249,8 @@ class Loop:
 
     def _iterate(self) -> None:
         p = self.position
+        if p.iteration == 0:
+            p.before = self.clock.seconds, p.paths
         # A level begins as a run does, and so does what had too little time before it went on.
         first = self._finer() or self._weights is None
         draws = self.scheduled >= self.estimator.undrawn
@@ -279,7 +281,7 @@ class Loop:
     def _finer(self) -> bool:
         """Go on to the level that is due, if that is a finer one: with a larger budget, it may be
         coarser."""
-        level = self.problem.unknowns.level(self.spent)
+        level = self.problem.unknowns.level(self.scheduled)
         if level <= self.stepper.level:
             return False
         with self.clock.billed("step"):
@@ -349,7 +351,7 @@ class Loop:
             self._count_lost()
             nonfinite = int(self.stepper.nonfinite[0])
             norm = self._gradient_norm()
-            noise = self._gradients and self.stepper.noise(self._gradients)
+            noise = self._gradients and self.stepper.noise(self._gradients, self.scheduled)
         self._count_evaluations()
         row |= {
             "iteration": p.iteration,

@@ -86,13 +86,13 @@ class Stepper:
         self.unknowns, self.settings, self.filter = unknowns, settings, filter
         self._filters: dict[tuple, OnUnknown] = {}
         self._falling = {}
-        self.falls: set[str] = set()  # the names of all schedules
+        self.falls: dict[str, str] = {}  # the names of schedules, by key
         for u in unknowns:
             # What moves keeps the schedule that scenes found its rates with.
             paced = u.paced or u.kind.moves_geometry
             how = settings.falling(paced, u.schedule, u.final)
             self._falling[u.key] = factor(*how, settings.half)
-            self.falls.add(how[0])
+            self.falls[u.key] = how[0]
         ends = [(falls(0.0, 0), falls(1.0, 0)) for falls in self._falling.values()]
         # Whether a larger budget would have changed the steps so far.
         self.paced = any(u.paced for u in unknowns) or any(a != b for a, b in ends)
@@ -315,7 +315,7 @@ class Stepper:
                 squares, count = squares + float(np.sum(entries**2)), count + entries.size
         return squares, count
 
-    def noise(self, gradients: dict) -> float:
+    def noise(self, gradients: dict, spent: float = 0.0) -> float:
         """How far the gradient lies from its running mean: PBDR Eq. (9) of one iteration t,
 
             1/N Σ_k (g_t,k^smoothed - g_t,k^unsmoothed)²,
@@ -325,10 +325,11 @@ class Stepper:
         out, for which Adam's own correction, by the number of all steps, would be wrong). The
         paper does not say what N is: here the entries k that the estimate touched at least the
         second time, as the first time the mean is the gradient itself. In the gradient's own
-        unit, squared; NaN without such an entry. On the host.
+        unit, squared; NaN without such an entry. Of unknowns that move at the share ``spent`` of
+        the schedule: others' means stand still. On the host.
         """
         total, count, gradients = 0.0, 0, self._directed(gradients)
-        for key in self.unknowns.keys:
+        for key in (unknown.key for unknown in self.unknowns if unknown.moves(spent)):
             first = np.array(flat(self.adam.state[key][3][1]))
             every, visits = self._along(key, gradients[key]), np.array(self.visits[key])
             for part in parts(every.size):

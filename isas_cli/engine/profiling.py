@@ -212,12 +212,14 @@ def measure(loop: Loop, freeze: bool) -> Profile:
     Values and moments of the loop are afterwards what they were, and the scene holds the values
     without derivatives. Evaluates.
     """
-    arrays, state = loop.stepper.export()
+    stepper = loop.stepper
+    (arrays, state), way = stepper.export(), (stepper.begun, dict(stepper.reach))
     try:
         steps = _measured(_Pass(loop, freeze))
     finally:
-        loop.stepper.restore(arrays, state)
-        loop.problem.unknowns.write(loop.stepper.values)
+        stepper.restore(arrays, state)
+        stepper.begun, stepper.reach = way
+        loop.problem.unknowns.write(stepper.values)
     times = {name: [step[name] for step in steps] for name in steps[0]}
     per_iteration = 1e3 / loop.position.iteration
     times["stage 1"] = [per_iteration * loop.clock.billed_seconds["stage1"]]

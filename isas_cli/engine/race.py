@@ -47,9 +47,10 @@ class Entry:
 
 def continued(label: str, folder: Path, changes: dict) -> Entry | None:
     """The entry that goes on in ``folder``; None where it is complete and its budget spent, or
-    where it failed."""
+    where it failed, but for another budget, which its record is to say as the others' do."""
     run = records.load(folder)
-    if run.complete and run.summary["status"] == "numerical failure":
+    failed = run.complete and run.summary["status"] == NumericalError.ended
+    if failed and not any(key.partition(".")[0] == "budget" for key in changes):
         return None
     try:
         earlier = resumption.prepare(folder, changes)
@@ -65,8 +66,8 @@ def run(entries: list[Entry], slice_seconds: float, begin: Callable[[], None]) -
 
     All share one process and, where scene and targets are the same, these and every compiled
     kernel. Each round every entry gets one slice, the order rotating by one, so that a drift of
-    the machine falls on all alike. One that fails numerically is recorded as such and the others
-    go on. Returns 0, the first failure's status, or 130 after Ctrl-C.
+    the machine falls on all alike. One that fails numerically, or that had, is recorded as such and
+    the others go on. Returns 0, a failure's status, or 130 after Ctrl-C.
     """
     machine, made = started([entry.cfg for entry in entries], entries[0].typed)
     with RaceDisplay(len(entries)) as display:
@@ -141,7 +142,6 @@ class _Lanes:
         hooks = [recorder.hooks(stop) for recorder in self.recorders]
         everyone = range(len(hooks))
         ends: dict[int, str] = {}
-        failures: list[NumericalError] = []
 
         def begin(n: int) -> None:
             self._loop(n).begin(hooks[n])
@@ -154,19 +154,22 @@ class _Lanes:
             ends[n] = self._loop(n).halt(hooks[n])
 
         for number in everyone:
-            self._guarded(number, ends, failures, begin)
+            self._guarded(number, ends, begin)
+            earlier = self.entries[number].earlier
+            if earlier is not None and earlier.failed:
+                ends[number] = NumericalError.ended
         turn = 0
         while len(ends) < len(hooks) and not stop():
             for number in ((turn + i) % len(hooks) for i in everyone):
                 if number not in ends and not stop():
-                    self._guarded(number, ends, failures, advance)
+                    self._guarded(number, ends, advance)
             turn += 1
         for number in everyone:
             if number not in ends:
-                self._guarded(number, ends, failures, halt)
-        return self._finish(ends, failures, stop)
+                self._guarded(number, ends, halt)
+        return self._finish(ends, stop)
 
-    def _finish(self, ends: dict[int, str], failures: list, stop) -> int:
+    def _finish(self, ends: dict[int, str], stop) -> int:
         """What was dear to compute first, of all; then the pictures. Returns the exit status."""
         for number, recorder in enumerate(self.recorders):
             recorder.close(ends[number])
@@ -179,18 +182,17 @@ class _Lanes:
             self.display.ended(self.entries[number].name, ends[number], *recorder.ends)
         if interrupted or given_up():
             return interrupt.STATUS
-        return failures[0].status if failures else 0
+        return NumericalError.status if NumericalError.ended in ends.values() else 0
 
     def _loop(self, number: int):
         return self.recorders[number].loop
 
-    def _guarded(self, number: int, ends: dict, failures: list, act) -> None:
+    def _guarded(self, number: int, ends: dict, act) -> None:
         """``act(number)``; a numerical failure ends this entry and no other."""
         try:
             act(number)
         except NumericalError as error:
-            ends[number] = "numerical failure"
-            failures.append(error)
+            ends[number] = NumericalError.ended
             folder = self.recorders[number].folder
             self.display.say(f"{self.entries[number].name}: {error}; isas replay {folder}")
         finally:

@@ -14,7 +14,8 @@ from ..config.schema import Config, OptimizerConfig
 from ..effects.settings import Effects
 from ..records import KEY_PREFIX, VALUE_PREFIX, RunWriter, manifest, safe_name, trackers
 from ..rendering.renderer import Renderer
-from ..runtime.errors import InputError
+from ..runtime.errors import InputError, NumericalError
+from ..runtime.schedule import TO_FINAL
 from . import ends, floor, held_out
 from .loop import Hooks, Loop
 from .pictures import Pictures
@@ -51,7 +52,7 @@ class Recorder:
         self._first: dict = {}
         self._resumed: list[dict] = []
         self._begun: dict = {}  # the manifest of a run that goes on
-        self._saved = 0.0
+        self._saved, self._status = 0.0, ""
         self._pause = _CHECKPOINT_SECONDS
         self._snapshots = 0
         # Of what may be doubted, the last row and value that were not.
@@ -105,7 +106,8 @@ class Recorder:
                 self._first, loop.last = rows[0], rows[-1]
             self._config(earlier.recorded)
             entry = manifest.continuation(
-                machine, state["iteration"], loop.clock.seconds, earlier.earlier_budget
+                *(machine, state["iteration"], loop.clock.seconds),
+                *(earlier.earlier_budget, earlier.failed),
             )
             self._resumed = [*earlier.manifest.get("resumed", []), entry]
             self._begun = earlier.manifest
@@ -295,6 +297,11 @@ class Recorder:
                     f"threads, before on {before[0]} with {before[1]}: billed seconds add up both"
                 )
             before = now
+            if entry.get("failed") and self._status != NumericalError.ended:
+                warnings.append(
+                    "it had ended in a numerical failure, and went on from iteration "
+                    f"{entry['iteration']}, before that"
+                )
             if entry.get("earlier_budget") and self.loop.stepper.paced:
                 warnings.append(
                     f"the budget was {entry['earlier_budget']} up to iteration "
@@ -312,13 +319,29 @@ class Recorder:
                 f"optimizer.lr={chosen:g} has no effect: every unknown has a rate of its own; "
                 "optimizer.factor=… scales them"
             )
-        for name, needed in (("half", {"inverse"}), ("final", {"cosine", "exponential"})):
+        falls = self.loop.stepper.falls
+        every = [(u, falls[u.key], falls[u.key] in TO_FINAL) for u in self.loop.problem.unknowns]
+        by = f"rates fall by schedule {' and '.join(sorted(set(falls.values())))}"
+        heeded = {
+            "half": (by, any(name == "inverse" for _, name, _ in every)),
+            "final": (
+                f"{by}, or to a final of their own",
+                any(ends and u.final is None for u, _, ends in every),
+            ),
+            "schedule": (
+                "every unknown has a schedule of its own",
+                any(u.schedule is None for u, *_ in every),
+            ),
+        }
+        for name, (why, heeds) in heeded.items():
             asked = getattr(self.typed.optimizer, name)
-            if asked != getattr(OptimizerConfig(), name) and not needed & self.loop.stepper.falls:
-                notes.append(
-                    f"optimizer.{name}={asked:g} has no effect: rates fall by schedule "
-                    f"{' and '.join(sorted(self.loop.stepper.falls))}"
-                )
+            if asked != getattr(OptimizerConfig(), name) and not heeds:
+                notes.append(f"optimizer.{name}={asked} has no effect: {why}")
+        notes += [
+            f"'{u.key}': its final={u.final:g} has no effect: its rate falls by schedule {name}"
+            for u, name, ends in every
+            if u.final is not None and not ends
+        ]
         if (name := self.cfg.optimizer.filter.name) not in ("none", "laplacian"):
             if not self.loop.stepper.filtering:
                 notes.append(

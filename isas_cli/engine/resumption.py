@@ -19,7 +19,7 @@ from ..config.roles import meaning, resuming
 from ..config.schema import Config
 from ..records import Run, manifest
 from ..runtime.budget import Budget
-from ..runtime.errors import InputError
+from ..runtime.errors import InputError, NumericalError
 
 if TYPE_CHECKING:
     from ..runtime.backend import Backend
@@ -56,7 +56,7 @@ class Spent(InputError):
 class Continuation:
     """A run to go on with: its configuration as changed, with files where they are found from
     here, and as it is recorded; its manifest, the budget it had so far where that has changed, and
-    its checkpoint."""
+    its checkpoint; whether it ``failed`` numerically."""
 
     folder: Path
     cfg: DictConfig
@@ -65,6 +65,7 @@ class Continuation:
     earlier_budget: str | None
     arrays: dict[str, np.ndarray]
     state: dict
+    failed: bool
 
     @property
     def device(self) -> str | None:
@@ -94,7 +95,8 @@ def prepare(folder: Path, changes: dict) -> Continuation:
         raise InputError(f"{folder}: more than that is spent: {_larger(budget, *spent)}")
     earlier = None if before == budget else str(before)
     recorded = changed(_read(run.config), changes)
-    return Continuation(folder, cfg, recorded, run.manifest, earlier, arrays, state)
+    failed = (run.summary or {}).get("status") == NumericalError.ended
+    return Continuation(folder, cfg, recorded, run.manifest, earlier, arrays, state, failed)
 
 
 def _larger(budget: Budget, seconds: float, iterations: int, paths: int) -> str:
@@ -177,16 +179,20 @@ def changed(cfg: DictConfig, changes: dict) -> DictConfig:
 
 def check_same(problem: "Problem", machine: "Backend", earlier: dict, folder: Path) -> None:
     """Raises InputError unless scene, targets and variant are those that the run began with."""
+    import mitsuba as mi
+
     if earlier.get("variant") != machine.variant:
         raise InputError(
             f"{folder} began with variant={earlier.get('variant')}, and this machine takes "
             f"{machine.variant}: billed seconds of both would not be comparable"
         )
     now = {"scene_hash": problem.content_hash, "target_hash": problem.target_hash}
+    versions = (earlier.get("packages") or {}).get("mitsuba"), mi.__version__
+    newer = "" if versions[0] == versions[1] else ", or is Mitsuba {1}'s and not {0}'s"
     for name, value in now.items():
         if earlier.get(name) != value:
             what = name.split("_")[0]
             raise InputError(
-                f"{folder}: its {what} has changed since (hash {earlier.get(name)}, now {value}): "
-                "start a new run"
+                f"{folder}: its {what} has changed since{newer.format(*versions)} (hash "
+                f"{earlier.get(name)}, now {value}): start a new run"
             )

@@ -58,12 +58,14 @@ def _made() -> dict:
 
 
 def continuation(
-    backend: Backend, iteration: int, seconds: float, earlier_budget: str | None
+    backend: Backend, iteration: int, seconds: float, earlier_budget: str | None, failed: bool
 ) -> dict:
     """The manifest's entry for a continuation that starts at ``iteration``, ``seconds`` billed.
 
-    ``earlier_budget``: the budget before, None where it is the same."""
+    ``earlier_budget``: the budget before, None where it is the same; ``failed``: whether it had
+    ended in a numerical failure."""
     return {
+        **({"failed": True} if failed else {}),
         **({"earlier_budget": earlier_budget} if earlier_budget else {}),
         **_made(),
         "threads": backend.threads,

@@ -26,6 +26,7 @@ class NumericalError(IsasError):
     """The optimisation cannot go on (the last good state is kept): status 3."""
 
     status = 3
+    ended = "numerical failure"  # what a record says of how it ended
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

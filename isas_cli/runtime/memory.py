@@ -42,3 +42,14 @@ def available() -> float:
         except (OSError, ValueError, KeyError):
             pass  # not of this kind, or without a limit
     return min(free)
+
+
+EXHAUSTED = (
+    "memory is full: lower estimator.batch, the resolution of the views or evaluation.pixels, or "
+    "take fewer views"
+)
+
+
+def exhausted(error: BaseException) -> bool:
+    """Whether it says that memory is full: Python's, or of Dr.Jit, which has one kind for all."""
+    return isinstance(error, MemoryError) or "out of memory" in str(error).lower()

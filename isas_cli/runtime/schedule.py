@@ -12,6 +12,7 @@ _BY_SHARE: dict[str, Callable[[float, float], float]] = {
     "cosine": lambda t, final: final + (1 - final) * 0.5 * (1 + math.cos(math.pi * t)),
     "exponential": lambda t, final: final**t,
 }
+TO_FINAL = ("cosine", "exponential")  # those that end where it is said
 _BY_STEPS: dict[str, Callable[[float], float]] = {"inverse": lambda n: 1 / (1 + n)}
 
 

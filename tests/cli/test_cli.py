@@ -218,6 +218,15 @@ def test_a_defect_keeps_its_traceback(isas, monkeypatch):
     assert "ZeroDivisionError" in err and "defect" in err.splitlines()[-1]
 
 
+def test_a_full_memory_is_no_defect(isas, monkeypatch):
+    def full():
+        raise RuntimeError("jit_malloc(): out of memory! Could not allocate 1 bytes")
+
+    monkeypatch.setattr("isas_cli.cli.scenes.main", full)
+    status, _, err = isas("scenes")
+    assert status == 2 and err.startswith("isas: memory is full: lower estimator.batch")
+
+
 LONG = ["run", *TINY[:3], "sampler=uniform", "target.spp=4", "frames.spp=2", "hydra.run.dir=r"]
 
 

@@ -167,12 +167,14 @@ def test_optuna_finds_the_better_learning_rate(tmp_path, monkeypatch):
     assert status == 0 and list(table(err).values()) == ["done"] * 3
     monkeypatch.chdir(tmp_path)
     runs = [records.load(path.parent) for path in Path("runs").rglob("manifest.json")]
-    rates = {r.config["optimizer"]["lr"]: r.summary["final"]["parameter_rmse"] for r in runs}
-    assert len(rates) == 3 and all(1e-3 <= rate <= 1e-1 for rate in rates)
+    rates = {r.config["optimizer"]["factor"]: r.summary["final"]["parameter_rmse"] for r in runs}
+    assert len(rates) == 3 and all(0.05 <= rate <= 5 for rate in rates)
     best = min(rates, key=rates.get)
-    assert err.splitlines()[-1].startswith(f"best: optimizer.lr={best}: {rates[best]:.4g}: runs/")
+    assert err.splitlines()[-1].startswith(
+        f"best: optimizer.factor={best}: {rates[best]:.4g}: runs/"
+    )
     found = OmegaConf.load("runs/dodoco/uniform/optimization_results.yaml")
-    assert found.best_params["optimizer.lr"] == best and found.best_value == rates[best]
+    assert found.best_params["optimizer.factor"] == best and found.best_value == rates[best]
 
     # Another start proposes the same, takes what is done and goes on from there.
     search[1] = "hydra.sweeper.n_trials=4"
@@ -183,7 +185,7 @@ def test_optuna_finds_the_better_learning_rate(tmp_path, monkeypatch):
 def test_optuna_goes_on_after_a_failed_trial(tmp_path):
     needs("optuna", "optuna")
     sizes = f"choice({flaky_scene.REFUSED},8)"
-    search = ["hydra/sweeper=optuna", "hydra.sweeper.n_trials=5", "optimizer.lr=0.02"]
+    search = ["hydra/sweeper=optuna", "hydra.sweeper.n_trials=5", "optimizer.factor=1"]
     status, err = run(tmp_path, *search, f"scene.arguments.texture={sizes}")
     assert status == 2
     assert set(table(err).values()) == {"failed", "done"}

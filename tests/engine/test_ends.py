@@ -68,12 +68,17 @@ def test_a_run_says_that_it_did_not_leave_its_start(tmp_path, capsys):
 def test_settings_without_effect_are_said(tmp_path):
     file = tmp_path / "blend.xml"
     file.write_text(BLEND)
-    run = ["scene=file", f"scene.path={file}", f"scene.unknowns={{{KEY}: {{start: 0.7}}}}"]
+    unknown = "{start: 0.7, schedule: inverse, final: 0.1}"
+    run = ["scene=file", f"scene.path={file}", f"scene.unknowns={{{KEY}: {unknown}}}"]
     run += ["target.spp=4", "budget.iterations=2", "optimizer.filter=gaussian"]
+    run += ["optimizer.schedule=cosine", "optimizer.final=0.3"]
     run += ["optimizer.filter.width=0.1", "effects.tolerance=0.1", *QUIET, "estimator.batch=256"]
     notes = ran(tmp_path / "run", *run).summary["notes"]
     assert any(note.startswith("optimizer.filter=gaussian has no effect") for note in notes)
     assert any(note.startswith("effects.tolerance=0.1 has no effect") for note in notes)
+    assert any(note.startswith("optimizer.schedule=cosine has no effect: every") for note in notes)
+    assert any(note.startswith("optimizer.final=0.3 has no effect: rates fall") for note in notes)
+    assert any(note.startswith(f"'{KEY}': its final=0.1 has no effect") for note in notes)
 
 
 def test_a_factor_of_what_is_unknown_is_said():

@@ -10,7 +10,7 @@ from crosses import some
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
 from isas_cli import losses
-from isas_cli.config.schema import OptimizerConfig
+from isas_cli.config.schema import OptimizerConfig, UnknownConfig
 from isas_cli.engine.evaluate import Evaluator
 from isas_cli.engine.loop import Hooks, Loop
 from isas_cli.engine.optimiser import Stepper
@@ -351,3 +351,19 @@ def test_gradient_noise_counts_what_the_batch_touched():
     touched = np.mean(((mean / (1 - 0.9**4) - half) ** 2)[half != 0])
     gradients = {TEXTURE: unflat(stepper.values[TEXTURE], mi.Float(half))}
     assert stepper.noise(gradients) == pytest.approx(touched, rel=1e-4)
+
+
+def test_gradient_noise_is_of_what_moves():
+    """What rests has a mean that stands still, and an estimate all the same."""
+    resting = UnknownConfig(start=0.5, during=[0.0, 0.5])
+    p = problem({TEXTURE: resting, ROUGHNESS: 0.5}, constant_target=None)
+    stepper = Stepper(p.unknowns, OptimizerConfig())
+    ones = {
+        k: dr.full(type(v), 1, v.shape) if k == TEXTURE else type(v)(1)
+        for k, v in stepper.values.items()
+    }
+    for _ in range(3):
+        stepper.step(ones, 0.0)
+    late = {**ones, TEXTURE: ones[TEXTURE] * 100}
+    stepper.step(late, 0.7)
+    assert stepper.noise(late, 0.7) < 1e-9 < stepper.noise(late, 0.2)

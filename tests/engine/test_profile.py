@@ -100,8 +100,9 @@ def test_a_profile_leaves_the_loop_as_it_was():
             loop._iterate()
         if stop:
             arrays, state = loop.export()
-            density = loop.density()
+            density, way = loop.density(), dict(loop.stepper.reach)
             profiled(loop)
+            assert loop.stepper.reach == way != dict.fromkeys(way, 0.0)
             after, state_after = loop.export()
             assert {k: v for k, v in state_after.items() if k != "unbilled"} == {
                 k: v for k, v in state.items() if k != "unbilled"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 from pathlib import Path
 
@@ -172,8 +173,20 @@ def test_one_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeypatch, 
     both = "samplers=[relevant,uniform]", "report=false"
     assert raced(tmp_path, *both, "budget.iterations=6") == 3
     assert "relevant seed 1: made up" in capsys.readouterr().err
-    assert records.load(tmp_path / "relevant/seed1").summary["status"] == "numerical failure"
-    assert records.load(tmp_path / "uniform/seed1").summary["status"] == "done"
+    failed, other = tmp_path / "relevant/seed1", tmp_path / "uniform/seed1"
+    assert records.load(failed).summary["status"] == "numerical failure"
+    assert records.load(other).summary["status"] == "done"
+    # Stopped while its pictures were made, or given more time: it does not go on.
+    monkeypatch.setattr(Loop, "_check", original)
+    for changes, budget in (([], 6), (["budget.iterations=8"], 8)):
+        summary = records.load(failed).summary
+        (failed / "summary.json").write_text(json.dumps({**summary, "complete": False}))
+        assert app.main(["race", f"resume={tmp_path}", *changes]) == 3
+        after = records.load(failed)
+        assert after.complete and after.summary["status"] == "numerical failure"
+        assert after.summary["iterations"] == summary["iterations"]
+        assert after.config["budget"]["iterations"] == budget
+    assert records.load(other).summary["iterations"] == 8
 
 
 def test_an_interrupted_race_goes_on(tmp_path, capsys, no_page):
@@ -225,6 +238,7 @@ def test_an_interrupted_race_goes_on(tmp_path, capsys, no_page):
         (["contestants=[{"], "cannot be read"),
         (["-m", "samplers=[ours]"], "no such flag"),
         (["resume=nowhere"], "holds no race"),
+        (["samplers=[uniform,plateau]", "estimator=plateau"], "differ in the name alone"),
         (["samplers=[ours]", "hydra.run.dir="], "hydra.run.dir is empty"),
     ],
 )
@@ -258,3 +272,17 @@ def test_entries_share_a_problem_when_scene_and_target_are_equal(tmp_path):
     assert entry("seed=1").problem_key == entry("seed=2", "sampler=uniform").problem_key
     assert entry("target.spp=5").problem_key != entry().problem_key
     assert entry("size=default").problem_key != entry().problem_key
+
+
+def test_what_choices_are_told_of_a_problem_is_not_the_others_(monkeypatch):
+    p = problem({TEXTURE: 0.5})
+    (choices,) = configured(*SETTINGS)[:1]
+    original = type(choices.estimator).check
+
+    def check(self, problem, *more):
+        problem.warnings.append("of its estimator alone")
+        original(self, problem, *more)
+
+    monkeypatch.setattr(type(choices.estimator), "check", check)
+    choices.check_on(p)
+    assert not p.warnings

@@ -263,3 +263,14 @@ def test_a_changed_scene_and_a_living_process_are_refused(finished, refused):
 
 def test_a_process_of_which_nothing_is_known_does_not_count():
     assert not manifest.alive({**manifest.process(), "host": "elsewhere", "pid": os.getppid()})
+
+
+def test_a_run_that_had_failed_and_goes_on_says_so(finished, tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(finished, folder)
+    summary = json.loads((folder / "summary.json").read_text())
+    failed = {**summary, "complete": False, "status": "numerical failure"}
+    (folder / "summary.json").write_text(json.dumps(failed))
+    after = resumed(folder)
+    assert after.manifest["resumed"][-1]["failed"]
+    assert any("had ended in a numerical failure" in each for each in after.summary["warnings"])

@@ -15,8 +15,8 @@ from omegaconf import DictConfig, OmegaConf
 from ...config import paths
 from ...records import files, load_checkpoint
 from ...records.reader import read_json
-from ...runtime import interrupt
-from ...runtime.errors import InputError, IsasError
+from ...runtime import interrupt, memory
+from ...runtime.errors import InputError, IsasError, NumericalError
 from .. import one
 from . import fingerprint
 from .outcome import Outcome, outcome, read_summary
@@ -73,7 +73,7 @@ class Job:
             return OTHER if self.elsewhere else DONE
         # "done" without the rest of its record: killed while its pictures were made. What failed
         # otherwise than by its numbers, such as on a full disk, goes on as well.
-        stopped = status != "numerical failure"
+        stopped = status != NumericalError.ended
         checkpoint = (self.folder / "checkpoint" / "state.npz").exists()
         return UNFINISHED if stopped and checkpoint else FAILED
 
@@ -141,6 +141,7 @@ class Job:
         cfg = self.cfg
         summary = {
             "status": "failed",
+            "complete": False,
             "scene": cfg.scene.name,
             "sampler": cfg.sampler.name,
             "loss": cfg.loss.name,
@@ -172,6 +173,8 @@ def attempt(job: Job, command: list[str], threads: int | None) -> Report:
         except BaseException as error:
             if interrupt.asked():  # it may come out as another exception
                 return Report(interrupt.STATUS)
+            if memory.exhausted(error):
+                return Report(InputError.status, memory.EXHAUSTED)
             text = " ".join([f"{type(error).__name__}:", *str(error).split()]).rstrip(":")
             return Report(1, text, traceback.format_exc())
 

@@ -22,7 +22,7 @@ from ...engine import resumption
 from ...engine.race import Entry
 from ...records.reader import read_json
 from ...runtime import backend, interrupt
-from ...runtime.errors import InputError, IsasError
+from ...runtime.errors import InputError, IsasError, NumericalError
 from .. import one, race
 from . import fingerprint, launchers, outcome, sweep
 from .job import DONE, NOTHING, OTHER, UNFINISHED, Job, Report, leave_trace, stamp
@@ -120,7 +120,7 @@ def _kept(written: dict[str, Any]) -> dict[str, Any]:
 
 def _ended(folder: Path) -> bool:
     summary = read_summary(folder) or {}
-    ended = summary.get("status") in ("done", "numerical failure")
+    ended = summary.get("status") in ("done", NumericalError.ended)
     return ended and bool(summary.get("complete", True))
 
 

@@ -20,11 +20,13 @@ def search(
     settings: DictConfig,
     spaces: list[Override],
     launch: Callable[[list[list[str]]], list[Outcome]],
+    stop: Callable[[], bool],
 ) -> None:
     """As many trials as ``settings`` say, each a job; a failed job is a failed trial.
 
-    spaces: what is searched. launch: does the jobs of these settings and says how they ended. What
-    was found goes into optimization_results.yaml beside the jobs.
+    spaces: what is searched. launch: does the jobs of these settings and says how they ended. stop:
+    whether Ctrl-C came, after which nothing more is tried. What was found goes into
+    optimization_results.yaml beside the jobs.
     """
     import optuna
 
@@ -38,6 +40,8 @@ def search(
     )
     folders = []
     for begun in range(0, settings.n_trials, settings.n_jobs):
+        if stop():
+            break
         trials = [study.ask() for _ in range(min(settings.n_jobs, settings.n_trials - begun))]
         ended = launch([[_suggested(trial, space) for space in spaces] for trial in trials])
         for trial, job in zip(trials, ended):
