@@ -249,7 +249,7 @@ def test_a_run_that_went_on_elsewhere_is_warned_of(tmp_path):
 def test_unlike_evaluations_are_warned_of(tmp_path):
     for seed, spp in enumerate((4, 64), 1):
         run(tmp_path / str(seed), seed=seed, settings={"evaluation.spp": spp})
-    assert any("evaluated otherwise (evaluation.…)" in line for line in warnings(tmp_path))
+    assert any("evaluated otherwise (evaluation.…" in line for line in warnings(tmp_path))
 
 
 def test_a_folder_named_twice_counts_once(tmp_path):
@@ -320,3 +320,34 @@ def test_what_parameter_rmse_is_stands_in_its_label(tmp_path):
         assert content.label("image_rmse", methods) == "image RMSE (linear radiance)"
     (line,) = warnings(tmp_path)
     assert "parameter_rmse is not the same in all runs (degrees; parameter's unit; rel" in line
+
+
+def test_no_limit_is_the_limit_that_there_is_then(tmp_path):
+    run(tmp_path / "1", seed=1, settings={"budget.seconds": None})
+    run(tmp_path / "2", seed=2, settings={"budget.seconds": 60})
+    assert found(tmp_path) == [("pottery", "ours", [1, 2])]
+
+
+def test_ends_at_unequal_time_are_warned_of(tmp_path):
+    run(tmp_path / "1")
+    synthetic.write(tmp_path / "2", [0, 1, 3], ERROR, ERROR, sampler="uniform")
+    (line,) = warnings(tmp_path)
+    assert "unequal time (ours 2 s, uniform 3 s)" in line
+    limits = {"budget.seconds": None, "budget.iterations": 5}
+    run(tmp_path / "other" / "1", settings=limits)
+    other = tmp_path / "other" / "2"
+    synthetic.write(other, [0, 1, 3], ERROR, ERROR, sampler="uniform", settings=limits)
+    assert not warnings(tmp_path / "other")
+
+
+def test_errors_over_windows_are_other_errors(tmp_path):
+    run(tmp_path / "1", settings={"loss": {"name": "structure", "side": 7}})
+    run(tmp_path / "2", settings={"loss": {"name": "l2"}})
+    assert any("evaluated otherwise" in line for line in warnings(tmp_path))
+
+
+def test_another_mitsuba_is_warned_of(tmp_path):
+    for seed, version in enumerate(("3.8.0", "3.9.1"), 1):
+        run(tmp_path / str(seed), seed=seed, manifest={"packages": {"mitsuba": version}})
+    (line,) = warnings(tmp_path)
+    assert "Mitsuba 3.8.0" in line and "Mitsuba 3.9.1" in line

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from ...records import Run, load
 from ...records.reader import read_json
+from ...runtime.budget import Budget
 from ...runtime.errors import InputError, nearest
 from . import labels
 from .labels import Settings
@@ -30,6 +31,8 @@ _PLACES = ("path", "cameras", "mesh", "environment", "images", "masks", "texture
 # The rates are each method's own business: methods that differ in nothing else are one.
 _OWN = "optimizer.lr=", "optimizer.factor="
 _DEFAULT_BASELINE = "uniform"
+# How much longer than another a method went on by the same budget, as a share, that is said.
+_UNEQUAL = 0.05
 
 
 @dataclass(frozen=True)
@@ -244,19 +247,18 @@ def _methods(scene: str, runs: list[Run], warnings: list[str]) -> list[Method]:
     groups: dict[tuple, list[Run]] = defaultdict(list)
     for run in runs:
         _, settings = labels.split(labels.flatten(run.config))
-        groups[tuple(sorted(settings.items()))].append(run)
+        groups[tuple(sorted({**settings, **_limits(run)}.items()))].append(run)
     named = labels.methods([dict(settings) for settings in groups])
     machines = sorted({_machine(run) for run in runs})
     if len(machines) > 1:
         warnings.append(
-            f"{scene}: made on different machines ({'; '.join(machines)}): compare paths rather "
-            "than seconds"
+            f"{scene}: made on different machines or by other versions ({'; '.join(machines)}): "
+            "compare paths rather than seconds"
         )
-    evaluated = {repr(sorted((run.config.get("evaluation") or {}).items())) for run in runs}
-    if len(evaluated) > 1:
+    if len({_evaluated(run) for run in runs}) > 1:
         warnings.append(
-            f"{scene}: evaluated otherwise (evaluation.…) in some runs: compare neither errors "
-            "that are nearly 0 nor times to levels"
+            f"{scene}: evaluated otherwise (evaluation.…, or over a loss's windows) in some runs: "
+            "compare neither errors that are nearly 0 nor times to levels"
         )
     headlines = sorted({run.parameter_rmse_is for run in runs})
     if len(headlines) > 1:
@@ -264,10 +266,54 @@ def _methods(scene: str, runs: list[Run], warnings: list[str]) -> list[Method]:
             f"{scene}: parameter_rmse is not the same in all runs ({'; '.join(headlines)}): "
             "compare its ratio to the start's"
         )
-    return [
+    found = [
         Method(scene, label, _by_seed(scene, label, members, warnings))
         for label, members in zip(named, groups.values())
     ]
+    warnings += _at_unequal_time(scene, found)
+    return found
+
+
+def _limits(run: Run) -> Settings:
+    """The budget as it was heeded: without any limit there is one."""
+    budget = _budget(run)
+    return {} if budget is None else labels.flatten({"budget": vars(budget)})
+
+
+def _budget(run: Run) -> Budget | None:
+    given = run.config.get("budget")
+    try:
+        return Budget(**{limit.name: given.get(limit.name) for limit in fields(Budget)})
+    except (AttributeError, TypeError, InputError):  # as somebody wrote it
+        return None
+
+
+def _evaluated(run: Run) -> str:
+    """Equal for runs whose errors are those of the same pixels, seen as well."""
+    loss = run.config.get("loss")
+    side = loss.get("side") if isinstance(loss, dict) else None
+    return repr((sorted((run.config.get("evaluation") or {}).items()), side))
+
+
+def _at_unequal_time(scene: str, methods: list[Method]) -> list[str]:
+    """That of methods which were all given the same seconds some went on for longer: what is begun
+    is ended, and a step has no bound."""
+    ends: dict[Budget, dict[str, float]] = defaultdict(dict)
+    for method in methods:
+        budget = _budget(method.runs[0])
+        done = all((run.summary or {}).get("status") == "done" for run in method.runs)
+        if done and budget == Budget(budget and budget.seconds):
+            last = [run.history["seconds"].iloc[-1] for run in method.runs]
+            ends[budget][method.label] = float(np.median(last))
+    warnings = []
+    for found in ends.values():
+        first, last = (most(found, key=found.__getitem__) for most in (min, max))
+        if found[last] > (1 + _UNEQUAL) * found[first]:
+            warnings.append(
+                f"{scene}: final errors are of unequal time ({first} {found[first]:.3g} s, {last} "
+                f"{found[last]:.3g} s), as a step has no bound: compare times to levels"
+            )
+    return warnings
 
 
 def _machine(run: Run) -> str:
@@ -278,7 +324,8 @@ def _machine(run: Run) -> str:
         for part in (begun, *manifest.get("resumed", []))
     )
     variant = manifest.get("variant", "unknown variant")
-    return f"{' then '.join(dict.fromkeys(each))}, {variant}"
+    version = (manifest.get("packages") or {}).get("mitsuba", "?")
+    return f"{' then '.join(dict.fromkeys(each))}, {variant}, Mitsuba {version}"
 
 
 def _by_seed(scene: str, label: str, runs: list[Run], warnings: list[str]) -> list[Run]:
