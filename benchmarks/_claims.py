@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -131,24 +131,34 @@ def _caustic(results: Path) -> tuple[str, str]:
     return words, "yes" if own.iloc[0] > 0.4 else "no"
 
 
-def _listed(table: str, measure: str, scene: str, *rivals: str) -> Callable:
-    """`ours` ends with less of a ``measure`` than each of ``rivals``, by a table of many scenes."""
+def _listed(table: str, measures: Sequence[str], scene: str, *rivals: str) -> Callable:
+    """`ours` ends with less of each of ``measures`` than each of ``rivals``, by a table of many
+    scenes; once more where outlines are drawn by length, on both sides."""
 
     def found(results: Path) -> tuple[str, str]:
         own = _table(results, table)
         own = own[own["scene"] == scene]
         if own.empty:
             raise NotMeasured(f"{scene}: not run yet")
+        own = _ranges.marked(own, _table(results, f"{table}_rates"))
         own = own.set_index(own["method"].str.removeprefix("silhouettes, "))
-        words = [f"`{name}` {_range(own.loc[name], measure)}" for name in ("ours", *rivals)]
-        verdicts = [f"`{n}` {_verdict(own.loc['ours'], own.loc[n], measure)}" for n in rivals]
-        what = measure.removesuffix("_rmse")
-        return f"{scene}: {what}: {', '.join(words)}", f"{what}: {', '.join(verdicts)}"
+        told = []
+        for measure in measures:
+            for way in [w for w in ("", ", by length") if f"ours{w}" in own.index]:
+                rows = {name: own.loc[name + way] for name in ("ours", *rivals)}
+                words = [f"`{n}`{row['mark']} {_range(row, measure)}" for n, row in rows.items()]
+                ours = rows.pop("ours")
+                verdicts = [f"`{n}` {_verdict(ours, row, measure)}" for n, row in rows.items()]
+                what = measure.removesuffix("_rmse").replace("parameter", "parameters") + way
+                told.append((f"{what}: {', '.join(words)}", f"{what}: {', '.join(verdicts)}"))
+        words, verdicts = zip(*told)
+        return f"{scene}: " + "; ".join(words), "; ".join(verdicts)
 
     return found
 
 
-_volume, _shape = partial(_listed, "volumes", "image_rmse"), partial(_listed, "shapes", "chamfer")
+_volume = partial(_listed, "volumes", ("parameter_rmse", "image_rmse"))
+_shape = partial(_listed, "shapes", ("chamfer",))
 
 CLAIMS = [
     Claim("1", "three albedos at once: faster than uniform", _better("catcake", "uniform")),

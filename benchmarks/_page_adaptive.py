@@ -53,6 +53,11 @@ def facts(results: Path) -> dict:
         "worst_twentieth": {s: list(by[s]["worst_twentieth"]) for s in ("pottery", "jumpydumpy")},
         "trashcan": by["trashcan"].to_dict("index"),
         "dodoco_high": by["dodoco"]["parameter_rmse_high"].max(),
+        "dodoco_nearer": [
+            s
+            for s, row in by["dodoco"].iterrows()
+            if _ranges.apart(row, by["dodoco"].loc["uniform"], "parameter_rmse") == _ranges.BELOW
+        ],
         "multires": multires(by["multires"]),
         "unseen": unseen(results / "unseen.csv"),
         "variance": variance.to_dict("index"),
@@ -80,13 +85,14 @@ def foremost(rows: pandas.DataFrame, measure: str, side: str) -> bool:
 
 
 def multires(rows: pandas.DataFrame) -> dict:
-    """What is left of the start's error; by how much the best two are ahead of the others."""
-    error = rows["parameter_rmse"].sort_values()
+    """What is left of the start's error; which samplers are level with the least, which not."""
+    level = [name for name in rows.index if leads(rows, name)]
     return {
         "share": list(rows["share_of_start"]),
         "iterations": list(rows["iterations"]),
-        "ahead": list(error.index[:2]),
-        "by": [error.iloc[i] / error.iloc[1] - 1 for i in range(2, len(error))],
+        "least": rows["parameter_rmse"].idxmin(),
+        "level": level,
+        "behind": [name for name in rows.index if name not in level],
     }
 
 
@@ -95,7 +101,8 @@ def unseen(path: Path) -> list[dict]:
     found = []
     for scene, rows in pandas.read_csv(path).groupby("scene", sort=False):
         of = {bool(row["met"]): row for row in rows.to_dict("records")}
-        found.append({"scene": scene, "met": of[True], "other": of[False]})
+        worse = of[False]["end_low"] > of[False]["start"]
+        found.append({"scene": scene, "met": of[True], "other": of[False], "worse": worse})
     return found
 
 
@@ -105,13 +112,11 @@ def short(by: dict[str, pandas.DataFrame], turned: list[str]) -> list[str]:
     head = ["scene", *(f"`{s}`" for s in shown), "time of `progress` to `uniform`'s error"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for scene, rows in by.items():
-        least = min(rows.loc[s, "share_of_start"] for s in shown)
         name = scene.replace("_relative", ", relative L2")
         cells = [f"{name}, {rows['seconds'].iloc[0]:g} s"]
         for sampler in shown:
-            share = rows.loc[sampler, "share_of_start"]
-            text = f"{100 * share:.1f} %"
-            cells.append(f"**{text}**" if share == least else text)
+            text = f"{100 * rows.loc[sampler, 'share_of_start']:.1f} %"
+            cells.append(f"**{text}**" if leads(rows.loc[list(shown)], sampler) else text)
         time = rows.loc["progress", "time_to_uniform"]
         cells.append(f"{time:.2f}" if np.isfinite(time) else "not reached")
         if scene in turned:

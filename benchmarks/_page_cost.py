@@ -10,35 +10,55 @@ import cost_against_size
 import numpy as np
 import pandas
 
+FLOOR, TARGETS, GAIN = 1.3, 1 / 6, 0.03  # the goals
+
 
 def facts(results: Path) -> dict:
     def read(name: str) -> pandas.DataFrame:
         return pandas.read_csv(results / f"{name}.csv")
 
-    shares = read("stage1_share")
-    phases = read("phases")
+    shares, phases, looks, growth = map(
+        read, ("stage1_share", "phases", "first_look", "cost_against_size")
+    )
+    turns, runs = read("race"), read("crossed")
+    targets, doubled = read("targets"), read("doubled")
+    floors = floor(read("step_floor"))
+    own = shares[shares["sampler"] == "progress"]
     recording = read("recording").groupby("tracker")
     return {
         "step_time": step_time(read("step_time")),
         "gpu": gpu(read("gpu_steps"), read("gpu_race"), read("gpu_rates")),
-        "floor": floor(read("step_floor")),
-        "crossed": crossed(read("crossed_estimates"), read("crossed")),
+        "floor": floors,
+        "above_floor": list(dict.fromkeys(row["scene"] for row in floors if row["median"] > FLOOR)),
+        "crossed": crossed(read("crossed_estimates"), runs),
+        # Tables without a day are by earlier engines; the page says which.
+        "day": {
+            name: table["day"].max() if "day" in table and table["day"].notna().all() else ""
+            for name, table in (
+                *(("stage1", shares), ("phases", phases), ("look", looks)),
+                *(("sizes", growth), ("crossed", runs)),
+            )
+        },
         "stage1": {name: list(rows["share"]) for name, rows in shares.groupby("sampler")},
-        "first_look": list(shares[shares["sampler"] == "progress"]["first_ms"] / 1000),
-        "begun": begun(read("first_look")),
-        "half": shares[shares["sampler"] == "progress"]["share_half"].max(),
+        "first_look": list(own["first_ms"] / own["step_ms"]),
+        "begun": begun(looks),
+        "half": own["share_half"].max(),
         "phases": {
             scene: dict(zip(rows["phase"], rows["share"]))
             for scene, rows in phases.groupby("scene", sort=False)
         },
-        "sizes": sizes(read("cost_against_size")),
+        "sizes": sizes(growth),
         "memory": read("memory").to_dict("records"),
-        "targets": read("targets").to_dict("records"),
-        "doubled": read("doubled").to_dict("records"),
+        "targets": targets.to_dict("records"),
+        "targets_met": list(targets.loc[targets["of_time"] <= TARGETS, "scene"]),
+        "doubled": doubled.to_dict("records"),
+        "gained": list(doubled.loc[doubled["quotient"] < 1 - GAIN, "scene"]),
+        "lost": list(doubled.loc[doubled["quotient"] > 1 + GAIN, "scene"]),
         "beside": itertools.zip_longest,
         "writing": recording["writing_share_of_wall"].max().to_dict(),
-        "race": read("race").groupby("contestant")["race_over_alone"].median().to_dict(),
-        "race_spread": list(read("race")["race_over_alone"]),
+        "race": turns.groupby("contestant")["race_over_alone"].median().to_dict(),
+        "race_spread": list(turns["race_over_alone"]),
+        "race_rounds": len(turns) // turns["contestant"].nunique(),
     }
 
 
@@ -114,9 +134,8 @@ def sizes(table: pandas.DataFrame) -> list[dict]:
                     "theory": axis.theory,
                     "sampler": sampler,
                     "sizes": (own["size"].iloc[0], own["size"].iloc[-1]),
-                    "steps": tuple(1e3 * own["median"].iloc[[0, -1]]),
+                    "growth": own["median"].iloc[-1] / own["median"].iloc[0],
                     "far": [(own.loc[i, "size"], value) for i, value in far.items()],
-                    "scatter": ((own["max"] - own["min"]) / own["median"]).max(),
                 }
             )
     return rows

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas
-from _derivative_verdicts import WAYS, judged, of_keys, read
+from _derivative_verdicts import WAYS, judged, of_keys, of_words, read
 from _plugin_bsdfs import BSDFS
 from _plugin_scenes import EMITTERS, MEDIA, SENSORS, SHAPES, TEXTURES
 from _plugins import REASONS
@@ -33,7 +33,9 @@ def facts(results: Path) -> dict:
     measured = table.dropna(subset=["reference"])
     told = judged(measured)
     keys = of_keys(table[table["key"].notna()])
+    words = of_words(keys)
     return {
+        "wrong": words[words["verdict"] == "wrong (isas)"].to_dict("records"),
         "mitsuba": table["mitsuba"].dropna().max(),
         "drjit": table["drjit"].dropna().max(),
         "variants": " and ".join(f"`{name}`" for name in sorted(set(table["variant"].dropna()))),

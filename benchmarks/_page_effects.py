@@ -38,6 +38,8 @@ def facts(results: Path) -> dict:
         "earlier": [
             s["name"] for s in scenes if not math.isfinite(s["auto"].get("noise", math.nan))
         ],
+        # Before rows had a day, a probe asked otherwise.
+        "older": [s["name"] for s in scenes if not isinstance(s["auto"].get("day"), str)],
         "threads": [scene["auto"]["threads"] for scene in scenes],
         # Where the first look of `progress` came after as many steps as it cost.
         "late": [scene["name"] for scene in scenes if not scene["auto"]["passes"] == 1],

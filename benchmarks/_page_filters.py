@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import _ranges
 import numpy as np
 import pandas
 
-BASE = "none"
+BASE, LOOKED_AT = "none", "pottery"  # a judging scene that was looked at while rates were chosen
+DEFAULT = ("laplacian", 0.5, 40)  # filter, rate, half
 RATIOS = ["parameter_rmse_ratio", "image_rmse_ratio"]
 
 
@@ -16,6 +18,7 @@ def facts(results: Path) -> dict:
     judged, choosing = (table[table["judged"] == number] for number in (1, 0))
     means = judged.groupby(["scene", "filter"]).mean().reset_index()
     means["steps"] = means["iterations"].astype(int)
+    means = _ranges.marked(means, choosing, ("scene", "filter"))
     # On the scenes that all have.
     each = means[means["filter"] != BASE].groupby("scene")["filter"].nunique()
     shared = each.index[each == each.max()]
@@ -23,7 +26,9 @@ def facts(results: Path) -> dict:
     over = means[alike].groupby("filter")[RATIOS]
     return {
         "sooner": sooner(results / "sooner.csv"),
-        "ways": ways(results / "choosing.csv"),
+        "ways": (chosen := ways(results / "choosing.csv")),
+        "nearer": nearer(chosen),
+        "usual": DEFAULT,
         "scenes": {scene: rows.to_dict("records") for scene, rows in means.groupby("scene")},
         "seeds": judged.groupby(["scene", "filter"]).size().min(),
         "batch": int(judged["batch"].iloc[0]),
@@ -47,6 +52,9 @@ def sooner(path: Path) -> dict:
         "rows": medians.to_dict("records"),
         "median": medians["parameter_rmse_share"].median(),
         "image": medians["image_rmse_share"].median(),
+        "unseen": medians.loc[
+            medians["scene"] != LOOKED_AT, ["parameter_rmse_share", "image_rmse_share"]
+        ].median(),
         "steps": (medians["iterations_now"] / medians["iterations_then"]).median(),
         "behind": {
             word: medians.loc[medians[name] > medians[f"{name}_then"], "scene"].tolist()
@@ -69,3 +77,15 @@ def ways(path: Path) -> list[dict]:
         row = dict(zip(("filter", "rate", "half"), key))
         rows.append(row | {name: over[name].to_dict() for name in errors})
     return rows
+
+
+def nearer(rows: list[dict]) -> list[dict]:
+    """The ways that end nearer than the DEFAULT on most scenes and measures, on how many."""
+    errors = [name.removesuffix("_ratio") for name in RATIOS]
+    told = {(row["filter"], row["rate"], row["half"]): row for row in rows}
+    usual, found = told[DEFAULT], []
+    for row in rows:
+        less = [row[e][scene] < usual[e][scene] for e in errors for scene in usual[e]]
+        if 2 * sum(less) > len(less):
+            found.append(row | {"less": sum(less), "of": len(less)})
+    return found

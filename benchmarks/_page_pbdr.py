@@ -17,7 +17,8 @@ def facts(results: Path) -> dict:
 
     table = _ranges.marked(read("pbdr"), read("pbdr_rates"))
     by = {scene: rows.set_index("method") for scene, rows in table.groupby("scene", sort=False)}
-    photographed = read("pbdr_photographs").set_index("method")
+    photographed = _marked(results, "pbdr_photographs", (0.09, 100 / 3)).set_index("method")
+    every = by | {PHOTOGRAPHED: photographed}
     return {
         "scenes": {scene: rows.reset_index().to_dict("records") for scene, rows in by.items()},
         "seconds": dict(table.groupby("scene", sort=False)["seconds"].max()),
@@ -29,18 +30,30 @@ def facts(results: Path) -> dict:
             for row in read("pbdr_more").to_dict("records")
             if row["method"] == PLAIN
         ],
-        "shape": read("pbdr_shape").to_dict("records"),
+        "shape": _marked(results, "pbdr_shape", (0.09, 9.0)).to_dict("records"),
         "photographed": photographed.reset_index().to_dict("records"),
-        "claims": _claims(by | {PHOTOGRAPHED: photographed}),
-        "prior": {scene: _ratio(rows, "mpea", "without the prior") for scene, rows in by.items()},
-        "smoothing": {
-            scene: _ratio(rows, "re", "without smoothing")
-            for scene, rows in by.items()
+        "claims": _claims(every),
+        "prior": [
+            {"scene": scene} | _beside(rows, "mpea", "without the prior")
+            for scene, rows in every.items()
+        ],
+        "smoothing": [
+            {"scene": scene} | _beside(rows, "re", "without smoothing")
+            for scene, rows in every.items()
             if "without smoothing" in rows.index
-        },
-        "best": {scene: rows["re"].idxmin() for scene, rows in by.items()},
-        "sooner": {scene: rows.loc[FULL, "time_to_stock"] for scene, rows in by.items()},
+        ],
+        "best": {scene: rows["re"].idxmin() for scene, rows in every.items()},
+        "sooner": {scene: rows.loc[FULL, "time_to_stock"] for scene, rows in every.items()},
     }
+
+
+def _marked(results: Path, name: str, ends: tuple[float, float]) -> pandas.DataFrame:
+    """A table with its marks; ``ends``: what a search that kept no table of rates had tried beyond
+    its factors where the best was at an end of them."""
+    table, rates = pandas.read_csv(results / f"{name}.csv"), results / f"{name}_rates.csv"
+    if rates.exists():
+        return _ranges.marked(table, pandas.read_csv(rates))
+    return _ranges.marked(table, pandas.concat(table.assign(factor=end) for end in ends))
 
 
 def _more(table: pandas.DataFrame) -> dict:
@@ -71,10 +84,13 @@ def _otherwise(rates: pandas.DataFrame) -> list[dict]:
     return found
 
 
-def _ratio(rows: pandas.DataFrame, measure: str, rival: str) -> float:
-    """Of the full method to a rival; where nothing is to be smoothed, the full method without the
-    prior is `ours`."""
-    return rows.loc[FULL, measure] / rows.loc[rival if rival in rows.index else PLAIN, measure]
+def _beside(rows: pandas.DataFrame, measure: str, rival: str) -> dict:
+    """The full method over a rival, whether their ranges overlap, and the factors of both; where
+    nothing is to be smoothed, the full method without the prior is `ours`."""
+    full, other = rows.loc[FULL], rows.loc[rival if rival in rows.index else PLAIN]
+    level = _ranges.apart(full, other, measure) == _ranges.LEVEL
+    factors = [full["factor"], other["factor"]]
+    return {"times": full[measure] / other[measure], "level": level, "factors": factors}
 
 
 def _claims(by: dict[str, pandas.DataFrame]) -> list[dict]:

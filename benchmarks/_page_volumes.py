@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import _ranges
 import pandas
 
 FINE, HALF = ", fine", ", half"
 
 
 def facts(results: Path) -> dict:
-    table = pandas.read_csv(results / "volumes.csv")
+    rates = pandas.read_csv(results / "volumes_rates.csv")
+    table = _ranges.marked(pandas.read_csv(results / "volumes.csv"), rates)
     for measure in ("image_rmse", "image_rmse_low", "image_rmse_high"):
         table[f"{measure}_share"] = table[measure] / table["start"]
     scenes = {scene: rows for scene, rows in table.groupby("scene", sort=False)}
@@ -20,7 +22,15 @@ def facts(results: Path) -> dict:
         "seconds": table["seconds"].max(),
         "seeds": table["seeds"].min(),
         "best": {scene: rows["image_rmse"].idxmin() for scene, rows in by.items()},
-        "halves": {scene: _shares(rows, HALF) for scene, rows in by.items()},
+        "least": {scene: rows["parameter_rmse"].idxmin() for scene, rows in by.items()},
+        "at_end": {
+            scene: list(rows.index[(rows["mark"] != "") & ~rows.index.str.endswith(HALF)])
+            for scene, rows in by.items()
+        },
+        "halves": {
+            scene: {name: half for name, (_, half) in _shares(rows, HALF).items()}
+            for scene, rows in by.items()
+        },
         "fines": {scene: _shares(rows, FINE) for scene, rows in by.items()},
         "uniform": {scene: rows.loc["uniform", "image_rmse_share"] for scene, rows in by.items()},
     }

@@ -21,6 +21,7 @@ Writes results/cost_against_size.csv and .png.
 from __future__ import annotations
 
 import argparse
+import datetime
 import json
 import subprocess
 import sys
@@ -218,7 +219,7 @@ def main() -> None:
         report(axis, tables[-1])
     if folder is not None:
         folder.mkdir(exist_ok=True)
-        table = pandas.concat(rows)
+        table = pandas.concat(rows).assign(day=datetime.date.today().isoformat())
         table.to_csv(folder / "cost_against_size.csv", index=False, float_format="%.6f")
         pages.write()
         draw(axes(chosen.quick), tables, folder / "cost_against_size.png")

@@ -15,6 +15,7 @@ more long paths. Writes results/crossed_estimates.csv, crossed.csv.
 from __future__ import annotations
 
 import argparse
+import datetime
 import statistics
 import sys
 import tempfile
@@ -178,7 +179,7 @@ def main() -> None:
             where = scene, Path(root), [*SETTINGS, *settings_of(scene)], methods(), FACTORS
             by = MEASURES[lights is not None]
             _, judged = _contest.judged(*where, chosen.seeds, seconds, measured, by)
-            made = table(judged, seconds)
+            made = table(judged, seconds).assign(day=datetime.date.today().isoformat())
         print(made.round(3).to_string(index=False), flush=True)
         _contest.write(RESULTS / "crossed.csv", made)
     pages.write()

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import _contest
 import numpy as np
+import pages
 import pandas
 from reproduce import RESULTS
 from steps_or_paths import TEXTURES
@@ -53,6 +54,7 @@ def main() -> None:
             row = measured(scene, Path(folder), chosen.iterations, chosen.seeds)
         _contest.write(path, pandas.DataFrame([row]))
         print(pandas.read_csv(path).to_string(index=False), flush=True)
+        pages.write()
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ against billed time).
 from __future__ import annotations
 
 import argparse
+import datetime
 import importlib
 import subprocess
 import sys
@@ -80,6 +81,7 @@ def measured(run: records.Run) -> dict:
         "noise": run.config["target"]["noise"],
         "threads": run.manifest["threads"],
         "passes": run.config["sampler"]["passes"],
+        "day": datetime.date.today().isoformat(),
     }
 
 
@@ -87,7 +89,7 @@ def table(found: pandas.DataFrame, seconds: float) -> pandas.DataFrame:
     """Medians and ranges; ``time_to_full``: share of the budget to the median final parameter error
     of `full`."""
     same = ["scene", "method", "factor", "depth", "derivative", "light_samples", "directions"]
-    same += ["caustics", "probe", "noise", "threads", "passes"]
+    same += ["caustics", "probe", "noise", "threads", "passes", "day"]
     columns = [*_contest.ranged(MEASURE, "image_rmse"), "left_out", "iterations"]
     columns += _contest.ranged("time_to_full")
     return _contest.told(found, seconds, columns, MEASURE, {"time_to_full": FULL}, same)

@@ -1,6 +1,6 @@
 """What the first look of `progress` may cost: everything once, or twice.
 
-Both and `uniform` in turns, at the rates that reproduce.py found best for each, three seeds: the
+Both and `uniform` in turns, at the rates that reproduce.py found best for each, some seeds: the
 error over that of `uniform` after a sixteenth, an eighth, a quarter, half and all of the time.
 Writes results/first_look.csv.
 
@@ -10,6 +10,7 @@ Writes results/first_look.csv.
 from __future__ import annotations
 
 import argparse
+import datetime
 import tempfile
 from pathlib import Path
 
@@ -63,9 +64,8 @@ def main() -> None:
             for seed in chosen.seeds:
                 for side in SIDES:
                     rows += measured(scene, side, seed, chosen.seconds, folder)
-            pandas.DataFrame(rows).to_csv(
-                RESULTS / "first_look.csv", index=False, float_format="%.4g"
-            )
+            table = pandas.DataFrame(rows).assign(day=datetime.date.today().isoformat())
+            table.to_csv(RESULTS / "first_look.csv", index=False, float_format="%.4g")
     pages.write()
 
 

@@ -25,11 +25,11 @@ results/pbdr_more.csv and pbdr_more_rates.csv.
 With `--shape`: `object_joint_shape`, whose vertices are unknown as well: silhouettes with drawn
 pixels (`ours`), with and without the paper's parts, and with uniform ones, and Mitsuba's projective
 loop, all in the stages of the scene's configuration; and `ours` with everything moving from the
-start. Writes results/pbdr_shape.csv.
+start. Writes results/pbdr_shape.csv and pbdr_shape_rates.csv.
 
 With `--photographs`: `materials_joint` from pictures that another renderer has made and a camera
 taken (`_photographed_materials.py`), its base table with fewer samplers. RE holds their noise.
-Writes results/pbdr_photographs.csv.
+Writes results/pbdr_photographs.csv and pbdr_photographs_rates.csv.
 
     make reproduce SCENES=pbdr
     .venv/bin/python benchmarks/pbdr.py --more
@@ -152,8 +152,8 @@ def apart(run: records.Run) -> dict[str, float]:
 PHOTOGRAPHED = _photographed_materials.SCENE
 
 
-def photographs(seeds: list[int], seconds: float) -> pandas.DataFrame:
-    """A row for each method on PHOTOGRAPHED: medians and ranges."""
+def photographs(seeds: list[int], seconds: float) -> tuple[pandas.DataFrame, pandas.DataFrame]:
+    """A row for each method on PHOTOGRAPHED: medians and ranges; and the search for its rates."""
     contestants = methods(PHOTOGRAPHED)
     contestants = {name: contestants[name] for name in (FULL, PLAIN, "uniform", "progress", STOCK)}
     with tempfile.TemporaryDirectory(prefix="isas-pbdr-") as root:
@@ -163,8 +163,8 @@ def photographs(seeds: list[int], seconds: float) -> pandas.DataFrame:
         settings = [each for each in SETTINGS if not each.startswith("target.")]
         settings += [*NOISY, f"scene.targets=[{pictures}]"]
         where = PHOTOGRAPHED, Path(root), settings, contestants, FACTORS
-        found = _contest.judged(*where, seeds, seconds, measured, ERROR, 1)[1]
-        return table(found, seconds)
+        first, found = _contest.judged(*where, seeds, seconds, measured, ERROR, 1)
+        return table(found, seconds), first
 
 
 SHAPE, SHAPE_SECONDS = "object_joint_shape", 12.0
@@ -196,8 +196,8 @@ def shape_measured(run: records.Run) -> dict:
     }
 
 
-def shapes(seeds: list[int], seconds: float) -> pandas.DataFrame:
-    """A row for each method on SHAPE: medians and ranges."""
+def shapes(seeds: list[int], seconds: float) -> tuple[pandas.DataFrame, pandas.DataFrame]:
+    """A row for each method on SHAPE: medians and ranges; and the search for its rates."""
     settings = ["evaluation.count=8", *_contest.QUIET, "~scene.method"]
     at_once = json.dumps(specs(SHAPE, during=None))
     found = []
@@ -206,10 +206,11 @@ def shapes(seeds: list[int], seconds: float) -> pandas.DataFrame:
     for contestants, chosen in sides:
         with tempfile.TemporaryDirectory(prefix="isas-pbdr-") as root:
             where = SHAPE, Path(root), chosen, contestants, FACTORS[:3]
-            found.append(_contest.judged(*where, seeds, seconds, shape_measured, ERROR, 1)[1])
+            found.append(_contest.judged(*where, seeds, seconds, shape_measured, ERROR, 1))
+    first, found = (pandas.concat(each) for each in zip(*found))
     columns = ["start", "chamfer_low", "chamfer_high", f"{ERROR}_low", f"{ERROR}_high", "chamfer"]
     columns += [ERROR, "re", "mpea", "cs", "gn", "normals", "specular", "roughness", "sky"]
-    return _contest.told(pandas.concat(found), seconds, [*columns, "iterations"])
+    return _contest.told(found, seconds, [*columns, "iterations"]), first
 
 
 MEASURES = ("re", "mpea", "cs", "gn", "colour", "roughness")
@@ -314,15 +315,15 @@ def main() -> None:
     from isas_cli.runtime import backend
 
     backend.start()
-    if chosen.shape:
-        made = shapes(chosen.seeds, chosen.seconds or SHAPE_SECONDS)
+    if chosen.shape or chosen.photographs:
+        if chosen.shape:
+            name, usual, measure = "pbdr_shape", SHAPE_SECONDS, shapes
+        else:
+            name, usual, measure = "pbdr_photographs", SCENES[PHOTOGRAPHED], photographs
+        made, first = measure(chosen.seeds, chosen.seconds or usual)
         print(made.to_string(index=False), flush=True)
-        _contest.write(RESULTS / "pbdr_shape.csv", made)
-        return pages.write()
-    if chosen.photographs:
-        made = photographs(chosen.seeds, chosen.seconds or SCENES[PHOTOGRAPHED])
-        print(made.to_string(index=False), flush=True)
-        _contest.write(RESULTS / "pbdr_photographs.csv", made)
+        _contest.write(RESULTS / f"{name}.csv", made)
+        _contest.write(RESULTS / f"{name}_rates.csv", first)
         return pages.write()
     for scene in chosen.scenes:
         seconds = chosen.seconds or SCENES[scene]

@@ -6,6 +6,7 @@ Writes results/phases.csv, one row per scene and phase.
 from __future__ import annotations
 
 import argparse
+import datetime
 import subprocess
 import sys
 import tempfile
@@ -33,7 +34,7 @@ def main() -> None:
             subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
             tables.append(pandas.read_csv(folder / "profile.csv"))
             tables[-1].insert(0, "scene", scene)
-    table = pandas.concat(tables)
+    table = pandas.concat(tables).assign(day=datetime.date.today().isoformat())
     table.to_csv(HERE / "results" / "phases.csv", index=False, float_format="%.4g")
     pages.write()
 

@@ -19,7 +19,8 @@ it. With a launcher the races of all scenes are handed out together.
     make reproduce SCENES="dodoco_b kirby"       shapes: see shapes.py
     make reproduce SCENES="smoke lego"           volumes: see volumes.py
     make reproduce SCENES=pbdr                   everything at once: see pbdr.py, whose other
-                                                 parts are its --more and --shape
+                                                 parts are its --more, --shape and
+                                                 --photographs
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 Each scene from a sphere: `estimator=silhouettes` with each of three samplers (`progress` is
 refused), with silhouettes drawn by residuals and by length alone, with shadows' edges and without,
 and Mitsuba's own loop (`sampler=mitsuba`; with shadows' edges where the scene asks for them), at
-three rates each with the first seed, then each at its best with three others, which alone are
-reported. Writes results/shapes.csv (a row per scene and method), shapes_rates.csv and
-shapes_<scene>.png (chamfer distance against billed time).
+three rates each with the first seed, and at one beyond where the best was an end of them, then each
+at its best with three others, which alone are reported. Writes results/shapes.csv (a row per scene
+and method), shapes_rates.csv and shapes_<scene>.png (chamfer distance against billed time).
 
 With `--rebuilds`: the same time on kirby with fewer and larger steps, and so fewer rebuilds of the
 tree that rays are traced with, each at its own best rate; the smallest says what a step costs

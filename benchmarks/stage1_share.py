@@ -11,6 +11,7 @@ Writes results/stage1_share.csv.
 from __future__ import annotations
 
 import argparse
+import datetime
 import statistics
 import sys
 from pathlib import Path
@@ -103,7 +104,7 @@ def main() -> None:
     above = [f"{row['sampler']} on {row['scene']}" for row in rows if row["share"] > TARGET]
     print(f"above {TARGET:.0%} of {SECONDS:.0f} s: {', '.join(above) or 'none'}")
     if not chosen.quick:
-        table = pandas.DataFrame(rows)
+        table = pandas.DataFrame(rows).assign(day=datetime.date.today().isoformat())
         table.to_csv(HERE / "results" / "stage1_share.csv", index=False, float_format="%.4g")
         pages.write()
 

@@ -19,6 +19,7 @@ import time
 
 import _contest
 import _rows
+import pages
 import pandas
 from reproduce import RESULTS
 from steps_or_paths import TEXTURES
@@ -104,6 +105,7 @@ def main() -> None:
         rows = pandas.DataFrame(_rows.collect([sys.executable, __file__, scene, *more]))
         _contest.write(path, rows)
         print(rows.to_string(index=False), flush=True)
+    pages.write()
     of_noise = pandas.read_csv(path).groupby("target_noise")
     shown = of_noise[["of_time", "of_time_all_pixels"]].median()
     print("medians over scenes:", shown.to_string(), sep="\n")

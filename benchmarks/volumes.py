@@ -2,10 +2,10 @@
 
 On smoke and lego every sampler from coarse to fine, some on the fine grid from the start, and, in a
 race of their own after it, some with half the budget; at some factors on the scene's rates each
-with the first seed, then each at its best, by the final image error, with three others, which alone
-are reported: what no image tells is in the parameters' error. Contestants take turns. Writes
-results/volumes.csv (a row per scene and method), volumes_rates.csv and volumes_<scene>.png (image
-error against billed time).
+with the first seed, and at one beyond where the best was an end of them; then each at its best, by
+the final image error, with three others, which alone are reported: what no image tells is in the
+parameters' error. Contestants take turns. Writes results/volumes.csv (a row per scene and method),
+volumes_rates.csv and volumes_<scene>.png (image error against billed time).
 
     make reproduce SCENES="smoke lego"
 """
@@ -51,7 +51,7 @@ def judged(scene: str, root: Path, seconds: float, seeds: list[int], factors, se
     halved = {name + HALF: {"sampler": name} for name in PROMISED}
     races = [(root / "whole", methods(), seconds), (root / "half", halved, seconds / 2)]
     found = [
-        _contest.judged(scene, own, settings, named, factors, seeds, time, measured, ERROR)
+        _contest.judged(scene, own, settings, named, factors, seeds, time, measured, ERROR, 1)
         for own, named, time in races
     ]
     return [pandas.concat(each, ignore_index=True) for each in zip(*found)]

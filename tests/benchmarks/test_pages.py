@@ -4,6 +4,7 @@ import re
 
 import _page_adaptive
 import _page_effects
+import _page_filters
 import numpy as np
 import pages
 import pandas
@@ -39,6 +40,15 @@ def test_defaults_that_are_named_are_those_of_the_configuration():
     rates = OptimizerConfig()
     own = cfg.estimator.batch, rates.factor, *rates.falling(), rates.half, rates.beta_2
     assert own == _page_effects.DEFAULT
+    usual = cfg.optimizer.filter.name, cfg.optimizer.filter.rate, rates.half
+    assert usual == _page_filters.DEFAULT
+
+
+def test_tables_with_a_day_are_not_said_to_be_of_an_earlier_engine():
+    facts = pages.PAGES["cost"](pages.RESULTS)
+    facts["day"] = dict.fromkeys(facts["day"], "2030-01-31")
+    text = pages._environment().get_template("cost.md.j2").render(facts)
+    assert "earlier engine" not in text and "filter=none" not in text
 
 
 ROOT = pages.README.parent
@@ -77,18 +87,20 @@ def test_scenes_are_on_a_side_only_where_the_ranges_lie_apart():
     assert [_page_adaptive.leads(by[s], "ours") for s in by] == [True, True, False]
 
 
-def test_the_short_table_says_where_an_error_is_not_reached():
+def test_the_short_table_says_what_is_level_and_where_an_error_is_not_reached():
     ends = {"uniform": (2, 1.9, 2.1, 1.0), "ours": (3, 3, 3, np.inf)}
     by = {
         "soon": raced(progress=(1, 1, 1, 0.25), **ends),
-        "never": raced(progress=(2.5, 2, 3, np.inf), **ends),
+        "never": raced(progress=(2.5, 2.2, 3, np.inf), **ends),
         "rises_relative": raced(progress=(1, 1, 1, 0.1), **ends),
+        "level": raced(progress=(2.2, 2, 2.4, np.inf), **ends),
     }
     lines = _page_adaptive.short(by, turned=["rises_relative"])
     assert lines[2:] == [
         "| soon, 5 s | 20.0 % | 30.0 % | **10.0 %** | 0.25 |",
         "| never, 5 s | **20.0 %** | 30.0 % | 25.0 % | not reached |",
         "| rises, relative L2, 5 s | 20.0 % | 30.0 % | **10.0 %** | – |",
+        "| level, 5 s | **20.0 %** | 30.0 % | **22.0 %** | not reached |",
     ]
 
 
