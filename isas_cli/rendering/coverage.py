@@ -24,6 +24,7 @@ from .renderer import Renderer
 from .volume import only_emits
 
 _LANES = 1 << 20
+_LEAST = 1 << 10  # visits of a pass: a meter's single pixel is looked through so often
 _MOST = 1 << 24  # pixels visited; above this a stratified subset of them
 _SAMPLES = 4  # paths a pixel, where all fit into one pass
 # ``missed`` asks first by some paths for each entry, within these numbers, and each time by twice
@@ -101,7 +102,7 @@ def _key(problem: Problem, seed: int) -> str:
     ]
     masked = "" if problem.mask is None else problem.target_hash
     what = problem.content_hash, unknowns, masked, seed
-    return "coverage-" + digest("coverage", 6, *what, mi.__version__, THRESHOLD, WELL_SEEN)
+    return "coverage-" + digest("coverage", 7, *what, mi.__version__, THRESHOLD, WELL_SEEN)
 
 
 def _judge(problem: Problem, judged: list[Unknown], seed: int) -> dict[str, np.ndarray]:
@@ -137,7 +138,7 @@ def measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[
     """
     unknowns = problem.unknowns
     total = problem.views.total
-    visited = min(total, _MOST)
+    visited = min(max(total, _LEAST), _MOST)
     lanes = min(visited, _LANES)
     passes = -(-visited // lanes)
     samples = _SAMPLES if visited <= _LANES else 1

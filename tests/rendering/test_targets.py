@@ -120,6 +120,22 @@ def test_coverage_finds_the_texels_that_no_view_sees():
     assert by_unseen < 0.05 * (~seen).sum() / seen.sum() * by_seen
 
 
+def test_what_a_single_pixel_sees_now_and_then_is_seen():
+    """A small lamp above a meter that lies on a table."""
+    turn = mi.ScalarTransform4f().rotate([0, 1, 0], 180)
+    film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
+    lamp = turn.translate([0, 0, -3]).scale(0.15)
+    described = {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 2},
+        "table": {"type": "rectangle", "sensor": {"type": "irradiancemeter", "film": film}},
+        "lamp": {"type": "rectangle", "to_world": lamp, "emitter": {"type": "area"}},
+    }
+    p = without_targets(described, {"lamp.emitter.radiance.value": 0.5})
+    coverage.fill_in(p, 1)
+    assert p.unknowns.items[0].seen.all()
+
+
 def test_what_is_hardly_seen_does_not_count_however_much_there_is_of_it():
     """Most texels grazed: their median would count them all."""
     well, grazed = np.full(20, 1.0), np.linspace(1e-3, 2e-2, 75)
