@@ -63,6 +63,14 @@ def main(
         rendering = [relit.cut(camera, width) for camera in cameras]
         lights = _lights(light, [camera.name for camera in cameras])
         how = own.up if up is None else up, own.turn if turn is None else turn
+        # What the run found of views is of its own: their exposures are fitted anew.
+        fitted = light is not None or own.exposure != "fixed"
+        for name in ("refine", "lens"):
+            if getattr(own, name):
+                told = (
+                    f"photos.{name}: cameras are as their file has them, not as the run found them"
+                )
+                print(told, file=sys.stderr)
         scene = export.result(typed.scene, arrays)
         output = output or folder / "relit"
         found, console = {}, Console()
@@ -75,7 +83,7 @@ def main(
                 linear = importing.linear(camera.image, own.encoding)
             turned = camera.name in over
             found[camera.name] = relighting.of_picture(
-                image, seen, camera, mask, where, turned, light is not None, linear
+                image, seen, camera, mask, where, turned, fitted, linear
             )
             relit.write(output, camera.name, image)
     mean = relighting.mean(found)

@@ -134,7 +134,7 @@ def _bad_paths(loop: Loop, of: TwoPath, iteration: int) -> Iterator[tuple[str, n
 
         def look(integrator, scene, streams, rays, adjoints, key=key, found=found):
             again = [stream.clone() for stream in streams]
-            parts = adjoints(integrator.radiances(scene, streams, rays))
+            parts = adjoints(integrator.radiances(scene, streams, rays), finite=False)
             if key is not None:
                 paths = zip(reversed(again), reversed(rays))
                 parts = [a * integrator.forward(scene, *path) for a, path in zip(parts, paths)]

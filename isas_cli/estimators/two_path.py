@@ -99,7 +99,8 @@ class TwoPath(Gradients):
         self, problem: Problem, loss, batch: int, freeze: bool = True, along=None, blurred=False
     ):
         """``along(integrator, scene, streams, rays, adjoints)``: what is done along both paths, for
-        measurements; None for the integrator's ``pair``. ``blurred``: as in ``Settings``.
+        measurements; None for the integrator's ``pair``; ``adjoints`` takes ``finite=False`` to
+        send back what is not finite as well. ``blurred``: as in ``Settings``.
 
         Raises InputError where an unknown moves objects."""
         if problem.unknowns.moving and not problem.integrator.moves:
@@ -155,7 +156,7 @@ class TwoPath(Gradients):
                 )
                 shown, residuals, missed = [], [], []
 
-                def adjoints(radiances: list) -> list:
+                def adjoints(radiances: list, finite: bool = True) -> list:
                     shown.extend(radiances)
                     for radiance, weight in zip(radiances, weights):
                         seen = radiance * weight
@@ -167,8 +168,9 @@ class TwoPath(Gradients):
                         missed.append(~dr.all(dr.isfinite(residual)))
                     # One that is not finite would spoil the sums that gradients are, by its own
                     # derivative as well: a path along which nothing is sent back adds none.
-                    spoiled = functools.reduce(operator.or_, missed)
-                    residuals[:] = [dr.select(spoiled, 0, each) for each in residuals]
+                    if finite:
+                        spoiled = functools.reduce(operator.or_, missed)
+                        residuals[:] = [dr.select(spoiled, 0, each) for each in residuals]
                     # With the next kernel: counted in one of its own, the paths would be traced
                     # again.
                     dr.schedule(residuals, missed)

@@ -35,14 +35,16 @@ def views(
     shapes = scene.shapes()
     if any(shape.is_medium_transition() for shape in shapes):
         raise InputError("the scene has a medium: isas relight renders surfaces alone")
-    middle = np.array(scene.bbox().center()).ravel()
+    middle, sides = (np.array(x).ravel() for x in (scene.bbox().center(), scene.bbox().extents()))
+    extent = float(np.linalg.norm(sides))
     last, lit = object(), {}
     for number, (camera, light) in enumerate(zip(cameras, lights)):
         if light != last or up == CAMERA:
             world = building.facing(camera) if up == CAMERA else building.upright(up, turn)
             last, lit = light, _lit(scene, shapes, light, world)
         with backend.loading():
-            made = mi.load_dict(lit | {"camera": building.sensor(camera, middle)}, optimize=False)
+            seen = {"camera": building.sensor(camera, middle, extent)}
+            made = mi.load_dict(lit | seen, optimize=False)
         yield _rendered(made, spp, number)
 
 

@@ -41,6 +41,8 @@ class Exposure(Kind):
     def keys(cls, loaded: Loaded) -> list[str]:
         return ["exposure"] if loaded.channels is not None else []
 
+    usual = 0.01, 100.0  # its range: below, a view would tell nothing
+
     def __init__(self, key: str, loaded: Loaded):
         self.key, self.writes = key, []
         self._views, self._channels = loaded.views, loaded.channels
@@ -50,8 +52,7 @@ class Exposure(Kind):
         if loaded.told is not None:
             told, near = loaded.told
             self._ends = [self.value(told * factor) for factor in (1 - near, 1 + near)]
-        # Below, a view would tell nothing.
-        self.range, self.unit = (0.01, 100.0), "exposure"
+        self.range, self.unit = self.usual, "exposure"
         entry = np.arange(self.present.size, dtype=np.uint32).reshape(self.present.shape)
         table = np.broadcast_to(entry, (self._views.count, 3))
         self._entry = mi.UInt32(table.ravel())

@@ -5,22 +5,14 @@ import hard_cases
 import numpy as np
 import pytest
 
-import isas_cli
 from isas_cli.estimators.two_path import TwoPath
-from isas_cli.runtime.errors import InputError, NumericalError
+from isas_cli.runtime.errors import InputError
 
 PLAIN = hard_cases.CASES[0]
 
 
 @pytest.mark.parametrize("case", hard_cases.everywhere(), ids=lambda case: case.name)
 def test_it_stays_stable(case, tmp_path):
-    if case.ends:
-        with pytest.raises(NumericalError, match=r"not finite.*view 0, column \d+, row \d+"):
-            case.run(tmp_path)
-        run = isas_cli.load(tmp_path / "run")
-        assert run.summary["status"] == "numerical failure"
-        assert all(np.isfinite(array).all() for array in run.parameters().values())
-        return
     run = case.run(tmp_path)
     history = run.history
     first, last = history.iloc[0], history.iloc[-1]

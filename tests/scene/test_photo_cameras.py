@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 import photo_sets
 import pytest
+import trimesh
 from photo_sets import CENTRE, FOCAL, POSES, SIZE, Files
 from PIL import Image
 
@@ -61,7 +62,7 @@ def test_mitsubas_rays_go_through_the_points(cameras):
     """Of every format: the ray through the pixel where a point is seen passes through it."""
     found, _ = cameras
     for camera in found:
-        sensor = mi.load_dict(building.sensor(camera, np.zeros(3)))
+        sensor = mi.load_dict(building.sensor(camera, np.zeros(3), 1.0))
         pixels, _ = camera.project(POINTS)
         at = mi.Point2f((pixels / SIZE).T)
         ray, _ = sensor.sample_ray_differential(0.0, 0.0, at, mi.Point2f(0.5))
@@ -305,3 +306,33 @@ def test_files_that_hold_no_view_out(tmp_path, name):
     with pytest.raises(InputError, match=told) as error:
         given(tmp_path)
     assert "\n" not in str(error.value)
+
+
+def test_from_within_a_room_its_walls_are_seen(cameras):
+    """From its very middle as well, which is no distance to go by."""
+    camera = dataclasses.replace(cameras[0][0], to_world=np.eye(4))
+    sensor = mi.load_dict(building.sensor(camera, np.full(3, 1e-4), 17.0))
+    assert sensor.far_clip() > 17 > 1 > sensor.near_clip()
+
+
+def test_a_pixel_is_as_wide_as_what_a_camera_sees(tmp_path):
+    """Of one end of a long wall, which is as far away as that; not as its middle."""
+    pose = np.eye(4)
+    pose[:3, 3] = 20, 0, -3
+    photo_sets.transforms(Files(tmp_path, [pose]))
+    trimesh.creation.box((50, 2, 0.01)).export(tmp_path / "wall.ply")
+    taken = photographs.load(PhotosConfig(path=str(tmp_path), mesh=str(tmp_path / "wall.ply")))
+    (turn, shift), camera = building.pixels(taken)[0], taken.all[0].camera
+    assert turn == 1 / camera.fx and shift == pytest.approx(3 / camera.fx, rel=0.01)
+
+
+@pytest.mark.parametrize("times, usual", [(1.0, True), (500.0, False), (0.004, False)])
+def test_a_light_begins_in_the_unit_of_the_pictures(tmp_path, times, usual):
+    pictures = [np.full((*SIZE[::-1], 3), 0.3 * times, np.float32)] * len(POSES)
+    photo_sets.transforms(Files(tmp_path, POSES, pictures))
+    taken = photographs.load(PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.5]))
+    found = building.unknowns(taken, {}, {})["sky.data"]
+    assert found.start == (1.0 if usual else pytest.approx(0.6 * times))
+    assert found.lr == (None if usual else pytest.approx(0.02 * 0.6 * times))
+    taken.exposures = np.array([[1.0], [128.0]]), 0.1
+    assert building._exposure(taken).range == [0.01, 256.0]

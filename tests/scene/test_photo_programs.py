@@ -342,6 +342,15 @@ def test_neus(tmp_path, factor, name):
     ]
 
 
+def test_neus_of_a_world_whose_origin_is_far_away(tmp_path):
+    """In millimetres, say."""
+    far = [pose + [[0, 0, 0, x] for x in (2e4, -3e4, 1e4, 0)] for pose in POSES]
+    neus(Files(tmp_path, far))
+    found = reading.read(str(tmp_path)).cameras
+    for camera, pose in zip(found, far):
+        np.testing.assert_allclose(camera.centre, pose[:3, 3], rtol=1e-6)
+
+
 def test_masks_of_neus_are_in_the_order_of_their_names(tmp_path):
     """Which are others than the pictures' in its own sets."""
     neus(Files(tmp_path, POSES))

@@ -9,15 +9,16 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ...config.schema import PhotosConfig, PoseConfig, UnknownConfig
+from ...config.schema import OptimizerConfig, PhotosConfig, PoseConfig, UnknownConfig
 from ...runtime import images
 from ...runtime.errors import InputError
 from ...scenes import meshes
+from ...unknowns.exposure import Exposure
 from ...unknowns.optics import PARTS, Glass, Together
 from ...unknowns.parameters import own
 from ...unknowns.unknowns import Unknown
 from ..views import Views
-from . import material
+from . import material, outlines
 from .camera import Camera
 from .importing import BLACK, Photograph
 from .photographs import Photographs
@@ -32,7 +33,9 @@ _CHANNELS = {"fixed": None, "scale": 1, "channels": 3}
 _PIXELS, _FROM_ONE, _ACROSS = 0.1, 0.05, 0.3
 # Times as fast where the object takes their focal length up in its size: a pixel moves less then.
 _WITH_SIZE = 3
-_LIGHT = 1.0  # what an unknown environment starts at
+# What an unknown environment starts at; where pictures are darker or brighter by more than these,
+# it starts as bright as they are beside the grey that colours start at, at a rate of that size.
+_LIGHT, _USUAL, _GREY = 1.0, (1 / 16, 4.0), 0.5
 # Rates: of a hull's vertices, of a shift and a size, as shares of the object's size; of a turn, in
 # degrees. And the share of the budget in which shapes and poses follow the outline alone.
 _GROWTH, _STEP, _DEGREES, _BY_OUTLINE = 0.002, 0.003, 0.3, 0.25
@@ -54,7 +57,7 @@ def description(photographs: Photographs, max_depth: int | None) -> dict[str, An
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     middle = (low + high) / 2
     sensors = {
-        f"sensor_{number:05d}": sensor(each.camera, middle)
+        f"sensor_{number:05d}": sensor(each.camera, middle, float(np.linalg.norm(high - low)))
         for number, each in enumerate(photographs.all)
     }
     return {
@@ -73,21 +76,23 @@ def description(photographs: Photographs, max_depth: int | None) -> dict[str, An
     }
 
 
-def sensor(camera: Camera, middle: np.ndarray) -> dict[str, Any]:
-    """Mitsuba's camera for a pinhole camera with square pixels; ``middle``: of what it looks at.
+def sensor(camera: Camera, middle: np.ndarray, extent: float) -> dict[str, Any]:
+    """Mitsuba's camera for a pinhole camera with square pixels; ``middle``, ``extent``: of what it
+    looks at, within which it may stand.
 
     Mitsuba's camera has x to the left and y up, and its principal point is told as what the middle
     of the film lies to the right of it and below it, in sizes of the film.
     """
     distance = max(float(np.linalg.norm(camera.centre - middle)), 1e-6)
+    far = 1e3 * max(distance, extent)
     return {
         "type": "perspective",
         "fov": float(np.degrees(2 * np.arctan(camera.width / 2 / camera.fx))),
         "fov_axis": "x",
         "principal_point_offset_x": 0.5 - camera.cx / camera.width,
         "principal_point_offset_y": 0.5 - camera.cy / camera.height,
-        "near_clip": 1e-3 * distance,
-        "far_clip": 1e3 * distance,
+        "near_clip": max(1e-3 * distance, 1e-7 * far),
+        "far_clip": far,
         "to_world": mi.ScalarTransform4f(straightened(camera) @ np.diag([-1.0, -1.0, 1.0, 1.0])),
         "film": {
             "type": "hdrfilm",
@@ -124,7 +129,7 @@ def unknowns(taken: Photographs, own: dict, poses: dict[str, PoseConfig]) -> dic
         for key, spec in (usual | material.asked(settings, name)).items():
             found.setdefault(key, spec)
     if not own and settings.environment is None:
-        found[f"{SKY}.data"] = UnknownConfig(start=_LIGHT)
+        found[f"{SKY}.data"] = _lit(taken)
     for name, each in poses.items() if settings.pose else ():
         rate = _DEGREES if each.kind == "rotation" else _STEP
         rate *= size if each.kind == "translation" else 1
@@ -146,6 +151,19 @@ def unknowns(taken: Photographs, own: dict, poses: dict[str, PoseConfig]) -> dic
     return found
 
 
+def _lit(taken: Photographs) -> UnknownConfig:
+    """An unknown environment, in the unit of the pictures."""
+    shown = []
+    for each in taken.shown:
+        counts = (each.mask > 0) & (True if each.part is None else each.part > 0.5)
+        shown.append(each.image[counts].mean(axis=1) / np.mean(each.camera.exposure))
+    shown = np.concatenate(shown)
+    light = float(np.median(shown)) / _GREY if shown.size else _LIGHT
+    if light <= 0 or _USUAL[0] <= light <= _USUAL[1]:
+        return UnknownConfig(start=_LIGHT)
+    return UnknownConfig(start=light, lr=OptimizerConfig().lr * light)
+
+
 def _exposure(taken: Photographs) -> UnknownConfig:
     """Exposures that begin where the same places are as bright in all views, if that can be."""
     if taken.exposures is None:
@@ -156,7 +174,9 @@ def _exposure(taken: Photographs) -> UnknownConfig:
         f"exposures between {low} and {high} of the first view's, at which the views show the same "
         f"places of the object alike: they stay within {near:.0%} of that"
     )
-    return UnknownConfig(start=start.tolist(), lr=_ACROSS * near)
+    usual = Exposure.usual  # which may be too narrow for what is told
+    ends = [min(usual[0], float(start.min()) / 2), max(usual[1], 2 * float(start.max()))]
+    return UnknownConfig(start=start.tolist(), lr=_ACROSS * near, range=ends)
 
 
 def poses(taken: Photographs, own: dict[str, PoseConfig]) -> dict[str, PoseConfig]:
@@ -295,11 +315,12 @@ def given(photographs: list[Photograph]) -> mi.Float | None:
 def pixels(photographs: Photographs) -> np.ndarray:
     """Of each view to learn from, ``(V, 2)``: the turn (radians) and the shift (scene units) of its
     camera that move what it looks at by a pixel."""
-    vertices = photographs.surface.vertices
-    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    cameras = [each.camera for each in photographs.shown]
-    away = [np.linalg.norm(camera.centre - middle) for camera in cameras]
-    return np.array([[1 / c.fx, distance / c.fx] for c, distance in zip(cameras, away)])
+    points, found = outlines.scattered(photographs.surface), []
+    for camera in (each.camera for each in photographs.shown):
+        _, depth, inside = camera.seen(points)
+        away = np.median(depth[inside]) if inside.any() else np.abs(depth).mean()
+        found.append([1 / camera.fx, away / camera.fx])
+    return np.array(found)
 
 
 def _sky(settings: PhotosConfig) -> dict[str, Any]:

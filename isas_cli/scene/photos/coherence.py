@@ -107,7 +107,7 @@ def _looked(
     reach = float(np.linalg.norm(high - low)) / (count - 1)
     outside, seen = np.zeros((0, len(points)), bool), np.zeros(len(points), int)
     for each in photographs:
-        deep = outlines.within(each, points, np.inf)
+        deep = outlines.within(each, points, np.inf, outlines.signed(each.part))
         outside, seen = np.vstack([outside, deep < -reach / 2]), seen + np.isfinite(deep)
         kept = outside.sum(axis=0) <= _FEW + 1
         points, outside, seen = points[kept], outside[:, kept], seen[kept]

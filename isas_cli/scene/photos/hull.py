@@ -10,6 +10,7 @@ from scipy.ndimage import label
 from scipy.optimize import linprog
 
 from ...config import grammar
+from ...runtime import memory
 from ...runtime.cache import cached, digest
 from ...runtime.errors import InputError
 from ..shape_error import enclosed
@@ -111,12 +112,12 @@ def _evened(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def bounds(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:
     """The box, ``(3,)`` each, around what lies within the rectangle around the object in every view
     and before every camera. Raises InputError."""
-    rows, limits = _planes(photographs)
+    planes = _planes(photographs)
     # In lengths of the cameras' own, around their middle: the solver's tolerances are absolute.
     places = np.array([each.camera.centre for each in photographs])
     origin = places.mean(axis=0)
     unit = float(np.abs(places - origin).max()) or 1.0
-    most = (limits - rows @ origin) / unit
+    rows, most = _within(planes, origin, unit)
     found = []
     for axis in range(3):
         for sign in (1.0, -1.0):
@@ -126,7 +127,7 @@ def bounds(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:
             if solved.status == 2:
                 raise InputError(
                     "photos.start=hull: no place lies within the object's outline in every view: "
-                    f"{_unfit(photographs, _alone(photographs, origin, unit))}"
+                    f"{_unfit(photographs, _alone(planes, origin, unit))}"
                 )
             if all((each.part[each.part >= 0] > 0.5).all() for each in photographs):
                 raise InputError(
@@ -143,15 +144,25 @@ def bounds(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:
     return np.array(found[::2]), np.array(found[1::2])
 
 
-def _planes(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:
-    """Half spaces ``rows (N, 3) @ x <= limits (N,)``: before every camera, and within the rectangle
-    around the object in every view."""
-    planes = []
+def _within(
+    planes: list[np.ndarray], origin: np.ndarray, unit: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Half spaces ``rows (N, 3) @ x <= limits (N,)`` of some views, in ``unit``s around
+    ``origin``."""
+    found = np.concatenate(planes)
+    rows, limits = -found[:, :3], found[:, 3]
+    return rows, (limits - rows @ origin) / unit
+
+
+def _planes(photographs: list[Photograph]) -> list[np.ndarray]:
+    """Of each view those, ``(n, 4)``, on whose one side lies what is before its camera, and within
+    the rectangle around the object in it."""
+    found = []
     for each in photographs:
         camera, inside = each.camera, each.part > 0.5
         inverse = np.linalg.inv(camera.to_world)
         x, y, depth = inverse[0], inverse[1], inverse[2]
-        planes.append(depth)
+        planes = [depth]
         for axis, of, focal, middle in ((1, x, camera.fx, camera.cx), (0, y, camera.fy, camera.cy)):
             seen = np.flatnonzero(inside.any(axis=1 - axis))
             if not seen.size:
@@ -162,16 +173,15 @@ def _planes(photographs: list[Photograph]) -> tuple[np.ndarray, np.ndarray]:
                 planes.append(of - (seen[0] - middle) / focal * depth)
             if seen[-1] < known[-1]:
                 planes.append((seen[-1] + 1 - middle) / focal * depth - of)
-    found = np.array(planes)
-    return -found[:, :3], found[:, 3]
+        found.append(np.array(planes))
+    return found
 
 
-def _alone(photographs: list[Photograph], origin: np.ndarray, unit: float) -> list[int]:
+def _alone(planes: list[np.ndarray], origin: np.ndarray, unit: float) -> list[int]:
     """The view without which something lies within the rectangles of all others, if it is one."""
     found = []
-    for odd in range(len(photographs)):
-        rows, limits = _planes([each for k, each in enumerate(photographs) if k != odd])
-        most = (limits - rows @ origin) / unit
+    for odd in range(len(planes)):
+        rows, most = _within(planes[:odd] + planes[odd + 1 :], origin, unit)
         if linprog(np.zeros(3), A_ub=rows, b_ub=most, bounds=(None, None)).status == 0:
             found.append(odd)
     return found if len(found) == 1 else []
@@ -182,14 +192,16 @@ def _distances(
 ) -> np.ndarray:
     """About how deep each point of a grid lies inside all outlines, in scene units, at most
     ``_BAND`` voxels; negative outside one."""
-    axes = [origin[axis] + size * np.arange(counts[axis]) for axis in range(3)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     band = _BAND * size
-    found = np.full(len(points), band)
+    found = np.full(int(np.prod(counts)), band)
     for each in photographs:
-        # What is far outside one outline stays outside.
-        left = np.flatnonzero(found > -band)
-        found[left] = np.minimum(found[left], outlines.within(each, points[left], band))
+        depths = outlines.signed(each.part)
+        for part in memory.parts(len(found)):
+            # What is far outside one outline stays outside.
+            left = part.start + np.flatnonzero(found[part] > -band)
+            points = origin + size * np.stack(np.unravel_index(left, counts), axis=1)
+            deep = outlines.within(each, points, band, depths)
+            found[left] = np.minimum(found[left], deep)
     return found.reshape(counts)
 
 

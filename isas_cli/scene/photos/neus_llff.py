@@ -121,7 +121,8 @@ def _projection(value: np.ndarray, where: str) -> np.ndarray:
     if value.shape not in ((4, 4), (3, 4)) or not np.issubdtype(value.dtype, np.floating):
         raise InputError(f"{where}: no matrix of 4 rows of 4 numbers")
     matrix = value[:3].astype(np.float64)
-    matrix = matrix / (np.abs(matrix).max() or 1)
+    # By what turns and projects: how far away the world's origin is says nothing of that.
+    matrix = matrix / (np.abs(matrix[:, :3]).max() or 1)
     if not np.isfinite(matrix).all():
         raise InputError(f"{where}: holds NaN or infinite numbers: mend or remove this view")
     determinant = np.linalg.det(matrix[:, :3])

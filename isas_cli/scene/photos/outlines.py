@@ -286,11 +286,12 @@ def _larger(photograph: "Photograph", points: np.ndarray) -> float | None:
     return float(np.sqrt(np.prod(sides[0] / sides[1])))
 
 
-def within(photograph: "Photograph", points: np.ndarray, band: float) -> np.ndarray:
+def within(
+    photograph: "Photograph", points: np.ndarray, band: float, depths: tuple[np.ndarray, int]
+) -> np.ndarray:
     """How deep points lie inside one outline, in scene units, within ``band``; ``band`` where the
-    view says nothing."""
-    camera = photograph.camera
-    deep, by = _signed(photograph.part)
+    view says nothing. ``depths``: the ``signed`` ones of its pixels."""
+    camera, (deep, by) = photograph.camera, depths
     place, depth, known = camera.seen(points)
     at = place[known][:, ::-1].T / by - 0.5
     seen = map_coordinates(deep, at, order=1, mode="nearest")
@@ -299,7 +300,7 @@ def within(photograph: "Photograph", points: np.ndarray, band: float) -> np.ndar
     return found
 
 
-def _signed(part: np.ndarray) -> tuple[np.ndarray, int]:
+def signed(part: np.ndarray) -> tuple[np.ndarray, int]:
     """Of each pixel's middle, how many pixels it lies inside the outline, negative outside; of
     pixels that the object fills in part, by how much it fills them. Unknown ones are inside. Of
     large pictures made smaller, and by what."""
