@@ -109,7 +109,8 @@ def _cameras(pictures: Path, own: PhotosConfig) -> tuple[list, set[str]]:
     kept = {name: getattr(own, name) for name in ("encoding", "orientation")}
     whole = place.absolute()
     tries = [(root, str(whole.relative_to(root))) for root in layouts.around(whole)]
-    if _is_of(place, own):
+    mine = _is_of(place, own)
+    if mine:
         kept |= {name: getattr(own, name) for name in ("images", "masks", "scale", "missing")}
         tries = [(paths.of_set(own.path), own.cameras)]
     for root, file in tries:
@@ -128,7 +129,7 @@ def _cameras(pictures: Path, own: PhotosConfig) -> tuple[list, set[str]]:
                 raise InputError(f"{error}{hint if 'photos.' in str(error) else ''}") from None
     photographs.check(found, sources)
     found.notes += photographs.elsewhere(found, sources)
-    if _is_of(place, own):
+    if mine:
         found.cameras = reading.without(found.cameras, own.without)
     cameras, told = finding.masked(found.cameras, root, sources)
     over, more = turns.turned(cameras, found, settings.orientation)

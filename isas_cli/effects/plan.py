@@ -33,7 +33,7 @@ _LIGHTS = (((1, 1), _PICKED), ((4, 4), _PICKED), ((1, 1), 1), ((4, 1), _PICKED))
 # A budget of so many seconds can pay for a probe, which takes at most this share of it and at most
 # so many seconds.
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
-_FORMAT = 24
+_FORMAT = 25
 
 
 @dataclass(frozen=True)
@@ -118,6 +118,11 @@ def decide(
     that drops the only paths to an unknown.
     """
     whole = problem.integrator
+    if not (problem.truth_known or settings.finish):
+        # Residuals stay, and where they vanish with a derivative is not where they do with all.
+        usual = settings.derivative_tolerance == Effects.derivative_tolerance
+        asked = settings.tolerance if usual else settings.derivative_tolerance
+        settings = dataclasses.replace(settings, derivative_tolerance=asked)
     follows = whole.cuts and estimator.plannable
     if settings.cuts and not follows:
         who = (
@@ -341,14 +346,15 @@ def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> 
     checks, surfaces = 0.0, problem.integrator.samples_lights
     work = 0.0 if surfaces else probe.work()
 
-    def check(own: Paths) -> float:
-        """The largest share of an unknown's entries that ``own`` do not meet. Part of what the plan
-        costs, and no part of the probe's share of the budget, of which all checks take no more
-        than half."""
+    def check(own: Paths, views: tuple[int, ...] | None = None) -> float:
+        """The largest share of an unknown's entries that ``own`` do not meet, in ``views``. Part of
+        what the plan costs, and no part of the probe's share of the budget, of which all checks
+        take no more than half."""
         nonlocal checks
         if checks >= probe.allowed / 2:
             return 1.0
-        shares, seconds = _lost(problem, own, rules.LOST, probe.allowed / 2 - checks)
+        within = problem if views is None else problem.only(views)
+        shares, seconds = _lost(within, own, rules.LOST, probe.allowed / 2 - checks)
         checks += seconds
         return max(shares.values(), default=0.0)
 
@@ -360,6 +366,8 @@ def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> 
         samples = probe.lights(paths, list(ways)) if len(ways) > 1 else []
     # In the finish a view may see an unknown that it does not see by shorter paths.
     views = None if plan.finish else probe.views()
+    if views is not None and check(paths, views) > rules.LOST:
+        views = None  # one of the others shows in a few pixels what no more paths were to find
     ladder = [depth for depth in _LADDER if depth < paths.depth]
     if settings.derivative_depth is None:
         for depth in ladder:

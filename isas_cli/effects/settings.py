@@ -25,7 +25,8 @@ class Effects:
 
     What residuals lack, the result lacks: at the truth they are not zero on average. A derivative
     that lacks something only takes another way to where the residuals are zero. Hence two
-    tolerances.
+    tolerances. Of images from elsewhere residuals stay, and the derivative's usual tolerance is
+    that of residuals, but before a ``finish``.
     """
 
     probe: bool = True

@@ -1,9 +1,12 @@
-"""Results that are more often a way lost than found: at an end of a range, or off the outline."""
+"""Results that are more often a way lost than found: at an end of a range, or off the outline; and
+settings that had no part in them."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from ..config.schema import OptimizerConfig
+from ..runtime.schedule import TO_FINAL
 from ..unknowns.parameters import as_numpy
 from ..unknowns.unknowns import Unknowns
 from .evaluate import OUTLINE
@@ -65,6 +68,33 @@ def underway(stepper: Stepper) -> list[str]:
                 "lr, or more time"
             )
     return said
+
+
+def unheeded(stepper: Stepper) -> list[str]:
+    """Settings of how rates fall that no rate follows."""
+    every = [(u, stepper.falls[u.key]) for u in stepper.unknowns]
+    by = f"rates fall by schedule {' and '.join(sorted({name for _, name in every}))}"
+    heeded = {
+        "half": (any(name == "inverse" for _, name in every), by),
+        "final": (
+            any(name in TO_FINAL and u.final is None for u, name in every),
+            f"{by}, or to a final of their own",
+        ),
+        "schedule": (
+            any(u.schedule is None for u, _ in every),
+            "every unknown has a schedule of its own",
+        ),
+    }
+    said = []
+    for name, (heeds, why) in heeded.items():
+        asked = getattr(stepper.settings, name)
+        if asked != getattr(OptimizerConfig, name) and not heeds:
+            said.append(f"optimizer.{name}={asked} has no effect: {why}")
+    return said + [
+        f"'{u.key}': its final={u.final:g} has no effect: its rate falls by schedule {name}"
+        for u, name in every
+        if u.final is not None and name not in TO_FINAL
+    ]
 
 
 def stuck(first: dict, last: dict, steps: int) -> list[str]:

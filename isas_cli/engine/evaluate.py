@@ -88,10 +88,14 @@ class Evaluator:
 
     def apart(self, problem: Problem, values: dict) -> float:
         """Root mean square difference of the mean images of ``problem``, the same with another
-        integrator, from this one's."""
+        integrator, from this one's; pixels count as in ``image_rmse``."""
         own, other = self._halves(values), self._halves(values, Renderer(problem))
         (a, b), (c, d) = own, other
-        return math.sqrt(max(0.0, float(dr.mean(dr.mean((a - c) * (b - d)))[0])))
+        weight = dr.full(mi.Float, 1, dr.width(self.pixels))
+        if self.problem.mask is not None:
+            weight = dr.gather(mi.Float, self.problem.mask, self.pixels)
+        squared = dr.sum(dr.mean((a - c) * (b - d)) * weight) / dr.sum(weight)
+        return math.sqrt(max(0.0, float(squared[0])))
 
     def _halves(
         self, values: dict, renderer: Renderer | None = None

@@ -15,16 +15,19 @@ from ..unknowns.parameters import as_numpy
 _RGB = ["R", "G", "B"]
 # Pictures of that many views are kept; all are measured.
 _KEPT = 6
+# Paths a pixel of what is scored, at least, whatever pictures take: their noise is in the scores.
+_LEAST = 256
 _NAMES = ("psnr", "ssim", "flip")
 
 
 def measure(problem: Problem, values: dict, spp: int, seed: int, writer: RunWriter) -> dict:
-    """By view, PSNR, SSIM and FLIP of renderings at ``values`` with ``spp`` paths a pixel, and
-    their means; pictures go to frames/held_*. ``problem``: with the views held out.
+    """By view, PSNR, SSIM and FLIP of renderings at ``values`` with ``spp`` paths a pixel or
+    ``_LEAST``, and their means; pictures go to frames/held_*. ``problem``: with the views held out.
 
     Where exposures are unknown, a view's own is nowhere said: ``exposure`` is fitted to it by least
     squares, a factor or one for each channel.
     """
+    spp = max(spp, _LEAST)
     problem.unknowns.write(values)
     renderer = Renderer(problem)
     exposure = problem.unknowns.of(Exposure)
@@ -49,7 +52,7 @@ def measure(problem: Problem, values: dict, spp: int, seed: int, writer: RunWrit
                 writer.frame(f"held_{what}_v{view:02d}", picture, names, tags, None)
     found = {name: [v[name] for v in views.values() if v[name] is not None] for name in _NAMES}
     mean = {name: float(np.mean(each)) if each else None for name, each in found.items()}
-    return {"views": views, "mean": mean}
+    return {"views": views, "mean": mean, "spp": spp}
 
 
 def of_views(problem: Problem, values: dict) -> dict:

@@ -249,7 +249,7 @@ class Loop:
 
     def _iterate(self) -> None:
         p = self.position
-        if p.iteration == 0:
+        if p.iteration == 0:  # a probe's part; once more below, when the first look is over
             p.before = self.clock.seconds, p.paths
         # A level begins as a run does, and so does what had too little time before it went on.
         first = self._finer() or self._weights is None

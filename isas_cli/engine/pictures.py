@@ -96,7 +96,8 @@ class Pictures:
         self.problem.unknowns.write(values)
         width, height = self.problem.film_sizes[0]
         step = -(-max(width, height) // _SNAPSHOT_SIDE)
-        rows, columns = np.arange(step // 2, height, step), np.arange(step // 2, width, step)
+        # Of a thin film there is a row as well.
+        rows, columns = (np.arange(min(step // 2, n - 1), n, step) for n in (height, width))
         pixel = mi.UInt32((rows[:, None] * width + columns).astype(np.uint32).ravel())
         mean = self.renderer.pixels(
             pixel, min(_SNAPSHOT_SPP, self.most), lambda s: streams.seed(self.seed, s, "snapshot")

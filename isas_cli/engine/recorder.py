@@ -15,7 +15,6 @@ from ..effects.settings import Effects
 from ..records import KEY_PREFIX, VALUE_PREFIX, RunWriter, manifest, safe_name, trackers
 from ..rendering.renderer import Renderer
 from ..runtime.errors import InputError, NumericalError
-from ..runtime.schedule import TO_FINAL
 from . import ends, floor, held_out
 from .loop import Hooks, Loop
 from .pictures import Pictures
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
 # (large textures), as much as keeps writing below this share of the time.
 _CHECKPOINT_SECONDS = 5.0
 _CHECKPOINT_SHARE = 0.01
+# Of the images' error, what is much to be left out of them.
+_MUCH = 0.5
 # What other commands make of a result, below its record.
 _DERIVED = "result/scene.xml", "relit/scores.json", "landscape.csv"
 
@@ -280,11 +281,12 @@ class Recorder:
             warnings += ends.stuck(*self.ends, self.loop.position.iteration)
         plan, last = self.loop.plan, self.loop.last or {}
         if self.left_out and plan and not plan.finish:
-            if self.left_out > last.get("image_rmse", math.inf):
+            # Where unknowns make up for all of it, the images are off by as much.
+            if self.left_out > _MUCH * last.get("image_rmse", math.inf):
                 warnings.append(
                     f"paths as they are simulated leave {self.left_out:.2g} out of the images, "
-                    f"more than these are off by ({last['image_rmse']:.2g}): results make up for "
-                    "it; take effects=full, or effects.finish=0.3"
+                    f"which are off by {last['image_rmse']:.2g}: results make up for it; take "
+                    "effects=full, or effects.finish=0.3"
                 )
         if not self.loop.evaluator.loss.linear:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
@@ -319,29 +321,7 @@ class Recorder:
                 f"optimizer.lr={chosen:g} has no effect: every unknown has a rate of its own; "
                 "optimizer.factor=… scales them"
             )
-        falls = self.loop.stepper.falls
-        every = [(u, falls[u.key], falls[u.key] in TO_FINAL) for u in self.loop.problem.unknowns]
-        by = f"rates fall by schedule {' and '.join(sorted(set(falls.values())))}"
-        heeded = {
-            "half": (by, any(name == "inverse" for _, name, _ in every)),
-            "final": (
-                f"{by}, or to a final of their own",
-                any(ends and u.final is None for u, _, ends in every),
-            ),
-            "schedule": (
-                "every unknown has a schedule of its own",
-                any(u.schedule is None for u, *_ in every),
-            ),
-        }
-        for name, (why, heeds) in heeded.items():
-            asked = getattr(self.typed.optimizer, name)
-            if asked != getattr(OptimizerConfig(), name) and not heeds:
-                notes.append(f"optimizer.{name}={asked} has no effect: {why}")
-        notes += [
-            f"'{u.key}': its final={u.final:g} has no effect: its rate falls by schedule {name}"
-            for u, name, ends in every
-            if u.final is not None and not ends
-        ]
+        notes += ends.unheeded(self.loop.stepper)
         if (name := self.cfg.optimizer.filter.name) not in ("none", "laplacian"):
             if not self.loop.stepper.filtering:
                 notes.append(

@@ -110,7 +110,13 @@ class WholeImages(Gradients):
         _warn(problem)
         self.integrator = _integrator(problem, silhouettes)
         self.spp = max(1, batch // problem.views.total)
+        self._lost = dr.opaque(mi.UInt32, 0)
         self._sensors = [OwnFilm(sensor) for sensor in problem.scene.sensors()][: self._views]
+
+    @property
+    def nonfinite(self) -> int:
+        """Pixels so far whose ∂ℒ/∂I was not finite. Waits."""
+        return int(self._lost[0])
 
     @property
     def paths_per_step(self) -> int:
@@ -198,8 +204,9 @@ class WholeImages(Gradients):
         adjoint = rays.masked(adjoint, p.mask, first + pixel)
         whole = dr.all(dr.isfinite(adjoint))
         adjoint = dr.ravel(dr.select(whole, adjoint, 0))
-        dr.eval(adjoint, whole)
-        self.nonfinite += int(dr.count(~whole)[0])
+        # Not read here: a step of the rival waits for nothing that it did not wait for before.
+        self._lost += dr.count(~whole)
+        dr.eval(adjoint, self._lost)
         return adjoint
 
 

@@ -49,9 +49,11 @@ def _maps(table: pandas.DataFrame, names, losses, way, note: str, path: Path) ->
     x, y = (np.unique(table[name]) for name in names)
     row = canvas.subplots(1, len(losses), sharey=True)
     top = max(table["hard"].max(), 1e-12)  # noise may leave an image of nothing below 0
+    # Of noise it is below 0 in places as well, and blurred more than that at the corners.
     for axes, name in zip(row, losses):
         values = table[name].to_numpy().reshape(len(x), len(y)).T
-        shown = axes.contourf(x, y, values, levels=np.linspace(0, top, 21), cmap="viridis")
+        levels = np.linspace(0, top, 21)
+        shown = axes.contourf(x, y, values, levels=levels, cmap="viridis", extend="both")
         axes.plot(way[:, 0], way[:, 1], ".-", color="white", lw=1)
         axes.plot(*way[0], "o", color="white")
         axes.plot(*way[-1], "*", color="white", ms=12)

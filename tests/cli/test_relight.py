@@ -1,6 +1,7 @@
 """`isas relight`: a result against pictures that Mitsuba alone has made."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 import photo_sets
 import pytest
+from omegaconf import OmegaConf
 from photo_sets import FOCAL, SIZE, Files, look_at
 from PIL import Image
 from xml_for_tests import camera
@@ -368,3 +370,19 @@ def test_pictures_are_read_as_the_run_reads_them(tmp_path):
         wanted = relighting.of_picture(shown, *told)
         assert found[encoding]["view_0"] == pytest.approx(wanted, rel=1e-3)
     assert found["linear"]["view_0"] != found["srgb"]["view_0"]
+
+
+def test_exposures_that_the_run_found_are_fitted(run, tmp_path, monkeypatch, capsys):
+    """And cameras that it found are not taken, which is said."""
+    shutil.copytree(run / "run", tmp_path / "run")
+    config = OmegaConf.load(tmp_path / "run/config.yaml")
+    config.scene.photos.exposure, config.scene.photos.refine = "scale", True
+    OmegaConf.save(config, tmp_path / "run/config.yaml")
+    fitted = []
+    honest = relighting.of_picture
+    record = lambda *given: fitted.append(given[6]) or honest(*given)
+    monkeypatch.setattr(relighting, "of_picture", record)
+    for folder in (run, tmp_path):
+        assert main(["relight", str(folder / "run"), str(run / "set"), "--spp", "4"]) == 0
+    assert fitted == [False] * len(PLACES) + [True] * len(PLACES)
+    assert "photos.refine: cameras are as their file has them" in capsys.readouterr().err

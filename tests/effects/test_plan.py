@@ -102,6 +102,20 @@ def test_a_short_derivative_vanishes_where_the_whole_one_does():
     assert abs(means[0]) < 0.002 * abs(means[1])
 
 
+def test_where_residuals_stay_a_derivative_lacks_no_more_than_they_do(monkeypatch):
+    """Of images from elsewhere, which nothing meets."""
+    asked = []
+    monkeypatch.setattr(
+        planning, "_probed", lambda p, settings, *_: asked.append(settings) or _[-1]
+    )
+    p = problem({TEXTURE: 0.5}, depth=4)
+    for known, more in ((True, {}), (False, {}), (False, {"finish": 0.3})):
+        monkeypatch.setattr(type(p), "truth_known", property(lambda _, known=known: known))
+        decided(p, 60.0, **more)
+    decided(p, 60.0, derivative_tolerance=0.2)
+    assert [each.derivative_tolerance for each in asked] == [0.3, 0.005, 0.3, 0.2]
+
+
 def test_bounds_hold_the_share_as_often_as_they_say(rng):
     """Of parts and wholes with noise larger than themselves, in many entries."""
     part, whole = 0.1 * np.ones(50), np.ones(50)
@@ -364,6 +378,11 @@ def test_views_that_see_no_unknown_are_not_drawn_from(monkeypatch, tmp_path):
     monkeypatch.setattr(probe, "_PATHS_A_VIEW", (1, 1 << 12))
     assert Probe(p, L2(), 0).views() == plan.views, "few paths show nothing: more are asked"
     assert Probe(p, L2(), 0, 0.0).views() is None, "no time for more"
+    # A view that shows an unknown in a few pixels may be missed: that is checked.
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path / "checked"))
+    within = lambda p, *_: ({TEXTURE: float(p.views.count < 3)}, 0.0)
+    monkeypatch.setattr(planning, "_lost", within)
+    assert decided(p, 60.0, max_depth=4, derivative_depth=4, **ONE).views is None
     few = plan.on(p)
     assert few.film_sizes == [(8, 8)] * 2 and few.views.total == 2 * 64
     for view, origin in enumerate(few.kept):
@@ -448,14 +467,19 @@ def test_a_run_says_what_it_left_out(tmp_path, capsys):
     assert resumed(tmp_path / "r", "budget.iterations=10").summary["iterations"] == 10
 
 
-@pytest.mark.parametrize("finish", [0.0, 0.5])
-def test_what_is_left_out_is_doubted_where_it_is_more_than_the_error(finish, tmp_path, monkeypatch):
+@pytest.mark.parametrize("finish, error", [(0.0, 0.012), (0.0, 0.03), (0.5, 0.012)])
+def test_what_is_left_out_is_doubted_where_it_is_much_of_the_error(
+    finish, error, tmp_path, monkeypatch
+):
+    """Where unknowns make up for all of it, images are off by as much, and by what is left."""
     honest = Evaluator.__call__
-    near = lambda self, values: honest(self, values) | {"image_rmse": 1e-6}
+    near = lambda self, values: honest(self, values) | {"image_rmse": error}
     monkeypatch.setattr(Evaluator, "__call__", near)
+    monkeypatch.setattr(Evaluator, "apart", lambda *_: 0.01)
     settings = ["effects.max_depth=2", f"effects.finish={finish}", "budget.iterations=2"]
     told = ran(tmp_path / "r", *TINY, *settings).summary["warnings"]
-    assert any("results make up for it" in line for line in told) == (finish == 0)
+    doubted = finish == 0 and error < 0.02
+    assert any("results make up for it" in line for line in told) == doubted
 
 
 def test_what_is_left_out_is_no_noise_of_light_samples(tmp_path):

@@ -526,6 +526,7 @@ def test_the_chessboards_held_out_views(chessboard):
     assert list(summary["held_out"]["views"]) == ["left03.png", "left08.png", "left13.png"]
     assert len(summary["exposure"]) == 10 and summary["exposure"]["left01.png"] == [1.0]
     mean = summary["held_out"]["mean"]
+    assert summary["held_out"]["spp"] == 256, "whatever pictures take"
     assert mean["psnr"] > 17 and mean["ssim"] > 0.6
     page = (chessboard.folder / "report.html").read_text()
     assert "Views held out" in page and "left08.png" in page

@@ -431,3 +431,11 @@ def test_the_largest_value_of_a_grid_follows_it(folder):
     while not isinstance(medium, mi.Medium):
         medium = params.hierarchy[medium][0]
     assert medium.get_majorant(dr.zeros(mi.MediumInteraction3f), True).x[0] == pytest.approx(3)
+
+
+def test_a_film_of_one_row_has_snapshots(folder):
+    """Of 512 pixels every other one is shown, and the only row."""
+    (folder / "own" / "it.xml").write_text(xml(sensors=camera("0.5,2,2.5", 512, 1, fov=45)))
+    more = ["budget.iterations=2", "frames.snapshots=2", "report=false", "effects=full"]
+    run = ran("r", *FEW, "scene.path=own/it.xml", unknowns(), *more, "sampler=uniform")
+    assert images.read(run.folder / "frames/progress_v00_i000000.exr").shape == (1, 256, 3)

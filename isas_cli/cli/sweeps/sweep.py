@@ -74,8 +74,10 @@ def _sweep(typed: list[str]) -> int:
                 spaces = [o for o in overrides if o.is_sweep_override()]
                 fixed = [o.input_line for o in overrides if not o.is_sweep_override()]
                 search(
-                    *(settings.sweeper, spaces),
-                    *(lambda own: launch([[*fixed, *each] for each in own]), stop),
+                    settings.sweeper,
+                    spaces,
+                    lambda own: launch([[*fixed, *each] for each in own]),
+                    stop,
                 )
             else:
                 launch(_combinations(overrides))
