@@ -1,7 +1,6 @@
 """`isas relight`: a result against pictures that Mitsuba alone has made."""
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +8,6 @@ import mitsuba as mi
 import numpy as np
 import photo_sets
 import pytest
-from omegaconf import OmegaConf
 from photo_sets import FOCAL, SIZE, Files, look_at
 from PIL import Image
 from xml_for_tests import camera
@@ -374,12 +372,13 @@ def test_pictures_are_read_as_the_run_reads_them(tmp_path):
 
 def test_exposures_that_the_run_found_are_fitted(run, tmp_path, monkeypatch, capsys):
     """And cameras that it found are not taken, which is said."""
-    shutil.copytree(run / "run", tmp_path / "run")
-    config = OmegaConf.load(tmp_path / "run/config.yaml")
-    config.scene.photos.exposure, config.scene.photos.refine = "scale", True
-    OmegaConf.save(config, tmp_path / "run/config.yaml")
-    fitted = []
-    honest = relighting.of_picture
+    isas_cli.run(
+        *("scene=photos", f"photos.path={run / 'set'}", "photos.sphere=[0,0,0,0.5]"),
+        *("photos.exposure=scale", "photos.refine=true", "sampler=uniform", "effects=full"),
+        *("estimator=two_path", "estimator.batch=512", "budget.iterations=1", "report=false"),
+        *("frames.views=0", "frames.snapshots=0", f"hydra.run.dir={tmp_path / 'run'}"),
+    )
+    fitted, honest = [], relighting.of_picture
     record = lambda *given: fitted.append(given[6]) or honest(*given)
     monkeypatch.setattr(relighting, "of_picture", record)
     for folder in (run, tmp_path):
