@@ -14,6 +14,7 @@ from ..records import VALUE_PREFIX, write_atomically
 from ..runtime import interrupt
 from ..runtime.budget import Budget
 from ..runtime.errors import InputError, nearest
+from . import one
 
 FILE = "landscape.csv"
 # Beyond start, truth and all that the run visited, in widths of the first blur: shown, and as far
@@ -32,6 +33,7 @@ def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
     """
     if spp < 1:
         raise InputError(f"--spp {spp}: at least 1")
+    one.check_writable(folder, "a landscape is drawn beside the run: copy it")
     run = records.load(folder)
     cfg, _ = resumption.configuration(folder, run, {})
     keys = run.manifest.get("unknowns", {})
@@ -45,7 +47,7 @@ def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
     with interrupt.prompt(), Display(Budget(iterations=1)) as display:
         phases = experiment.Phases(display)
         problem = experiment.built(typed, phases)
-        resumption.check_same(problem, machine, run.manifest, folder)
+        resumption.check_same(problem, machine, run.manifest, folder, None)
         phases.begin("landscape")
         found = _measured(problem, choices, cfg.seed, run, chosen, spp, phases)
         phases.begin(None)

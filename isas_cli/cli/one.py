@@ -60,18 +60,21 @@ def check_folder(folder: Path, overwrite: bool) -> None:
     existing = folder.absolute()
     while not existing.exists() and existing != existing.parent:
         existing = existing.parent
-    try:
-        tempfile.TemporaryFile(dir=existing).close()
-    except OSError as error:
-        raise InputError(
-            f"cannot write to the output folder {folder}: {existing}: "
-            f"{error.strerror or error}; choose another with hydra.run.dir=DIR"
-        ) from error
+    check_writable(existing, f"choose another than {folder} with hydra.run.dir=DIR")
     if any((folder / name).exists() for name in RECORD_FILES) and not overwrite:
         raise InputError(
             f"{folder} already holds a run: choose another folder with hydra.run.dir=DIR, "
             "or replace it with overwrite=true"
         )
+
+
+def check_writable(folder: Path, cure: str) -> None:
+    """Raises InputError where nothing can be written into ``folder``, and says the ``cure``."""
+    try:
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        told = error.strerror or error
+        raise InputError(f"cannot write to the output folder {folder}: {told}; {cure}") from error
 
 
 def remove_empty(folder: Path) -> None:

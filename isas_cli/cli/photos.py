@@ -47,7 +47,7 @@ def main(arguments: list[str]) -> int:
         console.print(f"note: {note}", highlight=False, markup=False)
     for warning in [*checks.warnings(checked, taken), *_unlike(taken), *_lit(taken)]:
         console.print(f"warning: {warning}", highlight=False, markup=False)
-    folder = reading.folder_of(folders[0])
+    folder = reading.folder_of(taken.settings.path)
     output = output or _place(folder)
     shown = sheet.write(checked, taken, output, folder)
     told = "" if shown == len(checked) else f" ({shown} of {len(checked)} views)"

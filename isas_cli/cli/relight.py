@@ -73,7 +73,7 @@ def main(
                 print(told, file=sys.stderr)
         scene = export.result(typed.scene, arrays)
         output = output or folder / "relit"
-        found, console = {}, Console()
+        found, left, console = {}, [], Console()
         made = relit.views(scene, rendering, lights, *how, spp)
         for camera, seen, image in zip(cameras, rendering, made):
             where = f"{pictures}: {camera.name}"
@@ -82,12 +82,20 @@ def main(
             if importing.of_light(camera.image) is None:
                 linear = importing.linear(camera.image, own.encoding)
             turned = camera.name in over
-            found[camera.name] = relighting.of_picture(
-                image, seen, camera, mask, where, turned, fitted, linear
-            )
             relit.write(output, camera.name, image)
-    mean = relighting.mean(found)
-    write_json(output / SCORES, {"views": found, "mean": mean, "light": light and str(light)})
+            try:
+                found[camera.name] = relighting.of_picture(
+                    image, seen, camera, mask, where, turned, fitted, linear
+                )
+            except relighting.Nothing as error:
+                left.append(camera.name)
+                print(f"{where}: left out: {error}", file=sys.stderr)
+                continue
+            mean = relighting.mean(found)
+            told = {"views": found, "mean": mean, "left_out": left, "light": light and str(light)}
+            write_json(output / SCORES, told)
+        if not found:
+            raise InputError(f"{pictures}: no view has a mask with anything in it")
     table = Table("view", *_HEADS.values())
     for name, scores in [*found.items(), ("mean", mean)]:
         table.add_row(name, *(f"{scores[key]:.4g}" for key in _HEADS))

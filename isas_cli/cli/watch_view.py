@@ -58,6 +58,8 @@ def ending(follower: Follower) -> list[str]:
         said.append(f"report: {report}")
     elif alive(run.manifest):
         said.append(f"report: {report}, which is being written")
+    elif not run.complete:
+        said.append(f"pictures and report are missing; make them with: {resume}")
     return said
 
 

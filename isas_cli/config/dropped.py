@@ -14,6 +14,7 @@ from omegaconf import DictConfig, open_dict
 
 from ..runtime.errors import InputError, nearest
 from .grammar import literal
+from .grammar import name as named
 from .method import options, said
 
 # What holds names of its own, and one of them in words.
@@ -57,8 +58,12 @@ def expanded(overrides: list[str]) -> list[str]:
 
 
 def settled(cfg: DictConfig) -> DictConfig:
-    """``cfg`` without what is null in it; a pose goes with its unknown."""
+    """``cfg`` without what is null in it; a pose goes with its unknown. Names are as they were
+    typed."""
     with open_dict(cfg):
+        for entries in (cfg.scene.unknowns, cfg.scene.poses, cfg.scene.external.parameters):
+            for name in [name for name in entries if named(str(name)) != name]:
+                entries[named(name)] = entries.pop(name)
         gone = [name for name, entry in cfg.scene.unknowns.items() if entry is None]
         for entries in (cfg.scene.unknowns, cfg.scene.poses):
             for name in list(entries):
@@ -80,5 +85,5 @@ def _entries(text: str) -> dict:
         value = OverridesParser.create().parse_override(text).value()
     except HydraException:
         return {}
-    named = value if isinstance(value, dict) else {}
-    return {str(getattr(name, "text", name)): entry for name, entry in named.items()}
+    given = value if isinstance(value, dict) else {}
+    return {named(str(getattr(name, "text", name))): entry for name, entry in given.items()}

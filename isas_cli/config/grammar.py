@@ -11,6 +11,9 @@ from collections.abc import Sequence
 _WORD = re.compile(r"[\w.+/-]+", re.ASCII)
 _NO_WORD = re.compile(r"[+-]?[\d_.]*(e[+-]?[\d_]*)?|[+-]?(inf|nan)|null|true|false", re.I)
 _LISTED = 8  # values
+# What no key of Hydra's grammar may hold, which takes none in quotes: written as its number.
+_UNREAD = re.compile(r"[^\x20-\x7e\t]|[#&'!;<>~\"`^]|%(?=[0-9a-f]+%)")
+_CODED = re.compile(r"%([0-9a-f]+)%")
 
 
 def override(value) -> str:
@@ -45,4 +48,10 @@ def literal(value) -> str:
 
 
 def _key(key: str) -> str:
-    return re.sub(r"([\\()\[\]{}:=, \t])", r"\\\1", key)
+    coded = _UNREAD.sub(lambda found: f"%{ord(found[0]):x}%", key)
+    return re.sub(r"([\\()\[\]{}:=, \t])", r"\\\1", coded)
+
+
+def name(key: str) -> str:
+    """The key of a dictionary that ``literal`` has written, as it was."""
+    return _CODED.sub(lambda found: chr(int(found[1], 16)), key)

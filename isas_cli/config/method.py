@@ -71,7 +71,7 @@ def completed(overrides: list[str]) -> list[str]:
 def _moving(typed: dict[str, str]) -> bool:
     """Whether words that were typed, of scene=photos, make the object's pose unknown, or leave its
     shape to a hull, which is unknown. No files are read, but for the one that may name a plane."""
-    said = {key.removeprefix("scene.photos."): value for key, value in typed.items()}
+    said = {k.removeprefix("scene.photos."): v.strip("'\"") for k, v in typed.items()}
     if any(said.get(name, "").lower() in _YES for name in ("pose", "edges")):
         return True
     if any(said.get(name, "null") != "null" for name in ("mesh", "plane", "sphere")):
@@ -79,7 +79,9 @@ def _moving(typed: dict[str, str]) -> bool:
     chosen = " ".join(f"{k}={v}" for k, v in typed.items() if k.startswith("scene.unknowns"))
     if chosen and ".vertices" not in chosen:
         return False
-    file = paths.of_set(said.get("path", "").strip("'\"")) / said.get("cameras", "cameras.json")
+    if said.get("start", "null") != "null":
+        return True
+    file = paths.of_set(said.get("path", "")) / said.get("cameras", "cameras.json")
     try:
         return "printed_board_rect_m" not in file.read_text(encoding="utf-8", errors="replace")
     except OSError:

@@ -107,13 +107,25 @@ def newer(cfg: DictConfig, than: str) -> str | None:
         files = [path]
         with contextlib.suppress(OSError, UnicodeDecodeError):
             if path.suffix.lower() == ".xml":
-                values = re.findall(r'value\s*=\s*"([^"]+)"', path.read_text(encoding="utf-8"))
-                files += [path.parent / each for each in values]
+                files += _within(path, {path})
         for file in files:
             with contextlib.suppress(OSError):
                 if file.is_file() and file.stat().st_mtime > since:
                     return str(file) if file != path else f"{key}={name}"
     return None
+
+
+def _within(path: Path, seen: set[Path]) -> list[Path]:
+    """What a scene's XML names beside itself, and files of scenes that are part of it do."""
+    found = []
+    for text in re.findall(
+        r"""(?:value|filename)\s*=\s*["']([^"']+)["']""", path.read_text("utf-8")
+    ):
+        each = path.parent / text
+        found.append(each)
+        if each.suffix.lower() == ".xml" and each not in seen and each.is_file():
+            found += _within(each, seen | {each})
+    return found
 
 
 def _each(named, found: Callable[[str], str]):

@@ -19,6 +19,7 @@ from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
 from ..unknowns import cameras
+from ..unknowns.ranges import AIMS
 from . import rules
 from .probe import Cut, Lights, Probe, Share
 from .settings import Effects
@@ -33,7 +34,7 @@ _LIGHTS = (((1, 1), _PICKED), ((4, 4), _PICKED), ((1, 1), 1), ((4, 1), _PICKED))
 # A budget of so many seconds can pay for a probe, which takes at most this share of it and at most
 # so many seconds.
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
-_FORMAT = 25
+_FORMAT = 26
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ def decide(
         asked = settings.tolerance if usual else settings.derivative_tolerance
         settings = dataclasses.replace(settings, derivative_tolerance=asked)
     follows = whole.cuts and estimator.plannable
-    if settings.cuts and not follows:
+    if (settings.cuts or settings.finish) and not follows:
         who = (
             f"estimator={estimator.name} leaves the paths to Mitsuba"
             if whole.cuts
@@ -168,7 +169,9 @@ def decide(
     if plan.paths.depth != whole.max_depth:
         told["paths"] += f"; {longest(whole.max_depth)} in the scene"
     if plan.views is not None:
-        told["views"] = f"{len(plan.views)} of {problem.views.count}: the others see no unknown"
+        told["views"] = (
+            f"{len(plan.views)} of {problem.views.count}: the others see no unknown at the start"
+        )
     lights = plan.paths.lights
     if estimator.replays:
         told["differentiated"] = f"what comes by paths {longest(plan.paths.derivative)}"
@@ -365,7 +368,10 @@ def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> 
         )
         samples = probe.lights(paths, list(ways)) if len(ways) > 1 else []
     # In the finish a view may see an unknown that it does not see by shorter paths.
-    views = None if plan.finish else probe.views()
+    # And where a light comes to shine later it shines nowhere yet.
+    words = {word for unknown in problem.unknowns for word in unknown.kind.words}
+    aims = any(word.endswith(AIMS) for word in words)
+    views = None if plan.finish or aims else probe.views()
     if views is not None and check(paths, views) > rules.LOST:
         views = None  # one of the others shows in a few pixels what no more paths were to find
     ladder = [depth for depth in _LADDER if depth < paths.depth]

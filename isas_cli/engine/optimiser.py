@@ -176,11 +176,10 @@ class Stepper:
     def untouched(self) -> list[str]:
         """Keys of the unknowns that have been stepped, and none of whose entries has had a gradient
         so far."""
-        return [
-            key
-            for key, visits in self.visits.items()
-            if self._taken(key) and not dr.any(visits > 0)
-        ]
+        # Of entries that never rest all steps are visits.
+        masks = self.settings.mask_updates
+        heard = {k: v if masks else flat(self.adam.state[k][3][2]) for k, v in self.visits.items()}
+        return [key for key in heard if self._taken(key) and not dr.any(heard[key] > 0)]
 
     @property
     def filtering(self) -> bool:
@@ -208,7 +207,7 @@ class Stepper:
         """One Adam step along ``gradients`` (by key, any scale). Evaluates the new values."""
         gradients = self._directed(gradients)
         if not self.begun:
-            few = (u.key for u in self.unknowns if u.start.size <= FEW)
+            few = (u.key for u in self.unknowns if u.start.size <= FEW and not u.doubled)
             self.begun = {key: as_numpy(dr.detach(self.adam[key])) for key in few}
         rates, gradient, bad, touched = {}, {}, mi.UInt64(0), mi.UInt64(0)
         for unknown in self.unknowns:

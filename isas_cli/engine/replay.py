@@ -75,7 +75,8 @@ def of(folder: Path, iteration: int | None = None) -> Replay:
     with Display(budget) as display:
         phases = experiment.Phases(display)
         problem = experiment.built(typed, phases, [choices])
-        resumption.check_same(problem, machine, run.manifest, folder)
+        why = "their random numbers differ, and with them every path"
+        resumption.check_same(problem, machine, run.manifest, folder, why)
         phases.begin("replay")
         loop = Workshop(problem).loop(choices, typed, budget, run.manifest.get("plan"))
         try:

@@ -177,14 +177,21 @@ def changed(cfg: DictConfig, changes: dict) -> DictConfig:
     return cfg
 
 
-def check_same(problem: "Problem", machine: "Backend", earlier: dict, folder: Path) -> None:
-    """Raises InputError unless scene, targets and variant are those that the run began with."""
+def check_same(
+    problem: "Problem",
+    machine: "Backend",
+    earlier: dict,
+    folder: Path,
+    why: str | None = "billed seconds of both would not be comparable",
+) -> None:
+    """Raises InputError unless scene, targets and variant are those that the run began with.
+    ``why``: what another variant would change (None: nothing)."""
     import mitsuba as mi
 
-    if earlier.get("variant") != machine.variant:
+    if why is not None and earlier.get("variant") != machine.variant:
         raise InputError(
             f"{folder} began with variant={earlier.get('variant')}, and this machine takes "
-            f"{machine.variant}: billed seconds of both would not be comparable"
+            f"{machine.variant}: {why}"
         )
     now = {"scene_hash": problem.content_hash, "target_hash": problem.target_hash}
     versions = (earlier.get("packages") or {}).get("mitsuba"), mi.__version__

@@ -80,15 +80,20 @@ class Workshop:
 
         gradients = estimating(False)
         problem = gradients.problem
+
+        def looking() -> tuple:
+            on = dataclasses.replace(problem, warnings=[])
+            return estimator.looks(choices.sampler, on, loss), on.warnings
+
+        how_drawn = _told(choices.sampler), *how, plan.paths, plan.views
+        sampler, told = self._once("sampler", how_drawn, looking)
+        # As what an estimator warns of: no matter of others on the same problem.
+        problem = dataclasses.replace(problem, warnings=[*problem.warnings, *told])
         if plan.staged(self.problem):
             gradients = Staged(gradients, estimating(True), 1 - plan.finish)
         loop = Loop(
             problem,
-            self._once(
-                "sampler",
-                (_told(choices.sampler), *how, plan.paths, plan.views),
-                lambda: estimator.looks(choices.sampler, problem, loss),
-            ),
+            sampler,
             Stepper(self.problem.unknowns, typed.optimizer, choices.filter),
             self._evaluator(loss, typed),
             budget,

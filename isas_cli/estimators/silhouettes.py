@@ -97,6 +97,11 @@ class Settings(Estimator):
                 "out has no right derivative as it moves: give it a roughness, or take "
                 "sampler=plateau"
             )
+        if self.outline != Settings.outline and problem.part is problem.edges is None:
+            told.append(
+                f"estimator.outline={self.outline:g} has no effect: no alpha, mask or edge of a "
+                "picture counts"
+            )
         problem.warnings += [each for each in told if each not in problem.warnings]
         return ByShape(problem, loss, self)
 
@@ -160,7 +165,9 @@ class ByShape(Gradients):
         of smooth normals."""
         self.problem, self.freeze = problem, chosen.freeze
         self.inside = TwoPath(problem, loss, chosen.batch, chosen.freeze)
-        meshes, shadows = _meshes(problem), chosen.shadowed(problem)
+        meshes = _meshes(problem)
+        # Where nothing moves there is no border to follow.
+        shadows = chosen.shadowed(problem) if meshes else 0
         # By the key of its mesh's positions; those of what stands still are ``_still``.
         self.borders: list[tuple[str, tuple, Border]] = []
         self.undrawn, self.alone = 0.0, False
@@ -169,7 +176,7 @@ class ByShape(Gradients):
             each = max(1, samples), chosen.paths, chosen.lamps, chosen.freeze
             self.borders.append((key, _SHADOW, Shadows(problem, loss, topologies, *each)))
 
-        reflections = chosen.reflected(problem)
+        reflections = chosen.reflected(problem) if meshes else 0
         for key, topologies in meshes.items():
             where = problem, loss, key.rpartition(".")[0], topologies
             edges = max(1, chosen.edges // len(meshes)), chosen.paths, chosen.adaptive
@@ -272,9 +279,16 @@ def _meshes(problem: Problem) -> dict[str, dict[int, Topology]]:
     """Of what moves, the key of its vertices' positions, and how its triangles hang together, by
     the number of vertices."""
     params, found = mi.traverse(problem.scene), {}
+    listed = {shape.id() for shape in problem.scene.shapes()}
     for name in problem.unknowns.moving:
         own = problem.unknowns[name].kind.topologies
         found |= own
+        for id in {key.rpartition(".")[0] for key in problem.unknowns.written(name)} - listed:
+            raise InputError(
+                f"scene.unknowns['{name}'] moves '{id}', which lies in a group: "
+                "estimator=silhouettes follows what the scene itself holds; take it out of the "
+                "group, or take sampler=plateau"
+            )
         for key in problem.unknowns.written(name) if not own else ():
             id, _, word = key.rpartition(".")
             where = f"scene.unknowns['{name}'] moves '{id}'"

@@ -197,7 +197,9 @@ class TwoPath(Gradients):
                 if moved:
                     where = scene, sensors, views, (view, column, row)
                     placed = {field: at for (_, field, _), (_, at, _) in zip(moved, jitter)}
-                    step = _half_difference(integrator, *where, seeds[4], placed)
+                    # A single view's number is one entry, not one for each pixel.
+                    stream = seeds[4], batch
+                    step = _half_difference(integrator, *where, stream, placed)
                     slope = dr.sum(residual * step) * scale
                     slope = dr.select(dr.isfinite(slope), slope, 0)
                     dr.eval(slope)
@@ -258,13 +260,13 @@ class TwoPath(Gradients):
         return [each.kind.offsets([drawn, n]) for n, each in enumerate(self._moved)]
 
 
-def _half_difference(integrator, scene, sensors, views, place, seed, offsets: dict) -> mi.Color3f:
+def _half_difference(integrator, scene, sensors, views, place, drawn, offsets: dict) -> mi.Color3f:
     """Half of what the drawn pixels' radiance differs by with all cameras changed by ``offsets``,
-    by their field of ``views``, and against them, along paths of the same random numbers.
-    Evaluates."""
+    by their field of ``views``, and against them, along paths of the same random numbers;
+    ``drawn``: their seed, and how many pixels there are. Evaluates."""
     sides = []
     for sign in (1, -1):
-        stream = rays.stream(seed, dr.width(place[0]))
+        stream = rays.stream(*drawn)
         moved = {field: getattr(views, field) + at * sign for field, at in offsets.items()}
         there = replace(views, **moved)
         sides.append(rays.radiance(integrator, scene, sensors, there, place, stream))

@@ -24,6 +24,8 @@ from .filter import Filter, Layout, OnUnknown, within
 
 # Narrower than this many entries, neighbours have no weight to speak of.
 _NARROW = 0.25
+# Widths are of a ladder of so many per cent: Dr.Jit keeps a table for every kernel that it has met.
+_RUNG = 0.05
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,7 @@ def smoothed(entries: mi.Float, layout: Layout, widest: float, share: float = 1.
     """``entries`` smoothed with a standard deviation of ``widest * share`` sides of the array;
     themselves below 0.25 entries of ``widest``. Traced: one kernel for all shares."""
     widths = [widest * layout.shape[axis] for axis, _ in layout.axes]
+    share = (1 + _RUNG) ** round(math.log(max(share, 1e-6), 1 + _RUNG))
     if max(widths) < _NARROW:
         return entries
     kernels = [

@@ -195,10 +195,14 @@ def _as_large(pixels: np.ndarray, image: np.ndarray, where: str) -> np.ndarray:
     return blocks.mean(axis=(1, 3))
 
 
+class Nothing(InputError):
+    """A view of which nothing can be scored."""
+
+
 def _inside(mask: np.ndarray) -> np.ndarray:
     found = binary_erosion(mask > 0.5, _RIM, border_value=1)
     if not found.any():
-        raise InputError("relighting: nothing is left of a mask without its rim of two pixels")
+        raise Nothing("relighting: nothing is left of its mask without a rim of two pixels")
     return found
 
 

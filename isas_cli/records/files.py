@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
@@ -36,6 +37,18 @@ WHOLE_NUMBERS = ("iteration", "paths", "nonfinite")
 def safe_name(key: str) -> str:
     """A file name for an unknown's key; `key_of` gives the key back."""
     return quote(key, safe="")
+
+
+def walked(folder: Path) -> Iterator[tuple[Path, list[str], list[str]]]:
+    """As `os.walk`, in order, through links as well, and into no folder twice."""
+    seen = set()
+    for place, folders, files in os.walk(folder, followlinks=True):
+        folders.sort()
+        if (real := os.path.realpath(place)) in seen:
+            folders.clear()
+            continue
+        seen.add(real)
+        yield Path(place), folders, files
 
 
 def key_of(name: str) -> str:

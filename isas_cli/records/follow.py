@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 import math
-import os
 import platform
 import time
 from dataclasses import dataclass, fields
@@ -17,6 +16,8 @@ from .. import records
 from ..runtime.budget import Budget
 from ..runtime.errors import InputError
 from . import Run
+from .files import walked
+from .reader import read_json
 
 RUNNING, KILLED, UNREADABLE = "running", "killed", "unreadable"
 _READ = ("manifest.json", "config.yaml", "history.csv", "summary.json")
@@ -28,11 +29,20 @@ _TRIES, _PAUSE_SECONDS = 3, 0.1
 def find(folder: Path) -> list[Path]:
     """The folders of all runs at or below `folder`, sorted; none lies within another."""
     found = []
-    for place, folders, files in os.walk(folder):
+    for place, folders, files in walked(folder):
         if "manifest.json" in files:
-            found.append(Path(place))
             folders.clear()
+            if not measures(place):
+                found.append(place)
     return sorted(found)
+
+
+def measures(folder: Path) -> bool:
+    """Whether this is what `isas variance` wrote: a measurement, not a run."""
+    try:
+        return "variance" in read_json(folder / "manifest.json")
+    except InputError:
+        return False
 
 
 def alive(manifest: dict[str, Any]) -> bool | None:

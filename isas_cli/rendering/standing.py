@@ -17,12 +17,14 @@ _CORNERS = 256
 _DOUBLINGS = 4
 # Points of lamps that shapes are looked at from.
 _POINTS = 256
+# What moves, with so many times its own size around it, where it may come or grow to.
+_ROOM = 3.0
 
 
 def others(problem: Problem) -> tuple[mi.Float, Topology] | None:
     """Of the meshes that stand still, and of the rectangles, disks and spheres that can throw a
-    shadow of a lamp, no sky, on what moves where it is now: all as one, the vertices' positions and
-    how their triangles hang together; None where there are none.
+    shadow of a lamp, no sky, on what moves, where it is now or comes to near there: all as one, the
+    vertices' positions and how their triangles hang together; None where there are none.
 
     Triangles are around a sphere or disk, not in it: it hides none of their edges from a lamp.
     """
@@ -105,7 +107,7 @@ def _moving(problem: Problem, params: mi.SceneParameters) -> np.ndarray:
 def _in_the_way(points, flat: bool, places, finite, moving) -> bool:
     """Whether a shape through ``points`` may be between a lamp and what is moving: not where a
     plane that it is ``flat`` in has all of them on one side, nor where the ball around it is beside
-    all capsules from a lamp's point to the ball around what is moving."""
+    all capsules from a lamp's point to a ball well around what is moving."""
     if flat:
         normal = np.cross(points[1] - points[0], points[-1] - points[0])
         normal /= np.linalg.norm(normal)
@@ -119,7 +121,7 @@ def _in_the_way(points, flat: bool, places, finite, moving) -> bool:
     along = way @ (middle - centre) / np.maximum(np.einsum("ij,ij->i", way, way), 1e-300)
     along = np.clip(along, 0, np.where(finite > 0, 1, np.inf))
     beside = np.linalg.norm(middle - centre - along[:, None] * way, axis=1)
-    return bool((beside <= radius + reach).any())
+    return bool((beside <= radius + _ROOM * reach).any())
 
 
 def _ball(points: np.ndarray) -> tuple[np.ndarray, float]:

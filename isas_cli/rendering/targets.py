@@ -124,7 +124,9 @@ def load(
                 f"{_counted(len(sizes), 'sensor')}: one per sensor"
             )
     loaded = [images.load(Path(f), finite=masks is None) for f in paths]
-    read = [_sized(p.image, f"target {f}", size) for p, f, size in zip(loaded, paths, sizes)]
+    films = _films(problem)
+    read = [_sized(p.image, f"target {f}", *each) for p, f, each in zip(loaded, paths, films)]
+    problem.warnings += _blurred(paths, films)
     if grey := [str(each) for each in paths if images.grey(each)]:
         one = len(grey) == 1
         problem.warnings.append(
@@ -136,7 +138,7 @@ def load(
     mask = None
     if masks is not None:
         counts = [
-            _sized(images.read_mask(Path(f)), f"mask {f}", size) for f, size in zip(masks, sizes)
+            _sized(images.read_mask(Path(f)), f"mask {f}", *each) for f, each in zip(masks, films)
         ]
         mask = np.concatenate([m.reshape(-1) for m in counts])
         if not mask.sum() > 0:
@@ -192,8 +194,35 @@ def _counted(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
-def _sized(image: np.ndarray, what: str, size: tuple[int, int]) -> np.ndarray:
+def _films(problem: Problem) -> list[tuple[tuple[int, int], mi.Film | None]]:
+    """Of each view how large it is, and its film, where it has one of its own."""
+    sensors = problem.scene.sensors()
+    own = len(sensors) == len(problem.film_sizes)
+    films = [sensor.film() for sensor in sensors] if own else [None] * len(problem.film_sizes)
+    return list(zip(problem.film_sizes, films))
+
+
+def _blurred(paths: Sequence[str], films: list) -> list[str]:
+    """Of targets that Mitsuba may have rendered with a film whose pixels are other means."""
+    wide = [film.rfilter().class_name() for _, film in films if film is not None]
+    wide = sorted({name for name in wide if name != "BoxFilter"})
+    if not wide or all(map(images.counted, paths)):
+        return []
+    return [
+        f"pixels are compared as means over their squares, and the films' filter is "
+        f"{', '.join(wide)}: targets that were rendered with it are softer than that, and so is "
+        'what is found: render them with <rfilter type="box"/>'
+    ]
+
+
+def _sized(image: np.ndarray, what: str, size: tuple[int, int], film) -> np.ndarray:
     height, width = image.shape[:2]
+    if film is not None and (width, height) == tuple(film.size()) != size:
+        x, y = film.crop_offset()
+        raise InputError(
+            f"{what} is {width}×{height} pixels, as the whole film, of which its sensor has a "
+            f"window of {size[0]}×{size[1]}: cut that out, from {x}, {y} on"
+        )
     if (width, height) != size:
         raise InputError(
             f"{what} is {width}×{height} pixels, its sensor {size[0]}×{size[1]}: resize one of them"

@@ -32,8 +32,8 @@ def folder() -> Path:
 
 
 def limit() -> int:
-    """Bytes that the cache may hold: $ISAS_CACHE_GIB, else 4 GiB. Raises InputError for what is no
-    number."""
+    """Bytes that the cache may hold: $ISAS_CACHE_GIB, else 4 GiB; 0: nothing is kept. Raises
+    InputError for what is no number."""
     text = os.environ.get("ISAS_CACHE_GIB") or str(_DEFAULT_GIB)
     try:
         gib = float(text)
@@ -58,6 +58,8 @@ def cached(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, 
     import numpy as np  # which `isas doctor` need not wait for
 
     path, most = folder() / f"{key}.npz", limit()
+    if not most:
+        return compute()
     try:
         with np.load(path) as stored:
             found = {name: stored[name] for name in stored.files}

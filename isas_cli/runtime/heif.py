@@ -10,6 +10,7 @@ from .errors import InputError
 from .profiles import Said
 
 _PLACES = [f"{colour}_{axis}" for colour in ("red", "green", "blue", "white") for axis in "xy"]
+_UNSAID = 2  # of primaries that a file does not tell
 _LAMPS = (16, 18)  # PQ and HLG, whose 1 is not white
 ENDINGS = (".heic", ".heif", ".hif")
 
@@ -46,6 +47,8 @@ def _said(info: dict) -> Said:
         return Said()
     if numbers["transfer_characteristics"] in _LAMPS:
         return Said(lost=True, name="an HDR transfer function")
+    if numbers.get("color_primaries") == _UNSAID:
+        return Said()
     places = [numbers[f"color_primary_{name}"] for name in _PLACES]
     return Said(primaries=tuple(places), name="the primaries that it names")
 

@@ -177,7 +177,7 @@ def made_by(path: str | Path) -> str:
 
 def _header(path: str | Path) -> oiio.ImageSpec:
     source = _opened(Path(path))
-    spec = source.spec()
+    spec = _spec(source)
     source.close()
     return spec
 
@@ -193,7 +193,7 @@ def read_alpha(path: str | Path, turned: bool = True) -> np.ndarray | None:
         return pixels[..., 3] if pixels.shape[2] == 4 else None
     source = _opened(path)
     try:
-        spec = source.spec()
+        spec = _spec(source)
         place = _alpha(spec)
         if place is None:
             return None
@@ -369,7 +369,7 @@ def _read_colours(path: Path, turned: bool) -> tuple[np.ndarray, bool, Said]:
         return pixels[..., :3], False, said
     source = _opened(path)
     try:
-        spec = source.spec()
+        spec = _spec(source)
         if spec.format.basetype in _INTEGER_FORMATS:
             scale, linear = _INTEGER_FORMATS[spec.format.basetype], False
         elif spec.format.basetype in _FLOAT_FORMATS:
@@ -404,6 +404,16 @@ def _pixels(path: Path, source: oiio.ImageInput, kind) -> np.ndarray:
             f"{path}: is cut short or damaged, and a part of its pixels is missing: copy it anew"
         )
     return pixels
+
+
+def _spec(source: oiio.ImageInput) -> oiio.ImageSpec:
+    """What an open file's header says. Only an EXR holds a part of a picture: the offset that
+    programs leave in a cropped PNG or TIFF says where it was cut out."""
+    spec = source.spec()
+    if source.format_name() != "openexr":
+        spec.x = spec.full_x = spec.y = spec.full_y = 0
+        spec.full_width, spec.full_height = spec.width, spec.height
+    return spec
 
 
 def _frame(spec: oiio.ImageSpec) -> tuple[int, int]:

@@ -36,6 +36,8 @@ from .views import Views
 _PYTHON = {"phong": mi.ObjectType.BSDF} | dict.fromkeys(
     ("prb", "prb_basic", "prbvolpath", "emission"), mi.ObjectType.Integrator
 )
+# Tags of a file that are no objects.
+_VALUES = {"default", "boolean", "integer", "float", "string"}
 # What of a material is its colour, as a picture.
 _COLOURS = ".base_color", ".reflectance", ".diffuse_reflectance", ".diffuse"
 # Plugins that Mitsuba has not: where they are registered, and what their files need.
@@ -62,8 +64,11 @@ def write(
             "scene=external: another renderer's result is its parameters, no scene for Mitsuba: "
             "isas_cli.load(DIR).parameters() has them"
         )
-    if scene.path is not None and Path(scene.path).resolve().parent == folder.resolve():
-        raise InputError(f"{folder} is where the scene's own files are: take another --output")
+    photos = scene.photos
+    named = scene.path, photos.mesh, photos.environment, photos.texture
+    _check_apart(folder, [each for each in named if isinstance(each, str)])
+    if (folder / "scene.xml").exists() and not (folder / "scene.glb").exists():
+        raise InputError(f"{folder} holds another scene.xml: take another --output")
     taken = _taken(scene)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -73,6 +78,18 @@ def write(
     except (OSError, RuntimeError) as error:
         told = " ".join(str(error).split())
         raise InputError(f"{folder}: the result cannot be written: {told}") from error
+
+
+def _check_apart(folder: Path, files: list[str]) -> None:
+    """Raises InputError where one of ``files``, which a scene was made from, lies in ``folder``:
+    what is written there may have its name."""
+    for file in files:
+        for place in (Path(file).absolute(), Path(file).resolve()):
+            if place.is_file() and place.parent.resolve() == folder.resolve():
+                raise InputError(
+                    f"{folder} is where the scene's own files are, such as {place.name}: take "
+                    "another --output"
+                )
 
 
 def _write(
@@ -85,6 +102,8 @@ def _write(
     loaded, made_from, unknowns, views = _filled(parsed, scene, taken, arrays)
     # What was instantiated has been used up.
     settings, written = parsed()
+    named = [node.props["filename"] for node in written.nodes if "filename" in node.props]
+    _check_apart(folder, [str(mi.file_resolver().resolve(each)) for each in named])
     mi.parser.transform_all(settings, written)
     params = mi.traverse(loaded)
     found = []
@@ -134,11 +153,17 @@ def _filled(
     return loaded, made_from, unknowns, views
 
 
-def result(scene: SceneConfig, arrays: dict[str, np.ndarray]) -> mi.Scene:
-    """The scene with the unknowns' values ``arrays``, by key. Raises InputError."""
+def result(scene: SceneConfig, arrays: dict[str, np.ndarray]) -> tuple[mi.Scene, int, bool]:
+    """The scene with the unknowns' values ``arrays``, by key; how many edges paths have in it, -1
+    for any number; and whether lights hide from cameras. Raises InputError."""
     taken = _taken(scene)
     with tempfile.TemporaryDirectory(prefix="isas-result-") as made:
-        return _filled(_parser(scene, taken, Path(made)), scene, taken, arrays)[0]
+        found = _filled(_parser(scene, taken, Path(made)), scene, taken, arrays)[0]
+    if scene.path is not None:
+        whole = scene_file.load(scene.path, scene.max_depth)[1]
+        return found, getattr(whole, "max_depth", -1), getattr(whole, "hide_emitters", False)
+    own = built.description(scene, taken).get("integrator", {})
+    return found, own.get("max_depth", -1), own.get("hide_emitters", False)
 
 
 def _parser(scene: SceneConfig, taken: Photographs | None, folder: Path) -> Callable[[], tuple]:
@@ -173,7 +198,11 @@ def _as_files(described: dict[str, Any], folder: Path, name: str) -> dict[str, A
                 "describe it by a dictionary, or make it by meshes.shape"
             )
         elif isinstance(value, mi.Bitmap):
-            pixels = np.array(value, np.float32)
+            whole = mi.Bitmap(value)
+            if described.get("raw", False):
+                whole.set_srgb_gamma(False)
+            # Linear, of whole numbers as of others, as the plugin has it.
+            pixels = np.array(whole.convert(None, mi.Struct.Type.Float32, False), np.float32)
             pixels = pixels[..., None] if pixels.ndim == 2 else pixels
             found["filename"] = str(folder / f"{name}.exr")
             images.write_exr(found["filename"], pixels, channels(pixels), {"what": name})
@@ -204,15 +233,17 @@ def _unknowns(
     found = Unknowns(
         mi.traverse(loaded), parse(mi.traverse(loaded), wanted, False, poses, of_views)
     )
-    if (lens := found.of(Lens)) is not None and taken is not None and taken.held:
+    if taken is not None and taken.held:
         held = replace(Views.of(sizes[count:]), given=building.given(taken.held))
-        lens.kind.follow(held, building.glass(taken).of_views(count, len(sizes)))
+        if (lens := found.of(Lens)) is not None:
+            lens.kind.follow(held, building.glass(taken).of_views(count, len(sizes)))
         views.append((count, held))
     return found, views
 
 
 def _paint(loaded: mi.Scene, folder: Path) -> None:
     """Meshes whose colour is a picture once more, for programs that read OBJ files."""
+    taken = set()
     for shape in loaded.shapes():
         if not shape.is_mesh() or not shape.has_vertex_texcoords():
             continue
@@ -237,7 +268,8 @@ def _paint(loaded: mi.Scene, folder: Path) -> None:
             np.array(mesh[key]).reshape(-1, 3) for key in ("vertex_positions", "faces")
         )
         folder.mkdir(exist_ok=True)
-        name = re.sub(r"[^\w.-]", "_", shape.id())
+        name = gltf.unlike(re.sub(r"[^\w.-]", "_", shape.id()), taken)
+        taken.add(name)
         for file, content in mesh_files.painted(name, points, faces, coordinates, colour).items():
             (folder / file).write_bytes(content)
 
@@ -288,7 +320,7 @@ def _keep_ids(path: Path, state) -> None:
     """The ids of the scene's own things, which Mitsuba writes only where something refers to
     them: by these a user knows them."""
     tree = ElementTree.parse(path)
-    things = [node for node in tree.getroot() if node.tag != "default"]
+    things = [node for node in tree.getroot() if node.tag not in _VALUES]
     for thing, number in zip(things, instances.references(state.root.props).values(), strict=True):
         # Others stand where something else refers to them first.
         if thing.tag != "ref" and (id := state.nodes[number].props.id()):

@@ -123,7 +123,7 @@ class _Palette:
         if bsdf not in self._read:
             name = self.said.name(bsdf) or shape
             taken = {each.name for each in self._read.values()}
-            self._read[bsdf] = gltf_materials.read(bsdf, _unlike(name, taken), self.said)
+            self._read[bsdf] = gltf_materials.read(bsdf, unlike(name, taken), self.said)
         return self._read[bsdf]
 
     def painted(self, bsdf: mi.BSDF, mirrored: bool | None) -> _Painted:
@@ -140,7 +140,7 @@ class _Palette:
                 normals = packed(material.leave, **{"normal map": material.normals.of(3)})
             if turned:  # Mitsuba's second axis is then glTF's, turned round
                 normals = replace(normals, pixels=normals.pixels * [1, -1, 1] + [0, 1, 0])
-            name = _unlike(material.name, self.named)
+            name = unlike(material.name, self.named)
             self.named[name] = self._painted[bsdf, turned] = _Painted(
                 name,
                 material,
@@ -155,7 +155,8 @@ class _Palette:
         return [what for each in self._read.values() for what in each.left]
 
 
-def _unlike(name: str, taken: Iterable[str]) -> str:
+def unlike(name: str, taken: Iterable[str]) -> str:
+    """``name``, with a number behind it where another that is ``taken`` has it."""
     every = itertools.chain([name], (f"{name}_{number}" for number in itertools.count(2)))
     return next(each for each in every if each not in taken)
 

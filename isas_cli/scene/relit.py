@@ -14,13 +14,13 @@ from ..runtime.errors import InputError
 from .photos import building, finding
 from .photos.camera import Camera
 
-_DEPTH = 8
+_DEPTH = 8  # edges of paths under another light than the run's
 # Samples of one rendering: Dr.Jit counts the lanes of a kernel in 32 bits, and all need memory.
 _AT_ONCE = 2**24
 
 
 def views(
-    scene: mi.Scene,
+    result: tuple[mi.Scene, int, bool],
     cameras: list[Camera],
     lights: list[Path | None],
     up: str,
@@ -28,10 +28,12 @@ def views(
     spp: int,
 ) -> Iterator[np.ndarray]:
     """What each camera sees, ``(H, W, 3)``, linear, black where no surface is: under the
-    environment in the file of the same place in ``lights``, in place of all lights of the
-    ``scene``; or under these, where it is None. ``up``, ``turn``: see ``building.upright``; up may
-    also be ``CAMERA``: the environment stands to the view's camera as Stanford-ORB's do, what lies
-    straight ahead in its middle. Raises InputError for a scene with media."""
+    environment in the file of the same place in ``lights``, in place of all lights of the scene;
+    or under these, where it is None, by paths as its own. ``result``: as ``export.result`` has it.
+    ``up``, ``turn``: see ``building.upright``; up may also be ``CAMERA``: the environment stands to
+    the view's camera as Stanford-ORB's do, what lies straight ahead in its
+    middle. Raises InputError for a scene with media."""
+    scene, depth, hidden = result
     shapes = scene.shapes()
     if any(shape.is_medium_transition() for shape in shapes):
         raise InputError("the scene has a medium: isas relight renders surfaces alone")
@@ -42,6 +44,10 @@ def views(
         if light != last or up == CAMERA:
             world = building.facing(camera) if up == CAMERA else building.upright(up, turn)
             last, lit = light, _lit(scene, shapes, light, world)
+            if light is None:
+                # Lamps are in pictures as the run's; a sky behind the object is left out of all.
+                hides = hidden or not any(shape.is_emitter() for shape in shapes)
+                lit["integrator"] |= {"max_depth": depth, "hide_emitters": hides}
         with backend.loading():
             seen = {"camera": building.sensor(camera, middle, extent)}
             made = mi.load_dict(lit | seen, optimize=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -54,7 +55,7 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str
         kind = own[0].props.plugin_name() if own else None
         blind = any(map(_takes_no_bsdf_samples, own))
         described = _integrator(own, state, path, max_depth)
-        description = "".join(str(node.props) for node in state.nodes)
+        description = "".join(str(node.props) + _contents(node) for node in state.nodes)
         for node in state.nodes:
             if node.type == mi.ObjectType.Integrator:
                 node.props = _properties(described)
@@ -62,6 +63,7 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str
     if not isinstance(loaded, mi.Scene):
         raise InputError(f"scene.path={path}: holds no <scene>")
     integrator = loaded.integrator() or mi.load_dict(described)
+    _prepare(integrator, loaded)
     integrator.stands_for = kind
     integrator.blind = blind
     return loaded, integrator, description
@@ -80,7 +82,9 @@ def parse(path: str) -> tuple[mi.parser.ParserConfig, mi.parser.ParserState]:
         )
     settings = mi.parser.ParserConfig(mi.variant())
     settings.merge_equivalent = settings.merge_meshes = False
-    mi.file_resolver().prepend(str(file.resolve().parent))
+    # Of a link first what is beside it.
+    for folder in dict.fromkeys((file.resolve().parent, file.absolute().parent)):
+        mi.file_resolver().prepend(str(folder))
     with _said(path):
         state = mi.parser.parse_file(settings, str(file))
         # Older versions call properties otherwise.
@@ -108,6 +112,36 @@ def _said(path: str) -> Iterator[None]:
         if _SPECTRAL in text:
             text += " (isas renders red, green and blue: give this colour as <rgb>)"
         raise InputError(f"scene.path={path}: Mitsuba cannot load it: {text}") from error
+
+
+def _contents(node) -> str:
+    """Of a file whose numbers Mitsuba's parameters do not tell, what tells it from others."""
+    if node.props.plugin_name() != "measured" or "filename" not in node.props:
+        return ""
+    path = Path(str(mi.file_resolver().resolve(node.props["filename"])))
+    return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
+
+
+def _check(node) -> None:
+    """Raises what Mitsuba does of an integrator with properties that it has not: of that which
+    stands for it it would not be asked."""
+    alone, own = mi.parser.ParserState(), mi.parser.SceneNode()
+    own.type, own.props = node.type, mi.Properties(node.props)
+    alone.nodes = [own]
+    mi.parser.instantiate(mi.parser.ParserConfig(mi.variant()), alone)
+
+
+def _prepare(integrator: mi.Integrator, scene: mi.Scene) -> None:
+    """Mitsuba's volumetric integrator looks for media in shapes that the scene itself lists, not in
+    groups that instances show, and takes what it has not seen for homogeneous."""
+    if not hasattr(integrator, "handle_null_scattering"):
+        return
+    media = [each for each in mi.traverse(scene).hierarchy if isinstance(each, mi.Medium)]
+    if media:
+        uniform = [each.is_homogeneous() for each in media]
+        integrator.use_nee = integrator.is_prepared = True
+        integrator.nee_handle_homogeneous = any(uniform)
+        integrator.handle_null_scattering = not all(uniform)
 
 
 def _takes_no_bsdf_samples(node) -> bool:
@@ -150,8 +184,10 @@ def _integrator(own: list, state, path: str, max_depth: int | None) -> dict:
         described["type"], usual = _REPLAY[kind]
         # Without a medium the radiance is the same, but for ``stand_ins``, and paths between
         # surfaces can be planned.
-        if not any(other.type == mi.ObjectType.Medium for other in state.nodes):
+        media = any(other.type == mi.ObjectType.Medium for other in state.nodes)
+        if not media and kind != "emission":
             described["type"] = "prb"
+        _check(node)
         for name in ("max_depth", "rr_depth", "hide_emitters"):
             if name in node.props:
                 described[name] = node.props[name]

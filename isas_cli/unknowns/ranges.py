@@ -90,7 +90,7 @@ _UNITS = {
 }
 
 _LIGHTS = ("radiance", "intensity", "irradiance")
-_AIMS = ("direction", "_angle", "beam_width")
+AIMS = ("direction", "_angle", "beam_width")  # where lights shine
 _COLOURS = ("base_color", "reflectance", "albedo", "diffuse", "specular")
 _COLOURS += ("diffuse_reflectance", "specular_reflectance")
 _COLOURS += ("specular_transmittance", "transmittance")
@@ -150,7 +150,7 @@ def role(params: mi.SceneParameters, key: str) -> str:
     lit = [word for holder, word, _ in ends if isinstance(holder, mi.Emitter) or word in _LIGHTS]
     if lit:
         # Where a light points, and how wide, is no brightness.
-        return "" if all(word.endswith(_AIMS) for word in lit) else "light"
+        return "" if all(word.endswith(AIMS) for word in lit) else "light"
     return "colour" if any(word in _COLOURS for _, word, _ in ends) else ""
 
 
@@ -206,12 +206,15 @@ def _uses(params: mi.SceneParameters) -> dict[mi.Object, list[tuple[mi.Object, s
 
 def bare(params: mi.SceneParameters, key: str) -> tuple[float, float]:
     """How far values are kept from the lower and the upper end of ``usual``."""
-    words = [word for _, word, _ in fed(params, key)]
-    ends = [_BARE.get(word, (0.0, 0.0)) for word in words]
-    if "sigma_t" in words:
-        # By a scene's unit of length: in millimetres 1e-3 may be more than there is.
+    told = [(word, factor) for _, word, factor in fed(params, key)]
+    ends = [_BARE.get(word, (0.0, 0.0)) for word, _ in told]
+    factors = [factor for word, factor in told if word == "sigma_t"]
+    if factors:
+        # By a scene's unit of length, and by what its numbers are multiplied with: 1e-3 may be more
+        # than there is.
         most = float(as_numpy(params[key]).max(initial=0.0))
-        ends = [(a * (most if 0 < most < 1 else 1.0), b) for a, b in ends]
+        least = min([most if 0 < most < 1 else 1.0, *(1 / each for each in factors if each > 0)])
+        ends = [(a * least, b) for a, b in ends]
     return max((a for a, _ in ends), default=0.0), max((b for _, b in ends), default=0.0)
 
 

@@ -1,6 +1,7 @@
 """`isas relight`: a result against pictures that Mitsuba alone has made."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,10 +17,11 @@ import isas_cli
 from isas_cli.cli import relight
 from isas_cli.cli.app import main
 from isas_cli.config.photographs import PhotosConfig
+from isas_cli.engine import resumption
 from isas_cli.measure import relighting
 from isas_cli.runtime import backend, images
 from isas_cli.runtime.errors import InputError
-from isas_cli.scene import relit
+from isas_cli.scene import export, relit
 from isas_cli.scene.photos import building, importing
 from isas_cli.scene.photos.camera import Camera
 
@@ -385,3 +387,24 @@ def test_exposures_that_the_run_found_are_fitted(run, tmp_path, monkeypatch, cap
         assert main(["relight", str(folder / "run"), str(run / "set"), "--spp", "4"]) == 0
     assert fitted == [False] * len(PLACES) + [True] * len(PLACES)
     assert "photos.refine: cameras are as their file has them" in capsys.readouterr().err
+
+
+def test_a_view_of_an_empty_mask_is_left_out_and_named(run, tmp_path, capsys):
+    shutil.copytree(run / "set", tmp_path / "set")
+    mask = tmp_path / "set/masks/view_0.png"
+    Image.new("L", Image.open(mask).size).save(mask)
+    words = ["--light", str(run / "sky.exr"), "--output", str(tmp_path / "out")]
+    assert main(["relight", str(run / "run"), str(tmp_path / "set"), *words]) == 0
+    found = json.loads((tmp_path / "out/scores.json").read_text())
+    assert list(found["views"]) == ["view_1.exr"] and found["left_out"] == ["view_0.exr"]
+    assert "view_0.exr: left out" in capsys.readouterr().err
+    assert (tmp_path / "out/view_0.exr").is_file()
+
+
+def test_paths_are_as_long_as_the_runs(run):
+    """Under its own light, the lamp's back included."""
+    typed, arrays = resumption.result(run / "run")
+    result = export.result(typed.scene, arrays)
+    assert result[1:] == (3, False)
+    typed.scene.max_depth = 2
+    assert export.result(typed.scene, arrays)[1] == 2

@@ -104,3 +104,14 @@ def test_every_job_of_a_sweep_takes_it(monkeypatch):
     assert main(["run", "-m", *words, "seed=1,2"]) == 0
     assert [list(job.cfg.scene.unknowns) for job in planned] == [[WALL, "a.b"]] * 2
     assert {job.cfg.estimator.name for job in planned} == {"plateau"}
+
+
+@pytest.mark.parametrize("name", ["Würfel", "Leaf#2", "a&b", "100%", "it's", "%e4%", "grün%fc%"])
+def test_names_may_hold_what_hydras_grammar_does_not(name):
+    key = f"{name}.bsdf.reflectance.value"
+    words = ["scene=file", "scene.path=own.xml"]
+    given = json.dumps({key: {"start": 0.5}}, ensure_ascii=False)
+    cfg = compose(translate([*words, f"scene.unknowns={given}"]))
+    assert list(cfg.scene.unknowns) == [key] and cfg.scene.unknowns[key].start == 0.5
+    cfg = compose(translate([*words, f"scene.unknowns={given}", f"~scene.unknowns.{key}"]))
+    assert not cfg.scene.unknowns

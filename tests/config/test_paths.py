@@ -108,3 +108,13 @@ def test_a_set_that_comes_along_has_its_own_masks(home):
     cfg = compose(translate(["scene=photos", "photos.path=head", "photos.masks=mask"]))
     paths.locate(cfg, str(home))
     assert cfg.scene.photos.masks == "mask"
+
+
+def test_files_of_files_are_asked_when_they_were_changed(tmp_path):
+    main, part, picture = (tmp_path / name for name in ("a.xml", "b.xml", "c.png"))
+    main.write_text("<scene><include filename='b.xml'/></scene>")
+    part.write_text("<scene><string name='filename' value='c.png'/></scene>")
+    picture.write_bytes(b"")
+    assert set(paths._within(main, {main})) == {part, picture}
+    part.write_text(part.read_text() + "<include filename='a.xml'/>")  # round and round
+    assert picture in paths._within(main, {main})

@@ -3,12 +3,20 @@
 import dataclasses
 import math
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 from gradient_estimates import Gradients, configured
 from runs_for_tests import QUIET, ran, resumed
-from scenes_for_tests import ROUGHNESS, TEXTURE, problem, render_targets, without_targets
+from scenes_for_tests import (
+    ROUGHNESS,
+    TEXTURE,
+    dictionary,
+    problem,
+    render_targets,
+    without_targets,
+)
 
 from isas_cli import effects
 from isas_cli.cli.app import main
@@ -504,3 +512,13 @@ def test_effects_are_printed_alone(capsys, monkeypatch, tmp_path):
     assert main(["effects", "--foo"]) == 2
     assert main(["variance", "scene=pottery", "effects.max_depth=2"]) == 2
     assert "no use for it" in capsys.readouterr().err
+
+
+def test_views_that_a_light_may_yet_reach_are_kept(monkeypatch, tmp_path):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    scene = dictionary()
+    scene["spot"] = {"type": "spot", "cutoff_angle": 20, "beam_width": 15, "intensity": 2.0}
+    p = without_targets(scene, {"spot.cutoff_angle": 30.0})
+    p.set_targets(dr.zeros(mi.Float, 3 * p.views.total), None, "test")
+    monkeypatch.setattr(probe.Probe, "views", lambda self: pytest.fail("asked"))
+    assert decided(p, 60.0, max_depth=2, derivative_depth=2, **ONE).views is None

@@ -4,12 +4,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import volumes_for_tests
 from runs_for_tests import QUIET, ran
 from scenes_for_tests import ROUGHNESS, TEXTURE, dictionary, without_targets
 from xml_for_tests import camera, paths
 
-from isas_cli.config.schema import UnknownConfig
+from isas_cli.config.schema import OptimizerConfig, UnknownConfig
 from isas_cli.engine import assemble, ends
+from isas_cli.engine.optimiser import Stepper
 from isas_cli.runtime import images
 
 KEY = "ball.bsdf.brdf_0.weight.value"
@@ -148,3 +150,12 @@ def test_a_grey_where_targets_have_colours_is_said(tmp_path, colour, count):
     made = ran(tmp_path / "run", *run, "scene.unknowns={wall.bsdf.reflectance.value: {start: 0.5}}")
     told = [each for each in made.summary["warnings"] if "one number for all channels" in each]
     assert len(told) == count
+
+
+def test_what_becomes_finer_is_not_asked_how_it_moved():
+    """A grid of few numbers at the end of a run, of another shape than at its first step."""
+    p = volumes_for_tests.problem(np.ones((1, 1, 16)), 0.5, levels=2)
+    stepper = Stepper(p.unknowns, OptimizerConfig())
+    stepper.step(dict(stepper.values), 0.0)
+    stepper.refine(1)
+    assert volumes_for_tests.DENSITY not in stepper.begun and ends.underway(stepper) == []

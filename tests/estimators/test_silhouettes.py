@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from isas_cli.scenes import kirby, meshes
-from scenes_for_tests import render_targets, without_targets
+from scenes_for_tests import TEXTURE, dictionary, render_targets, without_targets
 from shapes_for_tests import (
     COUNT,
     KEY,
@@ -450,3 +450,23 @@ def sky() -> mi.Bitmap:
     y, x = (np.mgrid[:32, :64] + 0.5) * (np.pi / 32)
     shades = 1 + np.cos(x) * np.sin(y), 1 + np.cos(y), 0.6 + 0 * x
     return mi.Bitmap(np.stack(shades, axis=-1).astype(np.float32))
+
+
+def test_where_nothing_moves_no_border_is_followed():
+    """Beside a lamp and things that could throw shadows."""
+    scene = dictionary()
+    p = without_targets(scene, {TEXTURE: 0.5})
+    p.set_targets(dr.zeros(mi.Float, 3 * p.views.total), None, "test")
+    assert any(shape.is_emitter() for shape in p.scene.shapes())
+    assert Settings(batch=64, reflections=4).on(p, losses.L2()).borders == []
+
+
+def test_what_lies_in_a_group_is_refused():
+    scene = dictionary()
+    scene["group"] = {"type": "shapegroup", "leaf": {"type": "cube"}}
+    scene["one"] = {"type": "instance", "group": {"type": "ref", "id": "group"}}
+    pose = {"up": PoseConfig(kind="translation", objects=["group.leaf"], directions=[[0, 1, 0]])}
+    p = without_targets(scene, {"up": UnknownConfig(start=0.1)}, pose)
+    p.set_targets(dr.zeros(mi.Float, 3 * p.views.total), None, "test")
+    with pytest.raises(InputError, match="'group.leaf', which lies in a group"):
+        Settings(batch=64).on(p, losses.L2())

@@ -12,7 +12,7 @@ from rich.console import Console
 from runs_for_tests import begin, followed, gone, process, row, run
 
 from isas_cli.cli import watch_view
-from isas_cli.records import follow
+from isas_cli.records import files, follow
 
 
 def shown(renderable, width: int = 100, height: int = 40) -> str:
@@ -167,3 +167,21 @@ def test_the_table_shows_running_ones_first_and_no_more_than_fit(tmp_path):
     assert lines[1].split()[2:] == "4.0/16 s 20 0.05 ×0.25 0.1 ×0.25 2.00".split()
     assert lines[4] == "1 running, 3 ended; 1 of them not shown"
     assert len(shown(watch_view.table(followers, Console(height=50))).splitlines()) == 6
+
+
+def test_measurements_are_no_runs_and_links_are_followed_once(tmp_path):
+    for name, content in (("runs/a", {}), ("runs/measured", {"variance": {}})):
+        (tmp_path / name).mkdir(parents=True)
+        files.write_json(tmp_path / name / "manifest.json", content)
+    assert follow.find(tmp_path) == [tmp_path / "runs/a"]
+    (tmp_path / "chosen").mkdir()
+    (tmp_path / "chosen/one").symlink_to(tmp_path / "runs/a")
+    (tmp_path / "chosen/round").symlink_to(tmp_path / "chosen")
+    assert follow.find(tmp_path / "chosen") == [tmp_path / "chosen/one"]
+
+
+def test_a_run_without_its_pictures_says_how_to_make_them(tmp_path):
+    writer = run(tmp_path, manifest=process(gone()))
+    writer.summary({"status": "done", "complete": False})
+    told = watch_view.ending(followed(tmp_path))
+    assert any(f"isas run resume={tmp_path}" in line for line in told), told

@@ -1,5 +1,6 @@
 """Derivatives by roughness from directions drawn for them: densities, bias, variance, refusals."""
 
+import functools
 from dataclasses import replace
 
 import drjit as dr
@@ -11,7 +12,7 @@ from gradient_estimates import Gradients, configured, difference_quotients
 from hard_scenes import SCENES, assemble
 from montecarlo import welch
 from samplers_for_tests import pixel_samplers
-from scenes_for_tests import dictionary, texture
+from scenes_for_tests import dictionary, texture, without_targets
 from scipy import stats
 
 from isas_cli.losses import L2
@@ -89,14 +90,19 @@ class Pair:
         )
 
 
+@functools.cache
+def of(name: str) -> Pair:
+    return Pair(name)
+
+
 @pytest.fixture(scope="module", params=PROBLEMS)
 def pair(request):
-    return Pair(request.param)
+    return of(request.param)
 
 
 @pytest.fixture(scope="module")
 def shared():
-    return Pair("interreflection")
+    return of("interreflection")
 
 
 @pytest.mark.parametrize("pair", some([*PROBLEMS], ("back", "mirror")), indirect=True)
@@ -175,7 +181,7 @@ def test_goes_with_every_pixel_sampler(name, shared, seed):
 
 def test_variance_is_less_on_a_glossy_surface(seed):
     """Of the whole image's derivative: there is no loss and no pixel sampler in between."""
-    problem = assemble(dictionary(size=2, depth=4), {"wall.bsdf.roughness.value": 0.15})
+    problem = without_targets(dictionary(size=2, depth=4), {"wall.bsdf.roughness.value": 0.15})
     variances = [
         _derivatives(problem, integrator, 200, seed).var()
         for integrator in (problem.integrator, derivative_sampling.sampled(problem).integrator)
@@ -207,7 +213,7 @@ def _derivatives(problem, integrator, repeats: int, base: int) -> np.ndarray:
 
 
 def test_forward_and_backward_agree_path_by_path():
-    problem = assemble(dictionary(size=2, depth=4), {"wall.bsdf.roughness.value": 0.3})
+    problem = without_targets(dictionary(size=2, depth=4), {"wall.bsdf.roughness.value": 0.3})
     integrator = derivative_sampling.sampled(problem).integrator
     unknowns = problem.unknowns
     adjoint = mi.Color3f(np.random.default_rng(1).normal(size=(3, problem.views.total)))
@@ -269,14 +275,14 @@ def test_density_is_that_of_the_lobes_derivative(alpha):
 
 
 def test_roulette_begins_where_the_plan_says():
-    problem = assemble(dictionary(size=2, depth=4), {"wall.bsdf.roughness.value": 0.3})
+    problem = without_targets(dictionary(size=2, depth=4), {"wall.bsdf.roughness.value": 0.3})
     cut = problem.integrator.cut(replace(problem.integrator.paths, roulette=2))
     found = derivative_sampling.sampled(replace(problem, integrator=cut)).integrator
     assert found.rr_depth == cut.rr_depth == 2
 
 
 def test_other_unknowns_are_refused():
-    problem = assemble(dictionary(size=2), {"floor.bsdf.base_color.data": 0.5})
+    problem = without_targets(dictionary(size=2), {"floor.bsdf.base_color.data": 0.5})
     with pytest.raises(InputError, match="'floor.bsdf.base_color.data' is no roughness"):
         derivative_sampling.sampled(problem)
 
@@ -291,7 +297,7 @@ def test_roughness_out_of_reach_is_refused():
         "a": rough,
         "b": {"type": "diffuse"},
     }
-    problem = assemble(scene, {"wall.bsdf.bsdf_0.alpha.value": 0.5})
+    problem = without_targets(scene, {"wall.bsdf.bsdf_0.alpha.value": 0.5})
     with pytest.raises(InputError, match="'wall.bsdf.bsdf_0.alpha.value' lies inside a material"):
         derivative_sampling.sampled(problem)
 
@@ -299,6 +305,6 @@ def test_roughness_out_of_reach_is_refused():
 def test_other_integrators_are_refused():
     scene = dictionary(size=2)
     scene["integrator"] = {"type": "prb", "max_depth": 4, "hide_emitters": True}
-    problem = assemble(scene, {"wall.bsdf.roughness.value": 0.5})
+    problem = without_targets(scene, {"wall.bsdf.roughness.value": 0.5})
     with pytest.raises(InputError, match="visible emitters"):
         derivative_sampling.sampled(problem)

@@ -103,7 +103,11 @@ def test_drawn_pixels_follow_the_pmf(name):
     d = on_line(cases()[name].astype(np.float32))
     p = probabilities(d)
 
-    single = [int(draw(d, 1, streams.seed(5, i, "draw"))[0]) for i in range(3000)]
+    # Each of a stream of its own.
+    seeds = mi.UInt32([streams.seed(5, i, "draw") for i in range(3000)])
+    view, column, row, _ = d.draw(1, seeds)
+    single = np.array(d.tiles.views.index(view, column, row))
+    assert single.size == 3000
     counts = np.bincount(single, minlength=300)
     assert np.all(counts[p == 0] == 0)
     assert chi_square(counts, p) > 0.01 / len(cases())

@@ -7,6 +7,7 @@ import pytest
 from scenes_for_tests import dictionary, without_targets
 
 from isas_cli.rendering import rays, roulette
+from isas_cli.rendering.kernels import recorded
 
 BLACK, SEEDS, COPIES = 1e-6, 16, 192
 MATTE = {"type": "diffuse", "reflectance": 0.7}
@@ -37,13 +38,23 @@ def derivatives(p) -> np.ndarray:
     (key,) = p.unknowns.keys
     like, found = p.unknowns[key].start, []
     values = p.unknowns.values_of({key: np.full_like(like, BLACK)})
+    pixel = dr.tile(dr.arange(mi.UInt32, p.views.total), COPIES)
+    lanes = dr.width(pixel)
+
+    def kernel(scene, sensors, views, leaves, pixel, seed):
+        with dr.suspend_grad():
+            stream = rays.stream(seed, lanes)
+            ray, _ = rays.spawn(sensors, views, *views.locate(pixel), stream)
+            moved = p.integrator.forward(scene, stream, ray)
+            dr.eval(moved)
+            return moved
+
+    run = recorded(kernel, p)
     for seed in range(SEEDS):
         p.unknowns.push_tangent(values, p.unknowns.values_of({key: np.ones_like(like)}))
-        with dr.suspend_grad():
-            pixel = dr.tile(dr.arange(mi.UInt32, p.views.total), COPIES)
-            stream = rays.stream(mi.UInt32(seed), dr.width(pixel))
-            ray, _ = rays.spawn(p.sensors, p.views, *p.views.locate(pixel), stream)
-            found.append(np.array(p.integrator.forward(p.scene, stream, ray)).mean())
+        seed = dr.opaque(mi.UInt32, seed)
+        moved = run(p.scene, p.sensors, p.views, p.unknowns.leaves, pixel, seed)
+        found.append(np.array(moved).mean())
     return np.array(found, np.float64)
 
 

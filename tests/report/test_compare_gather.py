@@ -351,3 +351,17 @@ def test_another_mitsuba_is_warned_of(tmp_path):
         run(tmp_path / str(seed), seed=seed, manifest={"packages": {"mitsuba": version}})
     (line,) = warnings(tmp_path)
     assert "Mitsuba 3.8.0" in line and "Mitsuba 3.9.1" in line
+
+
+def test_linked_runs_are_compared_and_names_of_files_stay_short(tmp_path):
+    run(tmp_path / "runs" / "a", seed=1)
+    (tmp_path / "chosen").mkdir()
+    (tmp_path / "chosen" / "one").symlink_to(tmp_path / "runs" / "a")
+    assert found(tmp_path / "chosen") == [("pottery", "uniform", [1])] or found(
+        tmp_path / "chosen"
+    ) == [("pottery", "ours", [1])]
+    files = [f"photos/day{day}/" + "x" * 80 for day in (1, 2)]
+    names = labels.scenes("file", [{"scene.targets": each} for each in files])
+    assert len(set(names)) == 2 and all(len(each) < 90 for each in names)
+    stems = [labels.stem(f"file {each * 3}") for each in files]
+    assert len(set(stems)) == 2 and all(len(each) <= 120 for each in stems)

@@ -353,3 +353,9 @@ def test_slides_are_small_and_keep_their_pixels():
         assert shown.size == (side, side)
         if size == 12:
             assert np.array_equal(np.asarray(shown.convert("RGB"))[8::16, 8::16], image)
+
+
+def test_wide_sheets_still_go_into_the_page(tmp_path):
+    """A WebP has at most 16,383 pixels a side."""
+    Image.new("RGB", (17000, 20), "white").save(tmp_path / "wide.png")
+    assert slides.file_address(tmp_path / "wide.png").startswith("data:image/webp")

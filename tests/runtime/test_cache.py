@@ -34,7 +34,7 @@ def test_what_was_not_used_for_longest_goes_first(folder, monkeypatch):
 
 
 def test_what_does_not_fit_is_kept_until_the_next(folder, monkeypatch):
-    monkeypatch.setenv("ISAS_CACHE_GIB", "0")
+    monkeypatch.setenv("ISAS_CACHE_GIB", "1e-7")
     stored("a", 1000.0)
     assert [path.stem for path in folder.glob("*.npz")] == ["a"]
     stored("b", 2000.0)
@@ -72,3 +72,18 @@ def test_the_doctor_tells_it(folder):
     ((name, words),) = doctor._cache()
     assert name == "target cache" and str(folder) in words
     assert "0.1 of at most 4096 MiB, oldest go first" in words
+
+
+def test_no_room_is_no_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    counts = []
+
+    def compute() -> dict:
+        counts.append(1)
+        return {"a": np.ones(1000)}
+
+    cache.cached("before", compute)
+    monkeypatch.setenv("ISAS_CACHE_GIB", "0")
+    cache.cached("before", compute)
+    cache.cached("after", compute)
+    assert len(counts) == 3 and not (tmp_path / "after.npz").exists()

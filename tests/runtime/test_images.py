@@ -6,6 +6,7 @@ import datetime
 import resource
 import struct
 import sys
+import zlib
 
 import mitsuba as mi
 import numpy as np
@@ -433,3 +434,19 @@ def test_a_bmp_is_not_multiplied_by_its_alpha(tmp_path):
     path = tmp_path / "half.bmp"
     Image.fromarray(np.full((3, 4, 4), (200, 200, 200, 128), np.uint8)).save(path)
     assert images.has_alpha(path) and not images.multiplied(path)
+
+
+def test_where_a_png_was_cut_out_is_no_place_in_it(tmp_path, rng):
+    """Programs that crop leave the offset in it; data windows are EXR's alone."""
+    pixels = rng.integers(0, 255, (8, 10, 3), dtype=np.uint8)
+    images.write_png(tmp_path / "plain.png", pixels)
+    data = (tmp_path / "plain.png").read_bytes()
+    content = b"oFFs" + struct.pack(">iiB", 3, 2, 0)
+    place = data.index(b"oFFs")  # of 13 bytes and a sum, which is 0, 0 there
+    content += struct.pack(">I", zlib.crc32(content))
+    (tmp_path / "cut.png").write_bytes(data[:place] + content + data[place + 17 :])
+    spec = oiio.ImageInput.open(str(tmp_path / "cut.png")).spec()
+    assert (spec.x, spec.y) == (3, 2)
+    plain, cut = (images.read(tmp_path / f"{name}.png") for name in ("plain", "cut"))
+    np.testing.assert_array_equal(cut, plain)
+    assert images.size(tmp_path / "cut.png") == (10, 8)

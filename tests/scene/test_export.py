@@ -337,7 +337,7 @@ def test_views_held_out_see_by_the_lens_that_was_found(tmp_path):
 
 def test_what_cannot_be_exported_is_one_line(folder, tmp_path, refused):
     arrays = {ROUGH: np.array([0.25], np.float32)}
-    with pytest.raises(InputError, match="the scene's own files are: take another --output"):
+    with pytest.raises(InputError, match="the scene's own files are, .*: take another --output"):
         export.write(scene(folder / "scene.xml", arrays), arrays, folder)
     (folder / "file").write_text("")
     with pytest.raises(InputError, match="the result cannot be written"):
@@ -493,3 +493,58 @@ def test_what_no_file_of_mitsubas_holds_is_refused_with_what_to_do(folder):
     arrays = {"up": np.zeros(3, np.float32)}
     with pytest.raises(InputError, match="lies in merged shapes: take 'merge' out of the file"):
         export.write(scene(folder / "scene.xml", arrays, poses), arrays, folder / "result")
+
+
+def pictured(**more) -> dict:
+    """A scene of a program's, with a bitmap of 8 bits that is not unknown."""
+    pixels = np.linspace(0, 255, 24).astype(np.uint8).reshape(2, 4, 3)
+    bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(pixels), "format": "variant", **more}
+    return {"paint": {"type": "diffuse", "reflectance": bitmap}}
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_pictures_of_whole_numbers_are_written_as_mitsuba_takes_them(tmp_path, raw):
+    described = pictured(raw=raw)
+    whole = mi.load_dict(described["paint"])
+    written = mi.load_dict(export._as_files(described, tmp_path, "")["paint"])
+    a, b = (np.array(mi.traverse(each)["reflectance.data"]) for each in (whole, written))
+    np.testing.assert_allclose(a, b, atol=2e-3)
+    assert 0.9 < a.max() <= 1 and (a.mean() < 0.4) != raw
+
+
+def test_nothing_of_the_users_is_written_over(folder):
+    """Where the file lies, where its files do, and where another scene does."""
+    (folder / "meshes").mkdir()
+    (folder / "figure.ply").rename(folder / "meshes/figure.ply")
+    (folder / "scene.xml").write_text(SCENE.replace("figure.ply", "meshes/figure.ply"))
+    before = (folder / "meshes/figure.ply").read_bytes()
+    (folder / "other").mkdir()
+    (folder / "other/scene.xml").write_text("mine")
+    for place in (folder, folder / "meshes", folder / "other"):
+        with pytest.raises(InputError, match="take another --output"):
+            export.write(scene(folder / "scene.xml", [RED]), {RED: np.ones(3, np.float32)}, place)
+    assert (folder / "meshes/figure.ply").read_bytes() == before
+    for _ in range(2):  # its own it may replace
+        arrays = {RED: np.full(3, 0.5, np.float32)}
+        export.write(scene(folder / "scene.xml", [RED]), arrays, folder / "result")
+
+
+def test_a_scene_with_properties_of_its_own_is_written(folder):
+    own = '<boolean name="embree_use_robust_intersections" value="true"/>'
+    text = SCENE.replace('version="3.0.0">', f'version="3.0.0">{own}', 1)
+    (folder / "scene.xml").write_text(text)
+    arrays = {RED: np.full(3, 0.5, np.float32)}
+    path, _ = export.write(scene(folder / "scene.xml", [RED]), arrays, folder / "result")
+    assert np.allclose(found(path, {RED: 3})[RED], 0.5)
+
+
+def test_painted_meshes_of_like_names_stay_apart(folder):
+    shapes = "".join(
+        f'<shape type="cube" id="{id}"><bsdf type="diffuse"><texture type="bitmap" '
+        'name="reflectance"><string name="filename" value="other.png"/></texture></bsdf></shape>'
+        for id in ("cup 1", "cup_1")
+    )
+    (folder / "scene.xml").write_text(SCENE.replace("</scene>", f"{shapes}</scene>"))
+    arrays = {RED: np.full(3, 0.5, np.float32)}
+    export.write(scene(folder / "scene.xml", [RED]), arrays, folder / "result")
+    assert len(list((folder / "result/painted").glob("cup_1*.obj"))) == 2

@@ -402,3 +402,36 @@ def test_one_command_finds_shape_colour_and_light(ball, tmp_path):  # noqa: F811
     assert radius.mean() == pytest.approx(RADIUS, rel=0.05)
     config = (out / "config.yaml").read_text() if (out / "config.yaml").exists() else ""
     assert "silhouettes" in config or "silhouettes" in (out / "manifest.json").read_text()
+
+
+def test_a_frame_that_alpha_leaves_out_ends_no_object(ball):  # noqa: F811
+    """As undistortion leaves it in all pictures; a disk that fills them is an object."""
+    around(ball)
+    for number in range(14):
+        pixels = np.array(Image.open(ball / f"{number}.png"))
+        pixels[..., 3] = 0
+        pixels[1:-1, 1:-1, 3] = 255
+        Image.fromarray(pixels).save(ball / f"{number}.png")
+    with pytest.raises(InputError, match="alpha of all pictures leaves out a frame along"):
+        load(ball)
+    down, across = np.mgrid[:60, :60] - 29.5
+    assert not outlines.whole((np.hypot(down, across) < 30).astype(np.float32))
+
+
+def test_an_object_that_goes_on_in_a_bent_margin_is_not_cut(ball):  # noqa: F811
+    around(ball)
+    (one, *_) = load(ball).shown
+    one.part[:] = 0
+    one.part[10:25, 5:30] = 1
+    one.part[:, 0:3] = -1
+    assert len(hull._planes([one])[0]) == 5  # all four sides, and what is before the camera
+    one.part[10:12, :5] = -1  # there it may go on, and elsewhere it ends
+    assert len(hull._planes([one])[0]) == 4
+
+
+@pytest.mark.parametrize("word", ["background=true", "materials=one"])
+def test_what_has_no_effect_on_a_hull_is_refused(ball, word):  # noqa: F811
+    around(ball)
+    name, _, value = word.partition("=")
+    with pytest.raises(InputError, match=f"photos.{name}={value} has no effect on a hull"):
+        load(ball, **{name: {"true": True}.get(value, value)})

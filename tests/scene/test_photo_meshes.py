@@ -9,6 +9,7 @@ import photo_sets
 import pytest
 import trimesh
 from photo_sets import POSES, Files
+from PIL import Image
 from test_photo_maps import built
 
 from isas_cli.config import schema
@@ -356,7 +357,7 @@ def test_a_ply_of_triangles_and_quadrilaterals(tmp_path, form, texture):
     doubled = np.linalg.det(np.stack([b - a, c - a], axis=1))
     assert len(doubled) == 4 and (doubled > 0).all() and np.isclose(doubled.sum(), 2)
     assert as_in_the_file(found, 0, 1) if texture else not len(found.texcoords)
-    assert all(piece.coloured == coloured for piece in shape._pieces(tmp_path / "mesh.ply"))
+    assert all(piece.coloured == coloured for piece in shape._pieces(tmp_path / "mesh.ply", []))
 
 
 def test_a_ply_of_faces_with_notches(tmp_path):
@@ -419,3 +420,41 @@ def test_gltf_names_files_as_uris(tmp_path, name, uri):
     (tmp_path / name).write_bytes(whole[end + 8 :])
     (tmp_path / "my scan.gltf").write_text(json.dumps(tree))
     assert as_in_the_file(parts(str(tmp_path / "my scan.gltf"))["object"], 0, 1)
+
+
+def test_corners_below_zero_count_from_their_face(tmp_path):
+    """Block after block, as programs write it that number backwards."""
+    one = "v {0} 0 0\nv {1} 0 0\nv {1} 1 0\nf -3 -2 -1\n"
+    (tmp_path / "mesh.obj").write_text(one.format(0, 1) + one.format(2, 3))
+    (found,) = parts(str(tmp_path / "mesh.obj")).values()
+    assert len(found.faces) == 2
+    assert found.vertices[:, 0].min() == 0 and found.vertices[:, 0].max() == 3
+
+
+def moved_texture(folder, quantized: bool, **told) -> str:
+    """A glTF file of one triangle whose picture is moved on it."""
+    mesh = trimesh.Trimesh(np.eye(3), [[0, 1, 2]], process=False)
+    picture = Image.new("RGB", (4, 4), (200, 100, 50))
+    mesh.visual = trimesh.visual.TextureVisuals(uv=np.eye(3)[:, :2], image=picture)
+    files = mesh.export(file_type="gltf")
+    tree = json.loads(files["model.gltf"])
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    (material,) = tree["materials"]
+    material["name"] = "paint"
+    material["pbrMetallicRoughness"]["baseColorTexture"] |= told
+    (primitive,) = tree["meshes"][0]["primitives"]
+    if quantized:
+        tree["accessors"][primitive["attributes"]["TEXCOORD_0"]]["componentType"] = 5123
+    (folder / "model.gltf").write_text(json.dumps(tree))
+    return str(folder / "model.gltf")
+
+
+def test_a_picture_that_is_moved_on_its_mesh_is_told(tmp_path):
+    moved = {"extensions": {"KHR_texture_transform": {"offset": [0.5, 0]}}}
+    for told, said in ((moved, True), ({"texCoord": 1}, True), ({}, False)):
+        path, capture = moved_texture(tmp_path, False, **told), Capture([], "none")
+        shape.parts(PhotosConfig(mesh=path), capture)
+        assert any("paint are moved" in note for note in capture.notes) == said
+    with pytest.raises(InputError, match="material paint are whole numbers.*quantization"):
+        parts(moved_texture(tmp_path, True, **moved))

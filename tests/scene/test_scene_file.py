@@ -5,6 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pandas
 import pytest
+from problems_for_tests import built
 from runs_for_tests import ran
 from xml_for_tests import camera
 
@@ -12,6 +13,7 @@ from isas_cli import records
 from isas_cli.cli.app import main
 from isas_cli.rendering import targets
 from isas_cli.runtime import images
+from isas_cli.runtime.errors import InputError
 from isas_cli.scene import scene_file
 from isas_cli.unknowns.parameters import owner
 
@@ -439,3 +441,66 @@ def test_a_film_of_one_row_has_snapshots(folder):
     more = ["budget.iterations=2", "frames.snapshots=2", "report=false", "effects=full"]
     run = ran("r", *FEW, "scene.path=own/it.xml", unknowns(), *more, "sampler=uniform")
     assert images.read(run.folder / "frames/progress_v00_i000000.exr").shape == (1, 256, 3)
+
+
+def test_an_integrator_with_a_property_that_it_has_not_is_refused(folder):
+    text = xml().replace(
+        '<integrator type="path"/>',
+        '<integrator type="path"><integer name="max_dept" value="3"/></integrator>',
+    )
+    (folder / "own" / "scene.xml").write_text(text)
+    with pytest.raises(InputError, match="max_dept"):
+        scene_file.load("own/scene.xml", None)
+
+
+def test_what_only_emits_needs_a_medium(folder):
+    (folder / "own" / "scene.xml").write_text(xml(integrator="emission"))
+    loaded, integrator, _ = scene_file.load("own/scene.xml", None)
+    assert integrator.class_name() == "EmissionIntegrator" or "mission" in str(type(integrator))
+
+
+def test_files_beside_a_link_are_its_own(folder, rng):
+    (folder / "variant/textures").mkdir(parents=True)
+    (folder / "variant/scene.xml").symlink_to(folder / "own/scene.xml")
+    white = np.full((8, 8, 3), 255, np.uint8)
+    images.write_png(folder / "variant/textures/floor.png", white)
+    loaded, *_ = scene_file.load("variant/scene.xml", None)
+    assert np.array(mi.traverse(loaded)[KEY]).min() > 0.99
+    (folder / "variant/textures/floor.png").unlink()
+    loaded, *_ = scene_file.load("variant/scene.xml", None)  # then those beside the file
+    assert np.array(mi.traverse(loaded)[KEY]).min() < 0.99
+
+
+GROUP = """<shape type="shapegroup" id="clouds"><shape type="cube" id="cloud"><bsdf type="null"/>
+  <medium type="heterogeneous" name="interior">
+  <volume type="gridvolume" name="sigma_t"><string name="filename" value="grid.vol"/></volume>
+  <volume type="constvolume" name="albedo"><rgb name="value" value="0.9"/></volume></medium>
+  </shape></shape>
+  <shape type="instance" id="one"><ref id="clouds"/></shape>"""
+
+
+def test_media_in_groups_are_simulated_as_they_are(folder, rng):
+    grid = rng.uniform(0.1, 0.9, (2, 3, 4, 1)).astype(np.float32)
+    mi.VolumeGrid(grid).write(str(folder / "own" / "grid.vol"))
+    (folder / "own" / "scene.xml").write_text(xml(integrator="volpath", extra=GROUP))
+    _, integrator, _ = scene_file.load("own/scene.xml", None)
+    assert integrator.handle_null_scattering and integrator.use_nee
+
+
+def test_targets_of_another_filter_and_of_a_whole_film_are_told(folder):
+    """Pixels are means over their squares, and a crop is a part of its film."""
+    images.write_exr(folder / "a.exr", np.full((16, 24, 3), 0.5, np.float32), [*"RGB"], {})
+    images.write_exr(folder / "b.exr", np.full((20, 16, 3), 0.5, np.float32), [*"RGB"], {})
+    words = ["scene=file", "scene.path=own/scene.xml", unknowns(), "scene.targets=[a.exr,b.exr]"]
+    found = built(*words).warnings
+    assert any("filter is GaussianFilter" in each for each in found), found
+    window = SENSORS.replace(
+        '<integer name="height" value="16"/>',
+        '<integer name="height" value="16"/><integer name="crop_width" value="10"/>'
+        '<integer name="crop_height" value="8"/><integer name="crop_offset_x" value="5"/>'
+        '<integer name="crop_offset_y" value="2"/>',
+    )
+    assert window != SENSORS
+    (folder / "own" / "scene.xml").write_text(xml(sensors=window))
+    with pytest.raises(InputError, match="a window of 10×8: cut that out, from 5, 2 on"):
+        built(*words)

@@ -7,9 +7,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from problems_for_tests import built, configured
+from problems_for_tests import configured
 from test_tiny_scenes import MOVING, SMALL
 
+from isas_cli.engine import assemble
 from isas_cli.rendering import rays
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime import backend
@@ -26,6 +27,11 @@ SHADOWS = _plateau.TASKS["shadows"].spread["ball.place"]
 
 def settings(scene: str) -> list[str]:
     return [f"scene={scene}", *SMALL, "size=default", "target.spp=1"]
+
+
+def bare(*words: str) -> Problem:
+    """The problem of a scene, without targets."""
+    return assemble.bare(configured(*words)[1].scene)[0]
 
 
 def parsed(scene: str) -> list[Unknown]:
@@ -59,7 +65,7 @@ def seen(p: Problem) -> dict[str, np.ndarray]:
 
 
 def test_cup_the_handle_is_hidden_on_the_way():
-    p = built(*settings("cup"))
+    p = bare(*settings("cup"))
     mug = {}
     for angle in (0, 80, 90, 100, 180):
         put(p, "cup.angle", angle)
@@ -72,7 +78,7 @@ def test_cup_the_handle_is_hidden_on_the_way():
 
 
 def test_occlusion_the_ball_is_hidden_at_the_start():
-    p = built(*settings("occlusion"))
+    p = bare(*settings("occlusion"))
     (unknown,) = p.unknowns
     put(p, "red.depth", *unknown.truth)
     shown = seen(p)["red"].sum()
@@ -84,7 +90,7 @@ def test_occlusion_the_ball_is_hidden_at_the_start():
 
 
 def test_shadows_the_ball_is_out_of_view_and_its_shadow_elsewhere():
-    p = built(*settings("shadows"))
+    p = bare(*settings("shadows"))
     renderer = Renderer(p)
     (unknown,) = p.unknowns
 
@@ -116,7 +122,7 @@ def test_shadows_the_ball_is_out_of_view_and_its_shadow_elsewhere():
     ),
 )
 def test_the_light_is_out_of_view(scene, shown, share, hidden):
-    p = built(*settings(scene))
+    p = bare(*settings(scene))
     for values in (p.unknowns.truths(), p.unknowns.starts()):
         p.unknowns.write(values)
         found = seen(p)

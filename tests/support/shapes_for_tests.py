@@ -39,14 +39,13 @@ def agrees(found: np.ndarray, exact: np.ndarray, wrong: float = EXACT) -> bool:
 
 def covered(p: Problem, fine: int) -> np.ndarray:
     """How much of each pixel surfaces cover now, by a grid of ``fine`` × ``fine`` rays each."""
-    place = p.views.locate(dr.arange(mi.UInt32, p.views.total))
-    found, steps = np.zeros(p.views.total), (np.arange(fine) + 0.5) / fine
-    for down in steps:
-        for right in steps:
-            point = mi.Point2f(float(right), float(down))
-            ray, _ = rays.through(p.sensors, p.views, *place, point, mi.Point2f(0.5))
-            found += np.array(p.scene.ray_test(ray))
-    return found / fine**2
+    each = fine**2
+    place = p.views.locate(dr.repeat(dr.arange(mi.UInt32, p.views.total), each))
+    number = dr.tile(dr.arange(mi.UInt32, each), p.views.total)
+    point = (mi.Point2f(number % fine, number // fine) + 0.5) / fine
+    ray, _ = rays.through(p.sensors, p.views, *place, point, mi.Point2f(0.5))
+    hit = dr.select(p.scene.ray_test(ray), mi.Float(1), 0)
+    return np.array(dr.block_sum(hit, each), np.float64) / each
 
 
 def shaped(vertices: np.ndarray, faces: np.ndarray, id: str = "figure", colour=kirby.COLOUR):

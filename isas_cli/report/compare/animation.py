@@ -15,10 +15,11 @@ import numpy as np
 import OpenImageIO as oiio
 from PIL import Image, ImageDraw, ImageFont
 
-from ...records import Run, safe_name, write_atomically
+from ...records import Run, write_atomically
 from .. import cells
 from ..chart import Style
 from ..figures import Picture
+from . import labels
 from .gather import Method
 from .typical import typical_run, words
 
@@ -26,6 +27,7 @@ _SIDE = 256  # pixels of the longer side of each picture
 _MARGIN, _TITLE, _STAMP = 8, 22, 44  # pixels: around pictures, above them, below them
 _FRAMES = 60  # at most
 _MILLISECONDS, _LAST_MILLISECONDS = 150, 2500
+_METHODS = 24  # at most, side by side: a WebP is at most 16,383 pixels wide
 _LARGEST = 3_000_000  # bytes: the page holds the file
 _QUALITIES = (85, 70, 50, 30, 15)
 
@@ -51,6 +53,9 @@ def write_animation(
     films = {label: film for label, run in runs.items() if len(film := _film(run)) > 1}
     if not films:
         return None
+    shown = dict(list(films.items())[:_METHODS])
+    more = f" The first {len(shown)} of {len(films)} methods." if len(shown) < len(films) else ""
+    films = shown
     targets = (
         cells.read_reduced(runs[label].folder / "frames" / "target_v00.exr") for label in films
     )
@@ -62,14 +67,14 @@ def write_animation(
     columns |= films
     size = _size([shot.image for film in films.values() for shot in film])
     pictures = [_picture(columns, styles, exposure, size, moment) for moment in _moments(films)]
-    path = folder / f"{safe_name(methods[0].scene)}_optimisation.webp"
+    path = folder / f"{labels.stem(methods[0].scene)}_optimisation.webp"
     encoded = _encoded(pictures)
     write_atomically(path, lambda temporary: temporary.write_bytes(encoded))
     chosen = words([method for method in methods if method.label in films])
     return Picture(
         path,
         f"View 0 during the optimisation, at equal billed seconds; a method shows its latest "
-        f"snapshot. {reason}. {chosen}",
+        f"snapshot.{more} {reason}. {chosen}",
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
@@ -12,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...records import Run, load
+from ...records.files import walked
+from ...records.follow import measures
 from ...records.reader import read_json
 from ...runtime.budget import Budget
 from ...runtime.errors import InputError, nearest
@@ -143,18 +144,10 @@ def _usable(folders: list[Path], warnings: list[str]) -> Iterator[Run]:
 
 def _find(folder: Path) -> Iterator[Path]:
     """Folders that hold (part of) a run, in order; hidden ones are not searched."""
-    for path, names, files in os.walk(folder):
-        names[:] = sorted(name for name in names if not name.startswith("."))
-        if _MARKS & set(files) and not _measures_variance(Path(path)):
-            yield Path(path)
-
-
-def _measures_variance(folder: Path) -> bool:
-    """Whether this is what `isas variance` wrote: a measurement, not a run."""
-    try:
-        return "variance" in read_json(folder / "manifest.json")
-    except InputError:
-        return False
+    for path, names, files in walked(folder):
+        names[:] = [name for name in names if not name.startswith(".")]
+        if _MARKS & set(files) and not measures(path):
+            yield path
 
 
 def _failure(folder: Path) -> str | None:

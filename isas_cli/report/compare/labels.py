@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Sequence
 from typing import Any
 
 from ...config.roles import Role, meaning
+from ...records import safe_name
 
 _UNSET = "unset"
+# Characters of a setting, such as a list of files, in a name; and of a file's name.
+_LONG, _FILE = 60, 120
 
 Settings = dict[str, str]
 
@@ -96,8 +100,22 @@ def scenes(name: str, problems: Sequence[Settings]) -> list[str]:
         if len(_told_apart(problems, [*chosen, key])) > len(_told_apart(problems, chosen)):
             chosen.append(key)
     return [
-        " ".join([name, *(f"{key}={each.get(key, _UNSET)}" for key in chosen)]) for each in problems
+        " ".join([name, *(f"{key}={_short(each.get(key, _UNSET), _LONG)}" for key in chosen)])
+        for each in problems
     ]
+
+
+def stem(scene: str) -> str:
+    """How the names of files about a scene begin."""
+    return _short(safe_name(scene), _FILE)
+
+
+def _short(text: str, most: int) -> str:
+    """``text``, or where it is longer its beginning and what tells it from others."""
+    if len(text) <= most:
+        return text
+    told = hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
+    return f"{text[: most - 12]}…{told}"
 
 
 def _told_apart(problems: Sequence[Settings], keys: list[str]) -> set[tuple[str, ...]]:

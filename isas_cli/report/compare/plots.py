@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ...records import safe_name
 from .. import static
 from ..chart import Chart
 from ..figures import save
+from . import labels
 
 
 def write_plots(scene: str, charts: list[Chart], folder: Path) -> list[Path]:
@@ -17,7 +17,7 @@ def write_plots(scene: str, charts: list[Chart], folder: Path) -> list[Path]:
     """
     made = []
     for chart in charts:
-        path = folder / f"{safe_name(scene)}_{chart.name}.png"
+        path = folder / f"{labels.stem(scene)}_{chart.name}.png"
         canvas = static.draw(chart)
         save(canvas, path)
         canvas.set_layout_engine("none")  # it is laid out: once is enough

@@ -13,10 +13,11 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from ...records import key_of, safe_name
+from ...records import key_of
 from .. import cells, frames
 from ..chart import Style
 from ..figures import STYLE, Picture, figure, save
+from . import labels
 from .gather import Method
 from .typical import typical_run, words
 
@@ -42,7 +43,7 @@ def write_sheets(methods: list[Method], styles: dict[str, Style], folder: Path) 
     shown = {method.label: frames.read(typical_run(method).folder, _VIEW) for method in methods}
     views = {label: views[_VIEW] for label, (views, _) in shown.items() if _VIEW in views}
     textures = {label: textures for label, (_, textures) in shown.items() if textures}
-    stem, made = safe_name(methods[0].scene), []
+    stem, made = labels.stem(methods[0].scene), []
     with matplotlib.rc_context({**STYLE, "axes.grid": False}):
         if views:
             canvas, caption = _views_sheet(views, styles)

@@ -19,6 +19,7 @@ _VIEW = "00"
 _LARGEST = 512  # pixels a side
 _SMALL = 192  # pixels a side: below, pixels are doubled, tripled … and kept sharp
 _QUALITY = 88
+_MOST = 16383  # pixels a side of a WebP
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,7 @@ def address(kind: str, content: bytes) -> str:
 
 
 def _webp(picture: Image.Image, lossless: bool) -> str:
+    picture.thumbnail((_MOST, _MOST))
     buffer = io.BytesIO()
     picture.save(buffer, "WEBP", lossless=lossless, quality=_QUALITY, method=4)
     return address("image/webp", buffer.getvalue())

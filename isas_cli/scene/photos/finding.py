@@ -102,17 +102,22 @@ def picture(folder: Path, name: str, where: str) -> Path:
     if sources.images is not None:
         within = _below(sources.images, name)
         if within is None and found is not None:
-            sources.elsewhere[name.removeprefix("./")] = None
+            sources.elsewhere[called(name)] = None
         found = within or found
     if found is not None:
         return found
     if sources.skip:
-        sources.missing.append(name.removeprefix("./"))
+        sources.missing.append(called(name))
         raise Missing(name)
     raise InputError(
         f"{where}: its picture {folder / name} does not exist: mend the path or remove it; "
         "photos.images=FOLDER says where pictures lie, photos.missing=skip leaves such views out"
     )
+
+
+def called(path: str) -> str:
+    """A view's name of its path, which Windows parts by backslashes."""
+    return path.replace("\\", "/").removeprefix("./")
 
 
 def listing(folders: Iterable[Path], where: str) -> list[Path]:

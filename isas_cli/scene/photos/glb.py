@@ -18,6 +18,7 @@ from urllib.parse import unquote
 import numpy as np
 
 _PLACES, _TEXTURE = "POSITION", "TEXCOORD_0"
+MOVED = "isas: moved"  # among a scene's metadata
 _OWN = "_ISAS_"  # before the names of what stands once more
 _FLOAT = 5126
 _MAGIC, _JSON = b"glTF", b"JSON"
@@ -44,6 +45,7 @@ def load(file: Path):
     for mesh in tree.get("meshes", []):
         for primitive in mesh["primitives"]:
             _mark(primitive["attributes"], tree["accessors"])
+    moved = _moved(tree)
     for each in (*tree.get("buffers", []), *tree.get("images", [])):
         if "uri" in each:
             each["uri"] = _file(file.parent, each["uri"])
@@ -55,12 +57,39 @@ def load(file: Path):
             "<4sIII4s", _MAGIC, 2, 20 + len(changed) + len(rest), len(changed), _JSON
         )
         changed = head + changed + rest
-    return trimesh.load_scene(
+    scene = trimesh.load_scene(
         io.BytesIO(changed),
         file_type=file.suffix[1:].lower(),
         process=False,
         resolver=trimesh.resolvers.FilePathResolver(str(file)),
     )
+    scene.metadata[MOVED] = moved
+    return scene
+
+
+def _moved(tree: dict) -> list[str]:
+    """The materials whose pictures do not lie by texture coordinates as these stand. Raises
+    ValueError where these mean nothing otherwise."""
+    found = {}
+    for mesh in tree.get("meshes", []):
+        for primitive in mesh["primitives"]:
+            if "material" not in primitive:
+                continue
+            material = tree["materials"][primitive["material"]]
+            picture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
+            told = picture.get("extensions", {}).get("KHR_texture_transform", {})
+            turned = told.get("offset", [0, 0]) != [0, 0] or told.get("scale", [1, 1]) != [1, 1]
+            if not (turned or told.get("rotation", 0) or picture.get("texCoord", 0)):
+                continue
+            name = material.get("name", "without a name")
+            at = primitive["attributes"].get(_TEXTURE)
+            if turned and at is not None and tree["accessors"][at]["componentType"] != _FLOAT:
+                raise ValueError(
+                    f"texture coordinates of material {name} are whole numbers that "
+                    "KHR_texture_transform makes places of: export it without quantization"
+                )
+            found[name] = None
+    return list(found)
 
 
 def _chunk(data: bytes) -> bytes:

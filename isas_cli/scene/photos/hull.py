@@ -168,13 +168,19 @@ def _planes(photographs: list[Photograph]) -> list[np.ndarray]:
             if not seen.size:
                 continue
             # Where it is cut off by the border of what is known nothing is known of it.
-            known = np.flatnonzero((each.part >= 0).any(axis=1 - axis))
-            if seen[0] > known[0]:
+            known = each.part >= 0
+            lines = (inside, known) if axis else (inside.T, known.T)
+            if not _reaches(*lines):
                 planes.append(of - (seen[0] - middle) / focal * depth)
-            if seen[-1] < known[-1]:
+            if not _reaches(*(line[:, ::-1] for line in lines)):
                 planes.append((seen[-1] + 1 - middle) / focal * depth - of)
         found.append(np.array(planes))
     return found
+
+
+def _reaches(inside: np.ndarray, known: np.ndarray) -> bool:
+    """Whether in some row the first of what is known is the object's."""
+    return bool((inside.any(axis=1) & (inside.argmax(axis=1) <= known.argmax(axis=1))).any())
 
 
 def _alone(planes: list[np.ndarray], origin: np.ndarray, unit: float) -> list[int]:

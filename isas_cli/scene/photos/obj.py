@@ -1,7 +1,7 @@
 """OBJ as trimesh reads it, but for materials without their file and for faces with notches.
 
 trimesh cuts every face into a fan about its first corner, which covers the notches of one that is
-not convex.
+not convex, and counts corners below 0 from the end of the file.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 _SEVERAL = re.compile(r"^[ \t]*f(?:[ \t]+[^ \t\r\n]+){4}", re.MULTILINE)
+_BACKWARDS = re.compile(r"^[ \t]*f[ \t][^\r\n]*-", re.MULTILINE)
 _FLAT = 1e-6  # of a face's area: what a corner may be turned inwards
 
 
@@ -32,7 +33,7 @@ def load(file: Path):
     raises, and ValueError."""
     import trimesh
 
-    text = _joined(file.read_text(encoding="utf-8", errors="replace"))
+    text = _counted(_joined(file.read_text(encoding="utf-8", errors="replace")))
     names, resolver = _check_some(text), trimesh.resolvers.FilePathResolver(str(file))
     text = _cut(text)
     if len(names) > 1:
@@ -50,6 +51,26 @@ def _joined(text: str) -> str:
         return text
     text = re.sub(r"^[ \t]*#.*", "", text, flags=re.MULTILINE)
     return re.sub(r"\\\n", " ", text)
+
+
+def _counted(text: str) -> str:
+    """The same, with corners by their numbers from the file's beginning: one below 0 counts from
+    the face that names it backwards, and trimesh counts from the end of the file."""
+    if _BACKWARDS.search(text) is None:
+        return text
+    lines, counts = text.splitlines(), {"v": 0, "vt": 0, "vn": 0}
+    for number, line in enumerate(lines):
+        word, *rest = line.split() or [""]
+        if word in counts:
+            counts[word] += 1
+        elif word == "f" and "-" in line:
+            lines[number] = " ".join([word, *(_corner(each, counts) for each in rest)])
+    return "\n".join(lines) + "\n"
+
+
+def _corner(corner: str, counts: dict[str, int]) -> str:
+    parts = zip(corner.split("/"), counts.values())
+    return "/".join(str(int(n) + count + 1) if n.startswith("-") else n for n, count in parts)
 
 
 def _check_some(text: str) -> list[str]:
@@ -82,8 +103,7 @@ def _cut(text: str) -> str:
         if word == "v":
             places.append([float(x) for x in rest[:3]])
         elif word == "f" and len(rest) > 3:
-            at = [int(corner.split("/")[0]) for corner in rest]
-            at = [n - 1 if n > 0 else len(places) + n for n in at]
+            at = [int(corner.split("/")[0]) - 1 for corner in rest]
             faces.setdefault(len(at), []).append((number, rest, at))
     for of_size in faces.values():
         corners = np.array(places)[[at for *_, at in of_size]]  # (F, N, 3)

@@ -46,6 +46,7 @@ _BORDER, _REACH, _CONTRAST, _MIXED, _TOLD = 1.5, 4.0, 0.1, 0.1, 0.2
 _LARGER, _FEWEST, _WIDER, _SMALL, _ASKED = 0.04, 4, 1.5, 20, 12
 # Of a mask, what is middle grey; and of a picture's side, where a frame may be.
 _MIDDLE, _FRAME = (0.4, 0.6), 6
+_PHOTOGRAPHED = 0.85  # of a picture, at least, within such a frame; a disk fills 0.79 of a square
 _LARGE = 512  # pixels: finer pictures say no more of how deep a place lies inside
 
 
@@ -91,6 +92,13 @@ def framed(alpha: np.ndarray, given: np.ndarray) -> bool:
     whole, inner = alpha >= _WHOLE, _inner(alpha)
     out = given <= 0.5
     return bool(whole[inner].all() and out[inner].any() and out[~whole].mean() > 0.5)
+
+
+def whole(alpha: np.ndarray) -> bool:
+    """Whether an ``alpha`` is whole but for a frame, as undistortion leaves it: then it says what
+    was photographed, and nothing of an object. What fills a picture leaves its corners out."""
+    kept = alpha >= _WHOLE
+    return bool(kept[_inner(kept)].all() and kept.mean() >= _PHOTOGRAPHED)
 
 
 def _inner(picture: np.ndarray) -> tuple[slice, slice]:
@@ -179,11 +187,13 @@ def doubts(
     """What should be said. ``begun``: whether the surface is but a beginning, of any size."""
     found = []
     full = [p for p in photographs if p.part is not None and (p.part[p.part >= 0] >= _FULL).all()]
+    framed = [p for p in photographs if p.part is not None and whole(p.part)]
+    full = framed if len(framed) == len(photographs) else full
     if full:
         found.append(
             f"photos.background=black: by alpha or masks the object fills all of {len(full)} of "
-            f"{len(photographs)} pictures, first {full[0].camera.image}: if it does not, what is "
-            "behind it counts as the object"
+            f"{len(photographs)} pictures, first {full[0].camera.image}, but for a frame at most: "
+            "if it does not, what is behind it counts as the object"
         )
     dark = [p for p in photographs if p.white is not None and p.white < DARK]
     if dark:

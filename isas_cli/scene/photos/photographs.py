@@ -94,6 +94,13 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
             "not: give photos.mesh"
         )
     if hulled:
+        for name, without in (("background", False), ("materials", "each")):
+            given = getattr(settings, name)
+            if given not in (without, importing.BLACK):
+                raise InputError(
+                    f"photos.{name}={str(given).lower()} has no effect on a hull, "
+                    "which has one material and black around it: leave it out"
+                )
         settings = replace(settings, start="hull", background=importing.BLACK)
     elif described:
         parts = shape.parts(settings, capture)
@@ -134,10 +141,18 @@ def _endless(cameras: list[Camera]) -> str | None:
     for camera in bare:
         if not images.has_alpha(camera.image):
             return f"{camera.image} has neither"
-    alphas = (images.read_alpha(camera.image) for camera in bare)
-    if len(bare) == len(cameras) and all(map(importing.opaque, alphas)):
-        return "there are no masks, and the alpha of all pictures is 1 everywhere"
-    return None
+    if len(bare) < len(cameras):
+        return None
+    told = None
+    for camera in bare:
+        alpha = images.read_alpha(camera.image)
+        now = (
+            "is 1 everywhere" if importing.opaque(alpha) else "leaves out a frame along the border"
+        )
+        if now != (told or now) or not outlines.whole(alpha):
+            return None  # in others of these the object may well fill the picture
+        told = now
+    return f"there are no masks, and the alpha of all pictures {told}"
 
 
 def _hull(
@@ -178,16 +193,19 @@ def check(capture: Capture, sources: finding.Sources) -> None:
 def elsewhere(capture: Capture, sources: finding.Sources) -> list[str]:
     """What is said of pictures that are not in ``photos.images``. Raises InputError where none
     is."""
-    if not sources.elsewhere:
+    names = [camera.name for camera in capture.cameras]
+    # Others are left out for other reasons.
+    missed = [each for each in sources.elsewhere if any(n.endswith(each) for n in names)]
+    if not missed:
         return []
-    first = next(iter(sources.elsewhere))
-    if len(sources.elsewhere) >= len(capture.cameras):
+    first = missed[0]
+    if len(missed) >= len(names):
         raise InputError(
             f"photos.images={sources.images}: none of the pictures is there, first {first}: those "
             "that the cameras' file names are read without it"
         )
     return [
-        f"{len(sources.elsewhere)} of {len(capture.cameras)} pictures are not in "
+        f"{len(missed)} of {len(names)} pictures are not in "
         f"{sources.images}, first {first}: read from where the cameras' file has them"
     ]
 

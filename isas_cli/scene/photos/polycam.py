@@ -62,6 +62,11 @@ def read(file: Path, asked: Asked) -> Capture:
         )
     info = next((p / "mesh_info.json" for p in folder.parents if _beside(p, asked.root)), None)
     alignment = None if info is None else load_json(info).get(_ALIGNMENT)
+    if info is None and (above := asked.root.absolute().parent / "mesh_info.json").is_file():
+        notes.append(
+            f"{above}, whose {_ALIGNMENT} brings poses to the world of raw.glb, "
+            "lies above the set, and is not read: give its folder to have it applied"
+        )
     if alignment is not None and asked.world == "mesh":
         turn = _alignment(alignment, f"{info}: {_ALIGNMENT}")
         cameras = [replace(each, to_world=turn @ each.to_world) for each in cameras]

@@ -82,7 +82,7 @@ def _read(path: str, one: bool, capture: Capture) -> dict[str, Surface]:
         raise InputError(f"photos.mesh={path}: a mesh is one of {', '.join(_KINDS)}")
     try:
         with _quiet():
-            pieces = _pieces(file)
+            pieces = _pieces(file, capture.notes)
     except Exception as error:  # its readers raise whatever a broken file makes them raise
         told = (" ".join(str(error).split()) or type(error).__name__)[:300]
         raise InputError(f"photos.mesh={path}: cannot be read: {told}") from error
@@ -153,9 +153,10 @@ class _Piece:
     coloured: bool
 
 
-def _pieces(file: Path) -> list[_Piece]:
-    """Of a mesh file, where its nodes stand. Raises whatever its reader raises, and ValueError for
-    texture coordinates that only some faces have, which its reader leaves away."""
+def _pieces(file: Path, notes: list[str]) -> list[_Piece]:
+    """Of a mesh file, where its nodes stand; ``notes``: what is said of it. Raises whatever its
+    reader raises, and ValueError for texture coordinates that only some faces have, which that
+    leaves away."""
     import trimesh
 
     if file.suffix.lower() == ".obj":
@@ -164,6 +165,12 @@ def _pieces(file: Path) -> list[_Piece]:
         read = _READERS.get(file.suffix.lower())
         scene = read(file) if read else trimesh.load_scene(file, process=False)
         order = list(scene.geometry)
+    if moved := scene.metadata.get(glb.MOVED):
+        notes.append(
+            f"{file}: pictures of {', '.join(moved)} are moved on it (KHR_texture_transform, or a "
+            "second set of texture coordinates), which is not heeded: photos.texture=FILE lies by "
+            "the first set as it stands"
+        )
     found, materials = [], {}
     # In the file's order, which its graph of nodes has not.
     rank = {name: number for number, name in enumerate(order)}

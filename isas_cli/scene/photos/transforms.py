@@ -29,7 +29,7 @@ from ...runtime.errors import InputError
 from . import models
 from .base import Asked, Capture, exposure, load_json, matrix, number, numbers, whole
 from .camera import Camera
-from .finding import listed_mask, missed, picture, present, size
+from .finding import called, listed_mask, missed, picture, present, size
 from .lens import Lens
 
 NAMES = ("transforms.json", "transforms_train.json")
@@ -137,7 +137,7 @@ def _listed(file: Path, top: dict, cameras: list[Camera], *keys: str) -> list[st
         if not isinstance(listed, list):
             raise InputError(f"{file}: {key} is no list of pictures")
         for name in listed:
-            found = _called(str(name))
+            found = called(str(name))
             if missed(found):
                 continue
             if found not in names:
@@ -146,15 +146,10 @@ def _listed(file: Path, top: dict, cameras: list[Camera], *keys: str) -> list[st
     return held
 
 
-def _called(path: str) -> str:
-    """A view's name of its path, which Windows parts by backslashes."""
-    return path.replace("\\", "/").removeprefix("./")
-
-
 def placed(file: Path, frame: dict) -> tuple[Path, str]:
     """Where the pictures of a frame lie, and its view's name. A ``scene_name``, which Stanford-ORB
     has, says that they are of the set of that name beside this one."""
-    name, scene = _called(frame["file_path"]), frame.get("scene_name")
+    name, scene = called(frame["file_path"]), frame.get("scene_name")
     if scene is None:
         return file.parent, name
     return file.absolute().parent.parent / str(scene), f"{scene}/{name}"
