@@ -109,7 +109,7 @@ def _said(path: str) -> Iterator[None]:
     except (RuntimeError, ValueError, OSError) as error:
         # Mitsuba begins with a place in its own source.
         text = re.sub(r"^\[\w+\.cpp:\d+\] ", "", " ".join(str(error).split()))
-        if _SPECTRAL in text:
+        if _SPECTRAL in text and "wavelength" not in text:  # which a polarized material asks for
             text += " (isas renders red, green and blue: give this colour as <rgb>)"
         raise InputError(f"scene.path={path}: Mitsuba cannot load it: {text}") from error
 

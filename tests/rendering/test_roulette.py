@@ -39,13 +39,13 @@ def derivatives(p) -> np.ndarray:
     like, found = p.unknowns[key].start, []
     values = p.unknowns.values_of({key: np.full_like(like, BLACK)})
     pixel = dr.tile(dr.arange(mi.UInt32, p.views.total), COPIES)
-    lanes = dr.width(pixel)
+    lanes, integrator = dr.width(pixel), p.integrator
 
     def kernel(scene, sensors, views, leaves, pixel, seed):
         with dr.suspend_grad():
             stream = rays.stream(seed, lanes)
             ray, _ = rays.spawn(sensors, views, *views.locate(pixel), stream)
-            moved = p.integrator.forward(scene, stream, ray)
+            moved = integrator.forward(scene, stream, ray)
             dr.eval(moved)
             return moved
 
