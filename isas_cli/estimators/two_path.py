@@ -134,10 +134,13 @@ class TwoPath(Gradients):
 
         # Paths whose residual was not finite so far: without a count nobody would know.
         self._lost = [dr.opaque(mi.UInt32, 0)]
+        # Opaque, or every batch would compile a kernel of its own.
+        self._count = dr.opaque(mi.Float, drawn)
 
         def kernel(
-            scene, sensors, views, leaves, distribution, targets, mask, seeds, share, lost, jitter
-        ):
+            scene, sensors, views, leaves, distribution, targets, mask, seeds, share, count, lost,
+            jitter,
+        ):  # fmt: skip
             with dr.suspend_grad():
                 view, column, row, probability = distribution.draw(drawn, seeds[0])
                 if windows is not None:
@@ -149,7 +152,7 @@ class TwoPath(Gradients):
                 dr.eval(view, column, row, pixel, probability)
 
                 target = dr.gather(mi.Color3f, targets, pixel)
-                scale = share / (probability * drawn)
+                scale = share / (probability * count)
                 random = [rays.stream(seed, batch) for seed in seeds[1:3]]
                 spawned, weights = zip(
                     *(rays.spawn(sensors, views, view, column, row, each) for each in random)
@@ -252,7 +255,7 @@ class TwoPath(Gradients):
         p, purposes = self.problem, ("draw", "primal", "adjoint", "exposure", "pose")
         given = distribution, p.targets, p.mask, rays.seeds(seed, iteration, *purposes)
         jitter = self._jitter(seed, iteration)
-        self._kernel(*p.traced, *given, p.share, self._lost, jitter)
+        self._kernel(*p.traced, *given, p.share, self._count, self._lost, jitter)
 
     def _jitter(self, seed: int, iteration: int) -> list[tuple[mi.Float, mi.Float, mi.Int]]:
         """Offsets of the cameras, of each kind of numbers independent ones."""

@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 NAMES = ("none", "tensorboard")
 
 
-class Tracker(Protocol):
-    """What the recorder tells, besides writing its own files."""
+class Tracker:
+    """What the recorder tells, besides writing its own files: nobody."""
 
     def evaluation(self, row: dict[str, Any]) -> None:
         """A new row of the history, in the columns of history.csv."""
@@ -67,22 +67,11 @@ def open(
     """
     check(name)
     if name == "none":
-        return _Nowhere()
+        return Tracker()
     return _TensorBoard(Path(folder) / "tensorboard", config_text, purge_step, warn)
 
 
-class _Nowhere:
-    def evaluation(self, row: dict[str, Any]) -> None:
-        pass
-
-    def image(self, name: str, picture: np.ndarray, iteration: int, exposure: float = 1.0) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-
-class _TensorBoard:
+class _TensorBoard(Tracker):
     """Events that TensorBoard reads: scalars under the names of history.csv, the configuration as
     text and as hyperparameters, pictures.
 

@@ -9,6 +9,7 @@ import pytest
 from blurred_gradients import BATCH, LEVEL, made, p_value, references_of, rows, unbiased, uniform
 from crosses import crossed, some
 from poses_for_tests import AT, COLOUR, PLACE, SIGMA, blurred_problem
+from scenes_for_tests import means
 from scipy import stats
 
 from isas_cli import losses
@@ -370,10 +371,7 @@ def test_central_differences_are_those_of_the_loss(problem, spp):
                 at[k] += sign * 0.5 * SIGMA[k]
                 values = {PLACE: at[:1], COLOUR: at[1:]}
                 problem.unknowns.write(problem.unknowns.values_of(values))
-                a, b = (
-                    renderer.range(0, problem.views.total, 64, lambda s: 1000 * number + s + side)
-                    for side in (0, 500)
-                )
+                a, b = (means(problem, 64, 1000 * number + side, renderer) for side in (0, 500))
                 ends.append(np.mean((a - target) * (b - target)))
             row.append((ends[1] - ends[0]) / SIGMA[k])
         expected.append(row)

@@ -83,7 +83,7 @@ def test_a_full_disk_ends_a_run_in_one_line_and_loses_no_row(tmp_path):
 
     # Kernels and targets are there already: only the record meets the limit.
     settings = [*TINY, "scene=dodoco", "budget.iterations=600", "evaluation.count=300"]
-    assert started(tmp_path / "before", *settings).wait() == 0
+    assert started(tmp_path / "before", *settings, "budget.iterations=20").wait() == 0
     words = ["run", *settings, "threads=1", f"hydra.run.dir={tmp_path / 'run'}"]
     done = processes.isas(tmp_path, *words, preexec_fn=little)
     assert done.returncode == 1 and "Traceback" not in done.stderr, done.stderr

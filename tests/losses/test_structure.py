@@ -1,5 +1,7 @@
 """A loss of windows: against SSIM, against differences, against brute force."""
 
+import functools
+
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -78,10 +80,9 @@ def along_all(problem, loss, step: float = 0.02) -> float:
     return (high - low) / (2 * step)
 
 
-@pytest.mark.parametrize("masked, drawn", [(False, "uniform"), (True, "uniform"), (True, "ours")])
-def test_its_gradient_is_that_of_all_windows(masked, drawn, seed):
-    """On targets that cannot be met, of a scene with noise; pixels without weight take the windows
-    that hold them out."""
+@functools.cache
+def windowed(masked: bool) -> tuple:
+    """A problem, its loss and the whole loss's derivative."""
     problem, loss = built("scene=pottery", "size=tiny", "target.spp=4"), Structure(side=3)
     total = problem.views.total
     rng = np.random.default_rng(5)
@@ -90,7 +91,14 @@ def test_its_gradient_is_that_of_all_windows(masked, drawn, seed):
     problem.set_targets(
         mi.Float(np.float32(targets.ravel())), mi.Float(mask) if masked else None, "test"
     )
-    exact = along_all(problem, loss)
+    return problem, loss, along_all(problem, loss)
+
+
+@pytest.mark.parametrize("masked, drawn", [(False, "uniform"), (True, "uniform"), (True, "ours")])
+def test_its_gradient_is_that_of_all_windows(masked, drawn, seed):
+    """On targets that cannot be met, of a scene with noise; pixels without weight take the windows
+    that hold them out."""
+    problem, loss, exact = windowed(masked)
     gradients = Gradients(problem, loss, 9 * 1024)
     if drawn == "uniform":
         distribution = PixelDistribution.uniform(Tiles.over(problem.views))

@@ -85,7 +85,7 @@ def browns(x, y, k, p1, p2):
 
 def test_a_lens_is_browns():
     wanted = browns(0.3, -0.2, (0.1, -0.05, 0.02, 0.01), 0.003, 0.002)
-    np.testing.assert_allclose(lens().distort(np.array([0.3, -0.2])), wanted, rtol=1e-12)
+    np.testing.assert_allclose(lens().lens.distort(np.array([0.3, -0.2])), wanted, rtol=1e-12)
 
 
 def lens(radial=(0.1, -0.05, 0.02, 0.01), tangential=(0.003, 0.002), **more) -> Camera:

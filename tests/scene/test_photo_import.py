@@ -61,11 +61,11 @@ def test_what_a_lens_bends_out_of_the_picture_does_not_count():
 
 def test_a_polynomial_that_folds_back_shows_nothing_twice():
     camera = lens(fx=8.0, fy=8.0, radial=(-0.3, 0, 0, 0), tangential=(0.0, 0.0))
-    assert camera.reach == pytest.approx(np.sqrt(1 / 0.9))
+    assert camera.lens.reach == pytest.approx(np.sqrt(1 / 0.9))
     grey = np.ones((SIZE[1], SIZE[0], 3), np.float32)
     _, mask = importing.resample(camera, camera.pinhole(), grey, np.ones(SIZE[::-1], np.float32))
     rows, columns = np.indices(mask.shape) + 0.5
-    beyond = np.hypot(columns - camera.cx, rows - camera.cy) / 8 > camera.reach
+    beyond = np.hypot(columns - camera.cx, rows - camera.cy) / 8 > camera.lens.reach
     assert beyond.any() and not mask[beyond].any()
 
 

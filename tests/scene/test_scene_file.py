@@ -483,8 +483,11 @@ def test_media_in_groups_are_simulated_as_they_are(folder, rng):
     grid = rng.uniform(0.1, 0.9, (2, 3, 4, 1)).astype(np.float32)
     mi.VolumeGrid(grid).write(str(folder / "own" / "grid.vol"))
     (folder / "own" / "scene.xml").write_text(xml(integrator="volpath", extra=GROUP))
-    _, integrator, _ = scene_file.load("own/scene.xml", None)
+    loaded, integrator, _ = scene_file.load("own/scene.xml", None)
     assert integrator.handle_null_scattering and integrator.use_nee
+    own = mi.load_dict({"type": "volpath"})
+    shown, wanted = (np.array(mi.render(loaded, integrator=i, spp=256)) for i in (integrator, own))
+    assert shown.mean() == pytest.approx(wanted.mean(), rel=0.01)
 
 
 def test_targets_of_another_filter_and_of_a_whole_film_are_told(folder):

@@ -8,7 +8,7 @@ import pytest
 from isas_cli.scenes import object_joint_shape
 from isas_cli.scenes.cameras import perspective
 from isas_cli.scenes.icosphere import icosphere
-from scenes_for_tests import without_targets
+from scenes_for_tests import means, without_targets
 
 import isas_cli
 from isas_cli.rendering import rays
@@ -59,8 +59,8 @@ def test_derivatives_through_frosted_glass_are_those_of_differences(key, step):
         p.unknowns.write(moved)
         found = []
         for batch in range(8):
-            pixels = renderer.range(0, n, SPP, lambda i, b=batch: 1000 * b + i)
-            found.append(np.mean(np.array(pixels).reshape(n, 3).mean(1) * halves))
+            pixels = means(p, SPP, 1000 * batch, renderer)
+            found.append(np.mean(pixels.mean(1) * halves))
         return np.array(found)
 
     # The same random numbers on both sides: batches pair.

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 
 import mitsuba as mi
 import numpy as np
-from scenes_for_tests import dictionary, texture, without_targets
+from scenes_for_tests import dictionary, means, texture, without_targets
 
-from isas_cli.rendering.renderer import Renderer
 from isas_cli.scene.problem import Problem
 
 _place = mi.ScalarTransform4f
@@ -177,6 +176,6 @@ def assemble(description: dict, unknowns: dict) -> Problem:
     """
     result = without_targets(description, unknowns)
     result.unknowns.write(result.unknowns.starts())
-    rendered = Renderer(result).range(0, result.views.total, 1024, lambda i: 1000 + i)
-    result.set_targets(mi.Float(_BRIGHTER * rendered.ravel()), None, "test")
+    rendered = _BRIGHTER * means(result, 1024, 1000)
+    result.set_targets(mi.Float(rendered.ravel().astype(np.float32)), None, "test")
     return result

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -111,6 +112,15 @@ def without_targets(
     for unknown in result.unknowns:
         unknown.seen = np.ones(unknown.start.shape, bool)
     return result
+
+
+def means(p: Problem, paths: int, seed: int, renderer=None) -> np.ndarray:
+    """Of so many paths a pixel at the present values, in one launch, ``(pixels, 3)``."""
+    from isas_cli.rendering.renderer import Renderer
+
+    pixel = dr.repeat(dr.arange(mi.UInt32, p.views.total), paths)
+    found = (renderer or Renderer(p)).pixels(pixel, 1, lambda _: seed)
+    return np.array(found, np.float64).reshape(3, -1, paths).mean(axis=2).T
 
 
 def render_targets(result: Problem, spp: int) -> None:

@@ -11,7 +11,7 @@ from scipy import stats
 
 from isas_cli.unknowns import smoothing
 
-SIGMAS = (1e-4, 0.3, 20.0)
+SIGMAS = (1e-4, 20.0)  # another is among those of the products
 LIMIT = stats.norm.isf(1e-4 / 2)  # per comparison; there are about a hundred
 
 

@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy import stats
+
+from ...report.compare.bootstrap import Estimate
 
 _RESAMPLES = 4000
 _BLOCKS = 256  # rounds, or blocks of neighbouring ones, at most
 _SEED = 20260101
-
-
-class Estimate(NamedTuple):
-    """A value with its 95 % interval; NaN where too little is known."""
-
-    value: float
-    low: float
-    high: float
 
 
 class Bootstrap:

@@ -12,8 +12,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from ...records.files import write_text
+from ...report.compare.accuracy import named
+from ...report.compare.bootstrap import Estimate
 from .best import Best
-from .intervals import Bootstrap, Estimate, bias
+from .intervals import Bootstrap, bias
 from .rounds import Contestant
 
 FILE = "variance.csv"
@@ -97,12 +99,12 @@ def _row(
     look = float(np.median(contestant.looks)) if contestant.looks else 0.0
     share = contestant.looks_per_estimate
     row = {"sampler": contestant.label}
-    row |= _with_bounds("variance", bootstrap.variance(index))
+    row |= named("variance", bootstrap.variance(index))
     nothing = Estimate(*[math.nan] * 3)
     for name, other in (("uniform", UNIFORM), ("gradient", GRADIENT), ("best", BEST)):
         known = other in place
         ratio = bootstrap.ratio(index, place[other]) if known else nothing
-        row |= _with_bounds(f"ratio_to_{name}", ratio)
+        row |= named(f"ratio_to_{name}", ratio)
     row["variance_iid"] = row["variance_iid_bound"] = math.nan
     if contestant.second_moments:
         second = float(np.mean(contestant.second_moments))
@@ -131,10 +133,6 @@ def _squared_gradient(contestants: list[Contestant], bootstrap: Bootstrap) -> fl
     tally = contestants[surest].tally
     # Of an interrupted round as well: the mean is of all estimates.
     return tally.squared_norm - variances[surest] / len(tally.steps)
-
-
-def _with_bounds(name: str, estimate: Estimate) -> dict[str, float]:
-    return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
 
 
 def write(table: list[dict], folder: Path) -> None:

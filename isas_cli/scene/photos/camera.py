@@ -101,7 +101,7 @@ class Camera:
         inside = (np.asarray(points, np.float64) - place) @ rotation
         depth = inside[:, 2]
         safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
-        plane = self.distort(inside[:, :2] / safe[:, None])
+        plane = self.lens.distort(inside[:, :2] / safe[:, None])
         return plane * [self.fx, self.fy] + [self.cx, self.cy], depth
 
     def seen(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -110,15 +110,6 @@ class Camera:
         place, depth = self.project(points)
         inside = (depth > 0) & (place >= 0).all(axis=1)
         return place, depth, inside & (place < [self.width, self.height]).all(axis=1)
-
-    def distort(self, plane: np.ndarray) -> np.ndarray:
-        """From the image plane at distance 1 without a lens, ``(…, 2)``, to that with it."""
-        return self.lens.distort(plane)
-
-    @property
-    def reach(self) -> float:
-        """The radius on that plane up to which the lens keeps the order of points."""
-        return self.lens.reach
 
     def pinhole(self, width: int | None = None) -> "Camera":
         """The camera without a lens and with square pixels that shows about the same, as wide as

@@ -260,8 +260,8 @@ def resample(
                 ],
                 axis=-1,
             )
-            ordered = np.hypot(plane[..., 0], plane[..., 1]) < camera.reach
-            seen = camera.distort(plane) * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+            ordered = np.hypot(plane[..., 0], plane[..., 1]) < camera.lens.reach
+            seen = camera.lens.distort(plane) * [camera.fx, camera.fy] + [camera.cx, camera.cy]
             # Half a pixel of the border is not between middles, and takes the outermost pixel.
             inside = ordered & (seen >= 0).all(axis=-1)
             inside &= (seen[..., 0] <= camera.width) & (seen[..., 1] <= camera.height)

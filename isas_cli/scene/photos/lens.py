@@ -8,8 +8,6 @@ from functools import cached_property
 import numpy as np
 
 _NONE = (0.0, 0.0, 0.0, 0.0)
-# How a radius r on the plane at distance 1 is bent before Brown's polynomial: the kinds of lens.
-KINDS = ("flat", "fisheye", "fov", "division", "unified")
 
 
 @dataclass(frozen=True)
