@@ -45,7 +45,12 @@ def main(arguments: list[str]) -> int:
         console.print(table)
     for note in taken.capture.notes:
         console.print(f"note: {note}", highlight=False, markup=False)
-    for warning in [*checks.warnings(checked, taken), *_unlike(taken), *_lit(taken)]:
+    for warning in [
+        *checks.warnings(checked, taken),
+        *_unlike(taken),
+        *_lit(taken),
+        *_fallen(taken),
+    ]:
         console.print(f"warning: {warning}", highlight=False, markup=False)
     folder = reading.folder_of(taken.settings.path)
     output = output or _place(folder)
@@ -97,6 +102,18 @@ def _lit(taken: photographs.Photographs) -> list[str]:
         f"the same places of the object are about {factor:.2g} times as bright or dark by how they "
         "are turned to the camera: the light moved with it, as of a turntable or a flash; isas has "
         "one light for all views, and shadows and highlights go into the texture"
+    ]
+
+
+def _fallen(taken: photographs.Photographs) -> list[str]:
+    """Whether pictures are darker towards their corners, which nothing accounts for."""
+    factor = None if taken.surface is None else brightness.fallen(taken.all, taken.surface)
+    if factor is None:
+        return []
+    return [
+        f"the same places of the object are {1 - factor:.0%} darker where the margins of pictures "
+        "show them: the lens darkens their corners (vignetting), for which isas has no unknown: "
+        "develop them with the lens's profile"
     ]
 
 

@@ -155,3 +155,18 @@ def test_exposures_that_are_alike_are_told_as_well(tmp_path):
     found, near = taken.exposures
     np.testing.assert_allclose(found, 1, rtol=0.006)
     assert near == 0.01 and brightness.unlike(taken.shown, taken.surface) is None
+
+
+@pytest.mark.parametrize("falls", [0.0, 0.4])
+def test_a_lens_that_darkens_the_corners_is_told(tmp_path, falls):
+    box.photographed(tmp_path, 8, "alpha", scale=2)
+    box.turned_mesh(tmp_path / "box.obj", 0, 1)
+    taken = photographs.load(PhotosConfig(str(tmp_path), mesh=str(tmp_path / "box.obj")))
+    for each in taken.shown:
+        height, width = each.image.shape[:2]
+        y, x = np.mgrid[:height, :width] + 0.5
+        away = ((x - width / 2) ** 2 + (y - height / 2) ** 2) / (width**2 + height**2) * 4
+        each.image *= np.float32(1 - falls * away)[..., None]
+    found = brightness.fallen(taken.shown, taken.surface)
+    assert found is None if not falls else 0.85 < found < 0.97
+    assert brightness.moved(taken.shown, taken.surface) is None

@@ -7,6 +7,7 @@ deviation from it, how sure that is. One exposure a view has to account for all 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,9 @@ _ASLANT, _NEAR, _VAGUE = 0.2, 0.01, 0.2
 # for (of a box on a turntable it is 0.9, of 70 sets whose light stands still at most 0.3, of glossy
 # balls), and by how much of its brightness.
 _OFTEN, _GOES, _LIT = 3, 0.6, 0.1
+# The same of what a lens does, by how much of a place's brightness it must, and within which
+# factors halves of the views must say it alike.
+_FALLS, _FALLEN, _ALIKE = 0.2, 0.03, (0.5, 2.0)
 _MOST = 40  # views that all others are compared with, evenly among them
 
 
@@ -140,11 +144,52 @@ def moved(photographs: list[Photograph], surface: Surface) -> float | None:
     their variance a plane over the normal in the camera's axes accounts for.
     """
     photographs = photographs[:: -(-len(photographs) // _MOST)]
-    _, normals = outlines.facing(surface)
+    found = _apart_from_means(photographs, surface, _turned)
+    if found is None:
+        return None
+    left, before, more = found
+    spread = [_rest(left, told) for told in (before, np.hstack([before, more]))]
+    by = np.sqrt(max(spread[0] - spread[1], 0.0))
+    return float(np.exp(by)) if by > _LIT and spread[1] < (1 - _GOES) * spread[0] else None
+
+
+def fallen(photographs: list[Photograph], surface: Surface) -> float | None:
+    """By which factor places are darker where a picture's margin shows them than where its middle
+    does, over the parts of pictures that show the object; None where they are not, or nothing is
+    sure. It is what a lens does that no program has put right (vignetting).
+
+    Of the same logarithms: what the squared distance from the middle accounts for, beside how
+    places are turned to the camera, alike in every second view and in the others.
+    """
+    photographs = photographs[:: -(-len(photographs) // _MOST)]
+    slopes = []
+    for part in (photographs, photographs[::2], photographs[1::2]):
+        found = _apart_from_means(part, surface, lambda *of: [*_turned(*of), _distant(*of)])
+        if found is None:
+            return None
+        left, before, more = found
+        told = np.hstack([before, more])
+        slopes.append(np.linalg.lstsq(told, left, rcond=None)[0][-1])
+        if part is photographs:
+            low, high = np.quantile(more[:, -1], [0.05, 0.95])
+            spread = [_rest(left, each) for each in (told[:, :-1], told)]
+    fall = -slopes[0] * (high - low)
+    alike = min(slopes[1:]) > _ALIKE[1] * slopes[0] and max(slopes[1:]) < _ALIKE[0] * slopes[0]
+    sure = alike and spread[1] < (1 - _FALLS) * spread[0]
+    return float(np.exp(-fall)) if sure and fall > _FALLEN else None
+
+
+def _apart_from_means(
+    photographs: list[Photograph], surface: Surface, by: Callable
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Of every place in every view that shows it, and of places that are in several: its logarithm
+    less its mean over views, ``(n,)``; the same of what each view adds, ``(n, V - 1)``, and of each
+    array ``(V, P)`` that ``by`` gives of views, places and normals. None of too few."""
+    points, normals = outlines.facing(surface)
     logs = shown(photographs, surface)
     seen = np.isfinite(logs)
     chosen = seen.sum(axis=0) >= _OFTEN
-    logs, seen, normals = logs[:, chosen], seen[:, chosen], normals[chosen]
+    logs, seen = logs[:, chosen], seen[:, chosen]
     if seen.sum() < _SHARED * len(photographs):
         return None
 
@@ -154,17 +199,31 @@ def moved(photographs: list[Photograph], surface: Surface) -> float | None:
 
     left = apart_of(np.where(seen, logs, 0.0))
     most = _SURE * _NORMAL * np.median(np.abs(left))
-    left = np.clip(left, -most, most)
     views = np.eye(len(photographs))[:-1, :, None] * np.ones(seen.shape[1])
+    before, more = (
+        np.stack([apart_of(each) for each in every], axis=1)
+        for every in (views, by(photographs, points[chosen], normals[chosen]))
+    )
+    return np.clip(left, -most, most), before, more
+
+
+def _rest(left: np.ndarray, told: np.ndarray) -> float:
+    return float(np.var(left - told @ np.linalg.lstsq(told, left, rcond=None)[0]))
+
+
+def _turned(photographs: list[Photograph], points: np.ndarray, normals: np.ndarray) -> list:
+    """Normals in the camera's axes, one after another."""
     turned = np.stack([normals @ each.camera.to_world[:3, :3] for each in photographs])
-    before = np.stack([apart_of(each) for each in views], axis=1)
-    more = np.stack([apart_of(turned[..., axis]) for axis in range(3)], axis=1)
-    spread = [
-        float(np.var(left - told @ np.linalg.lstsq(told, left, rcond=None)[0]))
-        for told in (before, np.hstack([before, more]))
-    ]
-    by = np.sqrt(max(spread[0] - spread[1], 0.0))
-    return float(np.exp(by)) if by > _LIT and spread[1] < (1 - _GOES) * spread[0] else None
+    return [turned[..., axis] for axis in range(3)]
+
+
+def _distant(photographs: list[Photograph], points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """The squared distance from the picture's middle, of 1 in its corners."""
+    found = []
+    for camera in (each.camera for each in photographs):
+        half = np.array([camera.width, camera.height]) / 2
+        found.append((((camera.project(points)[0] - half) / np.hypot(*half)) ** 2).sum(axis=1))
+    return np.stack(found)
 
 
 def told(
