@@ -1,14 +1,19 @@
 """Masks under the names that people give them."""
 
+import shutil
+
 import numpy as np
 import photo_sets
 import pytest
+from isas_cli.scenes import library
 from photo_sets import POSES, SIZE, Files
+from PIL import Image
+from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
-from isas_cli.scene.photos import photographs
+from isas_cli.scene.photos import photographs, rims
 
 
 @pytest.fixture
@@ -244,3 +249,45 @@ def test_a_band_of_middle_grey_is_told(tmp_path, taken, wide, said):
         images.write_png(tmp_path / f"masks/{number:03d}.png", pixels)
     told = [line for line in taken().warnings if "trimaps" in line]
     assert len(told) == said and ("masks/000.png" in told[0] if said else True)
+
+
+@pytest.mark.parametrize("grown", [-4, 0, 3])
+def test_masks_that_end_beside_the_object_are_told(tmp_path, grown):
+    """Of real photographs."""
+    shutil.copytree(library.ASSETS / "head", tmp_path / "head")
+    for path in (tmp_path / "head/mask").iterdir():
+        white = np.array(Image.open(path).convert("L")) > 127
+        change = binary_dilation if grown > 0 else binary_erosion
+        white = change(white, np.ones((3, 3)), iterations=abs(grown)) if grown else white
+        Image.fromarray(np.uint8(white) * 255).save(path)
+    taken = photographs.load(PhotosConfig(path=str(tmp_path / "head")))
+    told = [each for each in taken.warnings if "the edges that pictures show" in each]
+    assert len(told) == bool(grown), told
+    if grown:
+        assert ("beyond" in told[0]) == (grown > 0) and ("shrink" in told[0]) == (grown > 0)
+
+
+def test_where_a_mask_ends_beside_an_edge_is_measured(rng):
+    """Of a spotted disk before clutter."""
+    down, across = np.mgrid[:200, :240]
+    away = np.hypot(down - 100, across - 120)
+    noise = gaussian_filter(rng.normal(size=(200, 240)), 3)
+    picture = np.where(away < 50, 0.6, 0.3) + 0.5 * noise
+    picture = np.repeat(picture[..., None], 3, axis=2).astype(np.float32)
+    for more in (-6, -3, 0, 2, 5):
+        assert rims.off(picture, away < 50 + more) == pytest.approx(more, abs=1)
+    assert rims.off(picture, away < 130) is None  # which no picture holds
+
+
+@pytest.mark.parametrize("views, told", [(0, False), (2, True), (8, False)])
+def test_holes_that_few_masks_have_are_told(tmp_path, views, told):
+    """Those of most are the object's own."""
+    shutil.copytree(library.ASSETS / "head", tmp_path / "head")
+    for path in sorted((tmp_path / "head/mask").iterdir())[:views]:
+        white = np.array(Image.open(path).convert("L")) > 127
+        row, column = np.argwhere(white).mean(axis=0).astype(int)
+        white[row - 8 : row + 8, column - 8 : column + 8] = False
+        Image.fromarray(np.uint8(white) * 255).save(path)
+    taken = photographs.load(PhotosConfig(path=str(tmp_path / "head"), voxels=40))
+    said = [each for each in taken.warnings if "have holes within the object" in each]
+    assert bool(said) == told and all(f"of {views} of 13" in each for each in said)

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import (
+    binary_fill_holes,
     distance_transform_edt,
+    label,
     map_coordinates,
     minimum_filter,
     uniform_filter,
@@ -47,6 +49,9 @@ _LARGER, _FEWEST, _WIDER, _SMALL, _ASKED = 0.04, 4, 1.5, 20, 12
 # Of a mask, what is middle grey; and of a picture's side, where a frame may be.
 _MIDDLE, _FRAME = (0.4, 0.6), 6
 _PHOTOGRAPHED = 0.85  # of a picture, at least, within such a frame; a disk fills 0.79 of a square
+# Of a hole in a mask: pixels at least, and a share of what is filled; and of the views, in how many
+# one is rare.
+_HOLE, _RARE = (12, 2e-3), 1 / 3
 _LARGE = 512  # pixels: finer pictures say no more of how deep a place lies inside
 
 
@@ -131,6 +136,15 @@ def box(filled: np.ndarray) -> np.ndarray | None:
     return (ends + [[0], [1]]) / sides
 
 
+def _pierced(part: np.ndarray) -> bool:
+    """Whether what the object fills of a picture has holes of some size. ``part``: as of
+    ``inverted``."""
+    filled = (part > 0.5) | (part < 0)
+    holes, count = label(binary_fill_holes(filled) & ~filled)
+    sizes = np.bincount(holes.ravel())[1:] if count else np.zeros(1)
+    return bool(sizes.max() >= max(_HOLE[0], _HOLE[1] * filled.sum()))
+
+
 def empty(part: np.ndarray) -> bool:
     """Whether a picture shows nothing of the object. ``part``: how much of each pixel it fills."""
     return not (part > _EMPTY).any()
@@ -194,6 +208,14 @@ def doubts(
             f"photos.background=black: by alpha or masks the object fills all of {len(full)} of "
             f"{len(photographs)} pictures, first {full[0].camera.image}, but for a frame at most: "
             "if it does not, what is behind it counts as the object"
+        )
+    pierced = [p for p in photographs if p.part is not None and _pierced(p.part)]
+    # A handle's hole is in many views.
+    if pierced and len(pierced) <= _RARE * len(photographs):
+        found.append(
+            f"alpha or masks of {len(pierced)} of {len(photographs)} pictures have holes within "
+            f"the object, first {pierced[0].camera.image}: if it has none there, fill them: shapes "
+            "are cut through where they are"
         )
     dark = [p for p in photographs if p.white is not None and p.white < DARK]
     if dark:

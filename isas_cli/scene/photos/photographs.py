@@ -23,6 +23,7 @@ from . import (
     outlines,
     precision,
     reading,
+    rims,
     shape,
     surroundings,
     turns,
@@ -129,6 +130,8 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
         named = {camera.name: camera for camera in capture.cameras}
         told += outlines.larger(found.all, named, found.surface)
     told += borders.doubts(found.all, found.surface)
+    if settings.background == importing.BLACK:
+        told += rims.doubts(capture.cameras, over)
     told += surroundings.doubts(settings, capture.cameras)
     told += alike.doubts(found.all, found.surface, hulled)
     told += precision.doubts(found.all, found.surface)
