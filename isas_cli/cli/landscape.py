@@ -33,8 +33,8 @@ def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
     """
     if spp < 1:
         raise InputError(f"--spp {spp}: at least 1")
-    one.check_writable(folder, "a landscape is drawn beside the run: copy it")
     run = records.load(folder)
+    one.check_writable(folder, "a landscape is drawn beside the run: copy it")
     cfg, _ = resumption.configuration(folder, run, {})
     keys = run.manifest.get("unknowns", {})
     names = [c[len(VALUE_PREFIX) :] for c in run.history.columns if c.startswith(VALUE_PREFIX)]

@@ -283,12 +283,14 @@ def _meshes(problem: Problem) -> dict[str, dict[int, Topology]]:
     for name in problem.unknowns.moving:
         own = problem.unknowns[name].kind.topologies
         found |= own
-        for id in {key.rpartition(".")[0] for key in problem.unknowns.written(name)} - listed:
-            raise InputError(
-                f"scene.unknowns['{name}'] moves '{id}', which lies in a group: "
-                "estimator=silhouettes follows what the scene itself holds; take it out of the "
-                "group, or take sampler=plateau"
-            )
+        for key in problem.unknowns.written(name):
+            id, _, word = key.rpartition(".")
+            if word == "vertex_positions" and id not in listed:
+                raise InputError(
+                    f"scene.unknowns['{name}'] moves '{id}', which lies in a group: "
+                    "estimator=silhouettes follows what the scene itself holds; take it out of the "
+                    "group, or take sampler=plateau"
+                )
         for key in problem.unknowns.written(name) if not own else ():
             id, _, word = key.rpartition(".")
             where = f"scene.unknowns['{name}'] moves '{id}'"

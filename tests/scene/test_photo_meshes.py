@@ -424,7 +424,7 @@ def test_gltf_names_files_as_uris(tmp_path, name, uri):
 
 def test_corners_below_zero_count_from_their_face(tmp_path):
     """Block after block, as programs write it that number backwards."""
-    one = "v {0} 0 0\nv {1} 0 0\nv {1} 1 0\nf -3 -2 -1\n"
+    one = "v {0} 0 0\nv {1} 0 0\nv {1} 1 0\nf -3 -2 -1 # the -last\n"
     (tmp_path / "mesh.obj").write_text(one.format(0, 1) + one.format(2, 3))
     (found,) = parts(str(tmp_path / "mesh.obj")).values()
     assert len(found.faces) == 2

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 _SEVERAL = re.compile(r"^[ \t]*f(?:[ \t]+[^ \t\r\n]+){4}", re.MULTILINE)
+_REMARK = re.compile(r"^([ \t]*(?:f|v|vt|vn)[ \t][^#\r\n]*)#.*", re.MULTILINE)
 _BACKWARDS = re.compile(r"^[ \t]*f[ \t][^\r\n]*-", re.MULTILINE)
 _FLAT = 1e-6  # of a face's area: what a corner may be turned inwards
 
@@ -45,8 +46,9 @@ def load(file: Path):
 
 
 def _joined(text: str) -> str:
-    """The same, with lines whole that go on in the next after a backslash. One at the end of a
-    comment, as of a folder's name, means nothing."""
+    """The same without remarks behind numbers, with lines whole that go on in the next after a
+    backslash. One at the end of a comment, as of a folder's name, means nothing."""
+    text = _REMARK.sub(r"\1", text)
     if "\\\n" not in text:
         return text
     text = re.sub(r"^[ \t]*#.*", "", text, flags=re.MULTILINE)
