@@ -178,7 +178,7 @@ def test_what_is_missing_is_one_line(files, target, mask):
     (mine / "002.exr").unlink()
     with pytest.raises(InputError, match="no rendering of test/002, such as 002.exr"):
         relighting.of_set(novel, mine)
-    with pytest.raises(InputError, match="nothing is left of a mask"):
+    with pytest.raises(InputError, match="nothing is left of its mask"):
         relighting.pictures(target, target, 0 * mask)
 
 

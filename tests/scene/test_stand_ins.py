@@ -1,5 +1,7 @@
 """Pictures that a file's integrator shows otherwise than what replays it: measured, and said."""
 
+import re
+
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -26,6 +28,8 @@ GLASS = FOG.replace('type="null"', 'type="roughdielectric"')
 def loaded(folder, more: str, kind: str, depth: int, hidden=False, **settings):
     """The problem, and what the file's own integrator shows in the mean, and what replays it."""
     integrator = INTEGRATOR.format(kind=kind, depth=depth, hidden=str(hidden).lower())
+    if kind == "direct":  # whose paths have one length
+        integrator = re.sub(r'<integer name="max_depth"[^>]*/>', "", integrator)
     path = folder / "scene.xml"
     path.write_text(XML.format(integrator=integrator, more=more))
     unknowns = {"emitter_0.radiance.value": UnknownConfig(start=1.0)}

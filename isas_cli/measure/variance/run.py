@@ -14,7 +14,6 @@ from ...config.schema import Config
 from ...engine.choices import Choices
 from ...engine.display import Display
 from ...engine.experiment import Phases, built, checked
-from ...records.follow import measures
 from ...runtime import backend, interrupt
 from ...runtime.errors import InputError, IsasError
 
@@ -199,7 +198,7 @@ class _Record:
             plan.folder.mkdir(parents=True, exist_ok=True)
             # An earlier measurement's, and no file of anyone else's.
             earlier = (plan.folder / "manifest.json").exists()
-            if earlier and not measures(plan.folder):
+            if (plan.folder / "history.csv").exists():
                 raise InputError(f"{plan.folder} holds a run: choose another hydra.run.dir=DIR")
             for old in (o for made in _MADE for o in plan.folder.glob(made) if earlier):
                 old.unlink()
