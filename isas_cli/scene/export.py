@@ -160,9 +160,9 @@ def result(scene: SceneConfig, arrays: dict[str, np.ndarray]) -> tuple[mi.Scene,
     with tempfile.TemporaryDirectory(prefix="isas-result-") as made:
         found = _filled(_parser(scene, taken, Path(made)), scene, taken, arrays)[0]
     if scene.path is not None:
-        whole = scene_file.load(scene.path, scene.max_depth)[1]
-        return found, getattr(whole, "max_depth", -1), getattr(whole, "hide_emitters", False)
-    own = built.description(scene, taken).get("integrator", {})
+        own = scene_file.simulated(scene.path, scene.max_depth)
+    else:
+        own = built.description(scene, taken).get("integrator", {})
     return found, own.get("max_depth", -1), own.get("hide_emitters", False)
 
 

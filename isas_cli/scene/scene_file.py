@@ -69,6 +69,14 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str
     return loaded, integrator, description
 
 
+def simulated(path: str, max_depth: int | None) -> dict:
+    """The integrator that replays the paths of an XML file, as ``mitsuba.load_dict`` takes it.
+    Raises InputError like ``load``."""
+    with _said(path):
+        _, state = parse(path)
+        return _integrator(_unwrapped(state, path), state, path, max_depth)
+
+
 def parse(path: str) -> tuple[mi.parser.ParserConfig, mi.parser.ParserState]:
     """What an XML file says, and how it is to be made a scene, as ``load`` does. Raises InputError
     like it."""
