@@ -49,7 +49,6 @@ def main(arguments: list[str]) -> int:
         *checks.warnings(checked, taken),
         *_unlike(taken),
         *_lit(taken),
-        *_fallen(taken),
     ]:
         console.print(f"warning: {warning}", highlight=False, markup=False)
     folder = reading.folder_of(taken.settings.path)
@@ -94,27 +93,25 @@ def _unlike(taken: photographs.Photographs) -> list[str]:
 
 
 def _lit(taken: photographs.Photographs) -> list[str]:
-    """Whether the light goes with the camera, where no environment can."""
-    factor = None if taken.surface is None else brightness.moved(taken.all, taken.surface)
-    if factor is None:
+    """Whether the light goes with the camera, where no environment can, and whether pictures are
+    darker towards their corners."""
+    if taken.surface is None:
         return []
-    return [
-        f"the same places of the object are about {factor:.2g} times as bright or dark by how they "
-        "are turned to the camera: the light moved with it, as of a turntable or a flash; isas has "
-        "one light for all views, and shadows and highlights go into the texture"
-    ]
-
-
-def _fallen(taken: photographs.Photographs) -> list[str]:
-    """Whether pictures are darker towards their corners, which nothing accounts for."""
-    factor = None if taken.surface is None else brightness.fallen(taken.all, taken.surface)
-    if factor is None:
-        return []
-    return [
-        f"the same places of the object are {1 - factor:.0%} darker where the margins of pictures "
-        "show them: the lens darkens their corners (vignetting), for which isas has no unknown: "
-        "develop them with the lens's profile"
-    ]
+    seen = taken.all, taken.surface
+    found = []
+    if (factor := brightness.moved(*seen)) is not None:
+        found.append(
+            f"the same places of the object are about {factor:.2g} times as bright or dark by how "
+            "they are turned to the camera: the light moved with it, as of a turntable or a flash; "
+            "isas has one light for all views, and shadows and highlights go into the texture"
+        )
+    if (factor := brightness.fallen(*seen)) is not None:
+        found.append(
+            f"the same places of the object are {1 - factor:.0%} darker where the margins of "
+            "pictures show them: the lens darkens their corners (vignetting), for which isas has "
+            "no unknown: develop them with the lens's profile"
+        )
+    return found
 
 
 def _place(folder: Path) -> Path:

@@ -13,8 +13,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, open_dict
 
 from ..runtime.errors import InputError, nearest
-from .grammar import literal
-from .grammar import name as named
+from .grammar import decoded, literal
 from .method import options, said
 
 # What holds names of its own, and one of them in words.
@@ -62,8 +61,8 @@ def settled(cfg: DictConfig) -> DictConfig:
     typed."""
     with open_dict(cfg):
         for entries in (cfg.scene.unknowns, cfg.scene.poses, cfg.scene.external.parameters):
-            for name in [name for name in entries if named(str(name)) != name]:
-                entries[named(name)] = entries.pop(name)
+            for name in [name for name in entries if decoded(str(name)) != name]:
+                entries[decoded(name)] = entries.pop(name)
         gone = [name for name, entry in cfg.scene.unknowns.items() if entry is None]
         for entries in (cfg.scene.unknowns, cfg.scene.poses):
             for name in list(entries):
@@ -86,4 +85,4 @@ def _entries(text: str) -> dict:
     except HydraException:
         return {}
     given = value if isinstance(value, dict) else {}
-    return {named(str(getattr(name, "text", name))): entry for name, entry in given.items()}
+    return {decoded(str(getattr(name, "text", name))): entry for name, entry in given.items()}

@@ -52,6 +52,6 @@ def _key(key: str) -> str:
     return re.sub(r"([\\()\[\]{}:=, \t])", r"\\\1", coded)
 
 
-def name(key: str) -> str:
+def decoded(key: str) -> str:
     """The key of a dictionary that ``literal`` has written, as it was."""
     return _CODED.sub(lambda found: chr(int(found[1], 16)), key)

@@ -31,8 +31,8 @@ def views(
     environment in the file of the same place in ``lights``, in place of all lights of the scene;
     or under these, where it is None, by paths as its own. ``result``: as ``export.result`` has it.
     ``up``, ``turn``: see ``building.upright``; up may also be ``CAMERA``: the environment stands to
-    the view's camera as Stanford-ORB's do, what lies straight ahead in its
-    middle. Raises InputError for a scene with media."""
+    the view's camera as Stanford-ORB's do, what lies straight ahead in its middle. Raises
+    InputError for a scene with media."""
     scene, depth, hidden = result
     shapes = scene.shapes()
     if any(shape.is_medium_transition() for shape in shapes):

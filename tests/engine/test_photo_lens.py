@@ -16,9 +16,11 @@ import isas_cli
 from isas_cli import losses
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.estimators.silhouettes import Settings
+from isas_cli.estimators.two_path import TwoPath
 from isas_cli.rendering import rays
 from isas_cli.rendering.contours import Contours
 from isas_cli.rendering.outline import Cameras
+from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.runtime import backend, streams
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene import export
@@ -287,3 +289,17 @@ def test_a_lens_is_found(tmp_path, capsys):
     assert found["focal"] == pytest.approx(box.FOCAL, rel=0.01)
     assert (found["centre_x"], found["centre_y"]) == pytest.approx(LENS[:2], abs=0.5)
     assert found["radial"] == pytest.approx(LENS[2], abs=0.05)
+
+
+def test_paths_of_a_single_view_are_independent(taken, monkeypatch):
+    """Its number is one entry, whatever is drawn in it."""
+    made = problem(*taken, "photos.lens=[focal]", "photos.test=[0,1,2]")
+    assert made.views.count == 1
+    widths, honest = [], rays.stream
+    monkeypatch.setattr(
+        rays, "stream", lambda s, count: (widths.append(count), honest(s, count))[1]
+    )
+    estimator = TwoPath(made, losses.L2(), 256, freeze=False)
+    drawn = PixelDistribution.uniform(Tiles.over(made.views))
+    estimator.gradients(made.unknowns.starts(), drawn, 1, 0)
+    assert len(widths) == 4 and set(widths) == {256}  # two paths, and both ends of a difference

@@ -7,12 +7,13 @@ import signal
 from pathlib import Path
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 import pytest
 import yaml
 from problems_for_tests import configured
 from processes import begun
-from scenes_for_tests import TEXTURE, problem
+from scenes_for_tests import TEXTURE, dictionary, problem, without_targets
 
 from isas_cli import records
 from isas_cli.cli import app, compare
@@ -286,3 +287,18 @@ def test_what_choices_are_told_of_a_problem_is_not_the_others_(monkeypatch):
     monkeypatch.setattr(type(choices.estimator), "check", check)
     choices.check_on(p)
     assert not p.warnings
+
+
+def test_what_a_sampler_warns_of_is_said_of_its_own_runs():
+    """Of surfaces beside media, which have no derivative in forward mode."""
+    scene = dictionary(depth=2)
+    scene["integrator"] = {"type": "prbvolpath", "max_depth": 2}
+    p = without_targets(scene, {TEXTURE: 0.5})
+    p.set_targets(dr.zeros(mi.Float, 3 * p.views.total), None, "test")
+    made = Workshop(p)
+    words = ["scene=pottery", "size=tiny", "effects=full", "estimator=two_path", "prior=none"]
+    told = {}
+    for name in ("progress", "uniform", "progress"):
+        loop = made.loop(*configured(*words, f"sampler={name}"))
+        told[name] = [each for each in loop.problem.warnings if "drawn uniformly" in each]
+    assert len(told["progress"]) == 1 and told["uniform"] == [] == p.warnings

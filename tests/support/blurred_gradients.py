@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 import references
 from poses_for_tests import AT, SIGMA
+from scenes_for_tests import means
 from scipy import stats
 
 from isas_cli import losses
@@ -49,8 +48,6 @@ def _by_quadrature(p) -> dict[str, np.ndarray]:
     sides = [weights_at(side * STEP) for side in (1, -1)]
     slope = weight * NODES[None, :] / SIGMA[1]
     target = np.array(p.targets).reshape(-1, 3)
-    # All paths of a node in one launch.
-    pixels = dr.repeat(dr.arange(mi.UInt32, p.views.total), PATHS)
 
     def images(seed: int) -> np.ndarray:
         """P at all nodes, (61, 3, pixels, 3), by the same random numbers."""
@@ -59,8 +56,7 @@ def _by_quadrature(p) -> dict[str, np.ndarray]:
             at = (AT[0] + SIGMA[0] * STEPS[i], AT[1] + SIGMA[1] * NODES[j])
             arrays = {key: np.array([x], np.float32) for key, x in zip(keys, at)}
             p.unknowns.write(p.unknowns.values_of(arrays))
-            drawn = np.array(renderer.pixels(pixels, 1, lambda s: seed))
-            found[i, j] = drawn.T.reshape(p.views.total, PATHS, 3).mean(axis=1)
+            found[i, j] = means(p, PATHS, seed, renderer)
         return found
 
     def mean(weights, values):

@@ -115,7 +115,7 @@ def _short(text: str, most: int) -> str:
     if len(text) <= most:
         return text
     told = hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
-    return f"{text[: most - 12]}…{told}"
+    return f"{text[: most - 12]}-{told}"
 
 
 def _told_apart(problems: Sequence[Settings], keys: list[str]) -> set[tuple[str, ...]]:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import (
-    binary_fill_holes,
     distance_transform_edt,
     label,
     map_coordinates,
@@ -140,8 +139,11 @@ def _pierced(part: np.ndarray) -> bool:
     """Whether what the object fills of a picture has holes of some size. ``part``: as of
     ``inverted``."""
     filled = (part > 0.5) | (part < 0)
-    holes, count = label(binary_fill_holes(filled) & ~filled)
-    sizes = np.bincount(holes.ravel())[1:] if count else np.zeros(1)
+    beside, _ = label(~filled)
+    sizes = np.bincount(beside.ravel())
+    # What is filled is 0.
+    around = np.concatenate([beside[0], beside[-1], beside[:, 0], beside[:, -1], [0]])
+    sizes[around] = 0
     return bool(sizes.max() >= max(_HOLE[0], _HOLE[1] * filled.sum()))
 
 

@@ -146,15 +146,14 @@ def _endless(cameras: list[Camera]) -> str | None:
             return f"{camera.image} has neither"
     if len(bare) < len(cameras):
         return None
-    told = None
+    kinds = set()
     for camera in bare:
         alpha = images.read_alpha(camera.image)
-        now = (
-            "is 1 everywhere" if importing.opaque(alpha) else "leaves out a frame along the border"
-        )
-        if now != (told or now) or not outlines.whole(alpha):
-            return None  # in others of these the object may well fill the picture
-        told = now
+        kinds.add(importing.opaque(alpha))
+        # Of both kinds the object may well fill the pictures of one.
+        if len(kinds) > 1 or not outlines.whole(alpha):
+            return None
+    told = "is 1 everywhere" if True in kinds else "leaves out a frame along the border"
     return f"there are no masks, and the alpha of all pictures {told}"
 
 
