@@ -8,9 +8,10 @@ from pathlib import Path
 import pandas
 
 MEASURES = ("degrees", "size", "shift", "chamfer")
-HELD = ("held_psnr", "held_ssim")
-RELIT = ("factor", *HELD, "psnr_h", "psnr_l", "ssim", "roughness")
-OF_VIEWS = ("psnr", "focal", "centre", "radial", "exposure")
+HELD = ("held_psnr", "held_ssim", "held_flip")
+RELIT = ("factor", *HELD, "psnr_h", "psnr_l", "ssim", "flip", "roughness")
+OF_HULL = ("chamfer", "psnr", "ssim", "flip")
+OF_VIEWS = ("psnr", "flip", "focal", "centre", "radial", "exposure")
 
 
 def facts(results: Path) -> dict:
@@ -24,9 +25,22 @@ def facts(results: Path) -> dict:
     views = pandas.read_csv(results / "photographs_views.csv")
     relit = pandas.read_csv(results / "relighting.csv").rename(columns={"way": "by"})
     relit = _rows(relit.assign(case="jar"), RELIT)
-    # Where the search has no error of the views that are learnt from, those held out chose.
-    chosen = "image_rmse" not in pandas.read_csv(results / "relighting_rates.csv")
-    return {"rows": rows, "views": _rows(views, OF_VIEWS), "relit": relit, "by_held": chosen}
+    rates = pandas.read_csv(results / "relighting_rates.csv")
+    factors = [f"{factor:g}" for factor in sorted(rates["factor"].unique())]
+    alone = [row for row in rows if row["by"] == "colours alone" and "degrees" in row]
+    alone = [row for row in alone if "clutter" not in row["case"]]
+    hull = _rows(pandas.read_csv(results / "photographs_hull.csv"), OF_HULL)
+    views = _rows(views, OF_VIEWS)
+    return {
+        "rows": rows,
+        "hull": hull,
+        "views": views,
+        "relit": relit,
+        # Where the search has no error of the views that are learnt from, those held out chose.
+        "by_held": "image_rmse" not in rates,
+        "factors": f"{', '.join(factors[:-1])} or {factors[-1]}",
+        "alone": [sum(row[name] for row in alone) for name in ("landed", "seeds")],
+    }
 
 
 def _rows(table: pandas.DataFrame, measures: tuple[str, ...]) -> list[dict]:

@@ -47,7 +47,7 @@ def measured(folder: Path, way: str, factor: float, seed: int) -> dict:
     found = {"way": way, "factor": factor, "seed": seed, "roughness": float(roughness.ravel()[0])}
     found["image_rmse"] = run.history["image_rmse"].iloc[-1]
     held = run.summary["held_out"]["mean"]
-    found |= {f"held_{name}": held[name] for name in ("psnr", "ssim")} | scores
+    found |= {f"held_{name}": held[name] for name in ("psnr", "ssim", "flip")} | scores
     print(found, flush=True)
     return found
 

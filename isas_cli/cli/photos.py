@@ -28,7 +28,8 @@ def main(arguments: list[str]) -> int:
         if argument.startswith(_OUTPUT):
             output = Path(argument.removeprefix(_OUTPUT)).expanduser()
         else:
-            (settings if "=" in argument else folders).append(argument)
+            folder = "=" not in argument or Path(argument).expanduser().is_dir()
+            (folders if folder else settings).append(argument)
     folders += [each.partition("=")[2] for each in settings if each.startswith("photos.path=")]
     settings = [each for each in settings if not each.startswith("photos.path=")]
     if len(folders) != 1:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import datetime
+import hashlib
 import json
 import os
 import re
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +30,7 @@ from ..runtime.errors import InputError, nearest
 from . import one
 
 FILE = "race.yaml"
+_LONGEST = 120  # bytes of a folder's name: disks take 255
 LISTED = "entries", "settings"  # in it
 _SLICE_SECONDS = 1.0
 _OWN = ("samplers", "contestants", "seed", "slice", "resume", "hydra.run.dir")
@@ -50,9 +53,10 @@ class Plan:
         for entry in self.entries:
             one.check_folder(entry.folder, overwrite)
         if (self.folder / FILE).exists() and not overwrite:
+            resume = shlex.quote(f"resume={self.folder}")
             raise InputError(
                 f"{self.folder} already holds a race: choose another folder with "
-                f"hydra.run.dir=DIR, go on with it by resume={self.folder}, or replace it with "
+                f"hydra.run.dir=DIR, go on with it by {resume}, or replace it with "
                 "overwrite=true"
             )
 
@@ -123,6 +127,8 @@ def planned(own: dict[str, str], overrides: list[str], home: str | None = None) 
     for text in overrides:
         if text.split("=")[0] == "sampler":
             raise InputError(f"{text}: a race has several: samplers=[A,B] or contestants=[…]")
+        if text.split("=")[0] == "name":
+            raise InputError(f"{text}: a race names its runs itself; hydra.run.dir=DIR names it")
         if text.lstrip("+~").startswith("hydra"):
             raise InputError(
                 f"{text}: of Hydra's settings a race takes hydra/launcher, hydra.launcher.KEY and "
@@ -289,8 +295,13 @@ def _label(cfg, difference: dict[str, Any]) -> str:
 
 
 def slug(label: str) -> str:
-    """A folder's name: readable, nothing that a shell would take apart."""
-    return re.sub(r"[^\w.=+-]+", "_", label).strip("_.") or "contestant"
+    """A folder's name: readable, nothing that a shell would take apart, no longer than disks take,
+    of what is cut off with what tells it from others."""
+    name = re.sub(r"[^\w.=+-]+", "_", label).strip("_.") or "contestant"
+    if len(name.encode()) <= _LONGEST:
+        return name
+    whole = hashlib.blake2b(label.encode(), digest_size=6).hexdigest()
+    return f"{name.encode()[: _LONGEST - 13].decode(errors='ignore')}_{whole}"
 
 
 def _folder(own: dict[str, str], scene: str) -> Path:

@@ -6,8 +6,10 @@ import math
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from ..config import paths
@@ -17,8 +19,13 @@ from ..records.files import write_json
 from ..runtime import backend, images, interrupt
 from ..runtime.errors import InputError
 
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..scene.photos.camera import Camera
+
 SCORES = "scores.json"
-_HEADS = {"psnr_h": "PSNR-H", "psnr_l": "PSNR-L", "ssim": "SSIM"}
+_HEADS = {"psnr_h": "PSNR-H", "psnr_l": "PSNR-L", "ssim": "SSIM", "flip": "FLIP"}
 
 
 def main(
@@ -37,24 +44,12 @@ def main(
     with one for each view; ``up``, ``turn``: as ``photos.up`` and ``photos.turn`` (None: those of
     the run), or ``camera``, see ``relit.views``; ``width``: pixels of the renderings. Renderings
     and scores.json go into ``output`` (None: ``folder/relit``). Raises InputError; returns 0."""
-    if spp < 1:
-        raise InputError(f"--spp {spp}: at least 1")
-    if up not in (None, *UPS, CAMERA):
-        raise InputError(f"--up {up}: valid: {', '.join(UPS)}, {CAMERA}")
-    if turn is not None and not math.isfinite(turn):
-        raise InputError(f"--turn {turn}: degrees")
-    if light is None and (up, turn) != (None, None):
-        raise InputError("--up and --turn say how the environment of --light stands: give --light")
-    if up == CAMERA and turn is not None:
-        raise InputError(f"--turn {turn:g}: with --up {CAMERA} a light stands to the camera")
-    if width is not None and width < 1:
-        raise InputError(f"--width {width}: at least 1")
+    _check(light, up, turn, width, spp)
     typed, arrays = resumption.result(folder)
     with interrupt.prompt():
         backend.start(typed.variant, typed.threads)
         from ..measure import relighting
         from ..scene import export, relit
-        from ..scene.photos import importing
 
         if told := resumption.changed_since(folder, typed):
             print(told, file=sys.stderr)
@@ -73,35 +68,68 @@ def main(
                 print(told, file=sys.stderr)
         scene = export.result(typed.scene, arrays)
         output = output or folder / "relit"
-        found, left, console = {}, [], Console()
-        made = relit.views(scene, rendering, lights, *how, spp)
-        for camera, seen, image in zip(cameras, rendering, made):
-            where = f"{pictures}: {camera.name}"
-            mask = None if camera.hides else camera.mask  # which is to say where the object is
-            linear = None  # of which files the run's encoding says nothing
-            if importing.of_light(camera.image) is None:
-                linear = importing.linear(camera.image, own.encoding)
-            turned = camera.name in over
+        made = zip(cameras, rendering, relit.views(scene, rendering, lights, *how, spp))
+        found, left = {}, []
+        for camera, seen, image in made:
             relit.write(output, camera.name, image)
+            where = f"{pictures}: {camera.name}"
             try:
-                found[camera.name] = relighting.of_picture(
-                    image, seen, camera, mask, where, turned, fitted, linear
-                )
+                turned = camera.name in over
+                found[camera.name] = _score(image, seen, camera, own, where, turned, fitted)
             except relighting.Nothing as error:
                 left.append(camera.name)
                 print(f"{where}: left out: {error}", file=sys.stderr)
-                continue
-            mean = relighting.mean(found)
-            told = {"views": found, "mean": mean, "left_out": left, "light": light and str(light)}
-            write_json(output / SCORES, told)
+            if found:
+                told = {"views": found, "mean": relighting.mean(found), "left_out": left}
+                write_json(output / SCORES, told | {"light": light and str(light)})
         if not found:
             raise InputError(f"{pictures}: no view has a mask with anything in it")
     table = Table("view", *_HEADS.values())
-    for name, scores in [*found.items(), ("mean", mean)]:
-        table.add_row(name, *(f"{scores[key]:.4g}" for key in _HEADS))
-    console.print(table)
+    for name, scores in [*found.items(), ("mean", relighting.mean(found))]:
+        known = (scores[key] for key in _HEADS)
+        table.add_row(escape(name), *("–" if each is None else f"{each:.4g}" for each in known))
+    Console().print(table)
     print(f"renderings and {SCORES}: {output}")
     return 0
+
+
+def _check(
+    light: Path | None, up: str | None, turn: float | None, width: int | None, spp: int
+) -> None:
+    """Raises InputError for settings that cannot be."""
+    if spp < 1:
+        raise InputError(f"--spp {spp}: at least 1")
+    if up not in (None, *UPS, CAMERA):
+        raise InputError(f"--up {up}: valid: {', '.join(UPS)}, {CAMERA}")
+    if turn is not None and not math.isfinite(turn):
+        raise InputError(f"--turn {turn}: degrees")
+    if light is None and (up, turn) != (None, None):
+        raise InputError("--up and --turn say how the environment of --light stands: give --light")
+    if up == CAMERA and turn is not None:
+        raise InputError(f"--turn {turn:g}: with --up {CAMERA} a light stands to the camera")
+    if width is not None and width < 1:
+        raise InputError(f"--width {width}: at least 1")
+
+
+def _score(
+    image: np.ndarray,
+    seen: Camera,
+    camera: Camera,
+    own: PhotosConfig,
+    where: str,
+    turned: bool,
+    fitted: bool,
+) -> dict:
+    """Of what a ``seen`` camera renders, beside the picture of the ``camera`` that it stands for.
+    Raises InputError."""
+    from ..measure import relighting
+    from ..scene.photos import importing
+
+    mask = None if camera.hides else camera.mask  # which is to say where the object is
+    linear = None  # of which files the run's encoding says nothing
+    if importing.of_light(camera.image) is None:
+        linear = importing.linear(camera.image, own.encoding)
+    return relighting.of_picture(image, seen, camera, mask, where, turned, fitted, linear)
 
 
 def _cameras(pictures: Path, own: PhotosConfig) -> tuple[list, set[str]]:

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from ..runtime import interrupt
@@ -26,11 +27,11 @@ def main(folder: Path, iteration: str | None = None) -> int:
     console.print(f"iteration {found.iteration}, at the values of the checkpoint")
     table = Table("unknown", "entries of the gradient", "not finite")
     for key, (bad, entries) in found.entries.items():
-        table.add_row(key, str(entries), str(bad))
+        table.add_row(escape(key), str(entries), str(bad))
     console.print(table)
     if found.places:
         table = Table("view", "column", "row", "not finite", title=f"{found.paths} paths to blame")
         for place in found.places:
-            table.add_row(str(place.view), str(place.column), str(place.row), place.what)
+            table.add_row(str(place.view), str(place.column), str(place.row), escape(place.what))
         console.print(table)
     return 3 if found.paths or any(bad for bad, _ in found.entries.values()) else 0

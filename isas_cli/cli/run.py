@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
@@ -36,7 +37,14 @@ def main(arguments: list[str]) -> int:
 
 
 def folder_of(settings: list[str]) -> str:
-    """Run one configuration, given as typed; returns the folder of its record. Raises IsasError."""
+    """Run one configuration, given as typed, or go on with one (``resume=DIR``); returns the folder
+    of its record. Raises IsasError."""
+    continued = [each for each in settings if each.startswith("resume=")]
+    if continued and len(continued) == 1:
+        _resume(settings, continued[0], [each for each in settings if each not in continued])
+        return os.path.expanduser(continued[0].partition("=")[2].strip("\"'"))
+    if flags := [each for each in settings if each.startswith("-")]:
+        raise InputError(f"{flags[0]}: a program makes one run at a time, of settings alone")
     with one.argv(["isas", "run", *settings]), interrupt.prompt():
         cfg = compose(translate(settings), hydra=True)
         return _one(cfg)[1]

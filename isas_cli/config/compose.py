@@ -6,6 +6,7 @@ import dataclasses
 import json
 import os
 import re
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -34,6 +35,8 @@ _PATHS = (
         for name in ("path", "mesh", "cameras", "environment", "images", "masks")
     ),
 )
+# Of these several are several runs; of no folder or command.
+_SEVERAL = [each for each in _PATHS if not each.startswith("hydra") and "command" not in each]
 # Files in a list, or beside what is no file.
 _FILES = "scene.targets", "scene.masks", "scene.photos.texture"
 # photos.path is short for scene.photos.path.
@@ -73,17 +76,21 @@ def _translate(override: str) -> str:
         if bare.startswith(setting):
             return _translate_named(bare, setting, entry)
     key, equals, value = bare.partition("=")
-    if key in _PATHS and value and value[0] not in "'\"":
-        value = os.path.expanduser(value)  # a shell does so in some places only
-        sweep = key == "scene.path" and "," in value and not paths.exists(Path(value))
-        return f"{key}={value}" if sweep else f"{key}={literal(value)}"
+    for setting, entry in _NAMED.items():
+        if key.startswith(setting.replace("=", ".")) and (inner := _inner(key, value, setting)):
+            return _translate_named(inner, setting, entry)
+    if key in _PATHS and value not in ("", "null") and value[0] not in "'\"":
+        # A shell puts one's home in some places only.
+        several = key in _SEVERAL and "," in value and not paths.exists(Path(value).expanduser())
+        every = value.split(",") if several else [value]
+        return f"{key}={','.join(literal(os.path.expanduser(each)) for each in every)}"
     if key in _FILES and "~" in value:  # a shell does not look into lists
         home = os.path.expanduser("~/")
         value = re.sub(r"(^|[\[,\s'\"])~/", lambda found: found.group(1) + home, value)
         bare = override = f"{key}={value}"
     if bare.startswith("hydra") or bare.startswith("~hydra"):
         return override
-    if bare == "~scene.method":
+    if bare in ("~scene.method", "~scene.method=null"):  # the latter of a contestant
         return method.NONE
     if bare.startswith("~") and (removed := dropped.translated(bare)):
         return removed
@@ -112,9 +119,35 @@ def _translate(override: str) -> str:
 def _unquoted(text: str) -> str:
     """JSON as Hydra's grammar has it; what is none stays."""
     try:
-        return literal(json.loads(text))
+        return literal(json.loads(text, object_pairs_hook=_once))
     except json.JSONDecodeError:
         return text
+
+
+def _once(pairs: list[tuple]) -> dict:
+    """A JSON object, of which the last of two entries of a name would hide the first. Raises
+    InputError for these."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        name = next(key for key, times in Counter(key for key, _ in pairs).items() if times > 1)
+        raise InputError(f"'{name}' is given twice in one {{…}}")
+    return found
+
+
+def _inner(key: str, value: str, setting: str) -> str | None:
+    """A setting of one unknown or pose, as comparisons and ``--cfg job`` name it, in the form that
+    takes several: ``scene.unknowns.KEY.lr=0.1``; None for what is none. A KEY has dots."""
+    name, _, field = key.removeprefix(setting.replace("=", ".")).rpartition(".")
+    fields, within = _NAMED[setting], setting == _UNKNOWNS and name.endswith(".blur")
+    if within:
+        name, fields = name.removesuffix(".blur"), schema.BlurConfig
+    if not name or field not in [each.name for each in dataclasses.fields(fields)]:
+        return None
+    try:
+        entry = {field: json.loads(value)}
+    except json.JSONDecodeError:
+        entry = {field: value}
+    return setting + json.dumps({name: {"blur": entry} if within else entry})
 
 
 def _may_be_a_name(word: str) -> bool:
@@ -126,9 +159,9 @@ def _translate_named(override: str, setting: str, entry_type: type) -> str:
     """``setting={name: entry, …}`` in JSON, each an ``entry_type``."""
     text = override[len(setting) :]
     try:
-        parsed = json.loads(text)
+        parsed = json.loads(text, object_pairs_hook=_once)
     except json.JSONDecodeError as error:
-        if text.startswith('{"'):
+        if re.match(r'\{\s*"', text):
             raise InputError(f"{override}: no valid JSON: {error}") from error
         return "++" + override  # perhaps it is in Hydra's own notation
     entries = list(parsed.values()) if isinstance(parsed, dict) else []
@@ -172,6 +205,8 @@ def _check_entry(where: str, entry_type: type, entry: dict) -> None:
 def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
     """The composed configuration. Raises InputError, one line, when it cannot be."""
     schema.register()
+    for group in (*_GROUPS, "filter"):
+        options(group)  # of which no two may have one name
     overrides = complete(overrides)
     try:
         with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
@@ -187,7 +222,11 @@ def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
 
 def complete(overrides: list[str]) -> list[str]:
     """Translated overrides with what the scene takes by itself, as Hydra composes them."""
-    return method.completed(dropped.expanded(overrides))
+    made = []
+    for word in method.completed(dropped.expanded(overrides)):
+        key, equals, value = word.partition("=")
+        made.append(f"{_WITHIN[key]}={value}" if equals and key in _WITHIN else word)
+    return made
 
 
 def explain(error: Exception, overrides: list[str]) -> str:
@@ -206,7 +245,7 @@ def explain(error: Exception, overrides: list[str]) -> str:
     unknown = re.search(r"Could not override '([^']+)'", text)
     if unknown:
         return _explain_key(unknown.group(1).split("@")[-1], overrides)
-    size = re.search(r"Interpolation key 'scene\.sizes\.([^.]+)\.", text)
+    size = re.search(r"Interpolation key 'scene\.sizes\.([^.]*)\.", text)
     if size:
         return f"size={size.group(1)}: {nearest(size.group(1), _sizes(overrides))}"
     if isinstance(error, OverrideParseException) and "Ambiguous" not in text:
@@ -250,6 +289,8 @@ def _explain_key(key: str, overrides: list[str]) -> str:
         found.append(parent)
     valid = [".".join([*found, str(k)]) for k in node] if isinstance(node, DictConfig) else []
     valid = [name for name in valid if name not in _LABELS]
+    if within := [each for each in _WITHIN if each.rpartition(".")[2] == key]:
+        return f"{key}: no such setting; say {within[0]}=NAME"
     return f"{key}: no such setting; {nearest('.'.join([*found, last]), valid)}"
 
 

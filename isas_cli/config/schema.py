@@ -122,11 +122,11 @@ class PoseConfig:
     """A movement of ``objects`` (ids, or patterns of them), an unknown of a name of its own.
 
     ``kind``: rotation, by one angle in degrees about ``axis`` through ``origin``; translation, by
-    one length per entry of ``directions``, in scene units; or scale, about ``origin``, by one
-    number of doublings: 1 is twice as large. ``at``: the value at which the scene stands as it was
-    loaded (None: 0). ``parts``: a mesh is as many equal runs of vertices, each moved by itself (of
-    several meshes: the first part of each alike, and so on). ``period``: the degrees after which a
-    turned object looks the same, by which errors are counted.
+    one length, in scene units, along each of ``directions``, whatever their own lengths; or scale,
+    about ``origin``, by one number of doublings: 1 is twice as large. ``at``: the value at which
+    the scene stands as it was loaded (None: 0). ``parts``: a mesh is as many equal runs of
+    vertices, each moved by itself (of several meshes: the first part of each alike, and so on).
+    ``period``: the degrees after which a turned object looks the same, by which errors are counted.
     """
 
     kind: str = MISSING
@@ -369,7 +369,8 @@ class Config:
     makes them later); ``profile``: measure afterwards where an iteration's time goes; ``tracker``:
     none or tensorboard, where else evaluations and snapshots go; ``variant``: Mitsuba's, auto takes
     cuda_ad_rgb where a GPU works, else llvm_ad_rgb; ``threads``: of the CPU, 0 for all;
-    ``overwrite``: replace a run that already lies in the output folder.
+    ``overwrite``: replace a run that already lies in the output folder; ``name``: what that is
+    called below its scene's and sampler's.
     """
 
     scene: SceneConfig = setting(SceneConfig, Role.PROBLEM)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 from dataclasses import dataclass
 
@@ -14,7 +13,7 @@ import numpy as np
 from ..estimators.estimator import Estimator
 from ..rendering import coverage
 from ..rendering.integrators import Paths
-from ..runtime import backend
+from ..runtime import backend, guests
 from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
@@ -305,11 +304,9 @@ def _probed(
 ) -> Plan:
     """``plan`` with what a probe of at most ``allowed`` seconds finds; from the cache where
     possible."""
-    starts = hashlib.blake2b(digest_size=16)
-    for unknown in problem.unknowns:
-        told = f"{unknown.key} {unknown.kind.settings} {unknown.start.shape}"
-        starts.update(told.encode() + unknown.start.tobytes())
-    what = problem.content_hash, problem.target_hash, starts.hexdigest(), described, mi.__version__
+    kinds = [(u.kind.settings, u.kind.source) for u in problem.unknowns]
+    starts = problem.unknowns.start_hash, kinds, guests.installed()
+    what = problem.content_hash, problem.target_hash, starts, described, mi.__version__
     asked = dataclasses.astuple(settings), allowed, dataclasses.astuple(plan.paths)
     # Where it was timed.
     machine = mi.variant(), dr.thread_count(), backend.device()

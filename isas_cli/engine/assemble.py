@@ -34,7 +34,7 @@ from ..scene.views import Views
 from ..unknowns import verdicts
 from ..unknowns.optics import Lens
 from ..unknowns.parameters import own, owner, read
-from ..unknowns.specs import narrow_blurs, parse
+from ..unknowns.specs import check_stages, narrow_blurs, parse
 from ..unknowns.unknowns import Unknown, Unknowns
 
 # Of unknowns: the role of what is multiplied, how a factor's key ends, and how then the other's
@@ -58,19 +58,7 @@ def bare(
     gc.collect()
     taken = None if scene.photos.path is None else photographs.load(scene.photos)
     other = Outside(scene.external) if scene.name == "external" else None
-    with backend.loading():
-        if other is not None:
-            loaded, description = built.load(outside.description(other)), other.description()
-            integrator = loaded.integrator()
-        elif scene.path is not None:
-            loaded, integrator, description = scene_file.load(scene.path, scene.max_depth)
-        else:
-            described = built.description(scene, taken)
-            loaded = built.load(described)
-            integrator = loaded.integrator()
-            built_by = f"{scene.builder} {dict(scene.arguments)} {built.told(described)}"
-            turned = f"{scene.photos.up} {scene.photos.turn:g}"
-            description = built_by if taken is None else turned
+    loaded, integrator, description = _loaded(scene, taken, other)
     sensors = loaded.sensors()
     if not sensors:
         raise InputError(f"{where_of(scene)} has no sensor: add at least one camera")
@@ -96,7 +84,10 @@ def bare(
     truth_known = taken is None and scene.targets is None
     found = parsed(params, wanted, truth_known, poses, of_views)
     if taken is not None:
+        for each in found:
+            each.asked = each.key in scene.unknowns
         building.stage(taken, wanted, found)
+        check_stages(found)
     if taken is not None and len(taken.parts) > 1:
         for each in (each for each in found if each.kind.deforms):
             raise InputError(
@@ -142,6 +133,25 @@ def bare(
         freezes=other is None,
     )
     return result, taken, every
+
+
+def _loaded(
+    scene: SceneConfig, taken: photographs.Photographs | None, other: Outside | None
+) -> tuple[mi.Scene, mi.Integrator, str]:
+    """The scene, its integrator, and what tells it from others beside its parameters."""
+    with backend.loading():
+        if other is not None:
+            loaded, description = built.load(outside.description(other)), other.description()
+        elif scene.path is not None:
+            return scene_file.load(scene.path, scene.max_depth)
+        else:
+            described = built.description(scene, taken)
+            loaded = built.load(described)
+            description = f"{scene.photos.up} {scene.photos.turn:g}"
+            if taken is None:
+                arguments = dict(scene.arguments)
+                description = f"{scene.builder} {arguments} {built.told(described)}"
+        return loaded, loaded.integrator(), description
 
 
 def problem(
@@ -197,7 +207,7 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
     if taken.settings.background == importing.BLACK:
         problem.part = own(mi.Float, np.concatenate([p.part.ravel() for p in taken.shown]))
     if taken.settings.edges:
-        problem.edges = picture_edges.of(pictures, masks)
+        problem.edges = picture_edges.of(pictures, [each.edged for each in taken.shown])
     problem.photographed = noise.of_all(taken.shown)
     problem.warnings += _untold(taken, problem.unknowns)
     if not taken.held:
@@ -227,7 +237,10 @@ def _take(taken: photographs.Photographs, problem: Problem, sizes: list) -> None
 def _compare(problem: Problem) -> None:
     """Tell the unknowns by how much each view counts, as it is weighed."""
     ends = np.cumsum([width * height for width, height in problem.film_sizes])[:-1]
-    counts = np.array([part.sum() for part in np.split(np.array(problem.mask), ends)])
+    weights = np.array(problem.mask)
+    if problem.part is not None:  # what is black beside the object tells nothing of exposures
+        weights = weights * (np.array(problem.part) > 0)
+    counts = np.array([part.sum() for part in np.split(weights, ends)])
     for unknown in problem.unknowns:
         unknown.kind.compare(counts)
 

@@ -52,14 +52,16 @@ def reached(unknowns: Unknowns, values: dict) -> list[str]:
 
 def underway(stepper: Stepper) -> list[str]:
     """What is to be said of few numbers that still moved as fast as their rates let them."""
-    said = []
+    said, led = [], {each.size for each in stepper.unknowns.together}
+    if stepper.steps - stepper.since < _STEPS:
+        return []
     for key, begun in stepper.begun.items():
         unknown, reach = stepper.unknowns[key], stepper.reach[key]
         now = as_numpy(stepper.values[key])
         moved = float(np.abs(now - begun).max())
         # A way that may be shorter the other way round, or that ended at an end, is another matter.
         ended = any(_at(now, x).any() for x in (unknown.low, unknown.high) if np.isfinite(x))
-        if stepper.steps < _STEPS or unknown.kind.period or ended:
+        if unknown.kind.period or ended or key in led:
             continue
         if moved > _STRAIGHT * reach > 0:
             said.append(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -167,7 +168,8 @@ def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
 
             found = replay.again(loop, loop.position.iteration - 1)
             _announce(recorder, NumericalError.ended, recorder.illustrate())
-            raise NumericalError(f"{error}; {found}; isas replay {recorder.folder}") from error
+            where = shlex.quote(str(recorder.folder))
+            raise NumericalError(f"{error}; {found}; isas replay {where}") from error
         recorder.close(status)
         # Stopped once, a run has its pictures made; stopped while they are made, it does not.
         given_up = stop if status == "done" else lambda: False
@@ -219,6 +221,6 @@ def _announce(recorder: "Recorder", status: str, page: Path) -> None:
         say(note)
     if status == "interrupted":
         say("interrupted: the record is complete up to here; go on with")
-        say(f"  isas run resume={recorder.folder}")
+        say(f"  isas run {shlex.quote(f'resume={recorder.folder}')}")
     # The one line on standard output: where the result is.
     print(f"{'report' if recorder.typed.report else 'record'}: {page}")

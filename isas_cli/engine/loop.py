@@ -349,7 +349,7 @@ class Loop:
                 row["prior"] = self.prior.value(self.stepper.values)
             self.lost += self.evaluator.renderer.nonfinite - before
             self._count_lost()
-            nonfinite = int(self.stepper.nonfinite[0])
+            nonfinite = sum(self.stepper.lost.values())
             norm = self._gradient_norm()
             noise = self._gradients and self.stepper.noise(self._gradients, self.scheduled)
         self._count_evaluations()

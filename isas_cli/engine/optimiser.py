@@ -66,9 +66,9 @@ class Adam:
 class Stepper:
     """Dr.Jit's Adam with what an inverse problem needs around it.
 
-    - Gradient entries that are not finite, or whose squares are not, are counted (``nonfinite``;
-      ``touched`` counts these and all that are not zero) and replaced by zero before they reach a
-      moment: one NaN would poison its entry for good.
+    - Gradient entries that are not finite, or whose squares are not, are counted (``nonfinite``, by
+      key; ``touched`` counts these and all that are not zero) and replaced by zero before they
+      reach a moment: one NaN would poison its entry for good.
     - Adam divides by √v̂ + ε with ε = 1e-8. A loss that is a mean over millions of pixels has
       gradients of that size, and ε would slow it silently. ``scale`` (per unknown, fixed for the
       run, from a rehearsal's root mean square) brings them to order 1; Adam is invariant to it
@@ -109,11 +109,13 @@ class Stepper:
         for key, value in values.items():
             self.adam[key] = value
         self.filtered = {key: self._filtering(key, values[key]) for key in self.unknowns.keys}
-        self.nonfinite, self.touched = mi.UInt64(0), mi.UInt64(0)
+        self.nonfinite = {key: mi.UInt64(0) for key in values}
+        self.touched = mi.UInt64(0)
         self.steps = 0  # at coarser levels too, unlike ``taken``
-        # Of few numbers, since this process took them up: where they were, and how far they could
-        # have gone by now, had all steps been along one way.
+        # Of few numbers, since this process took them up, ``since`` so many steps: where they were,
+        # and how far they could have gone by now, had all steps been along one way.
         self.begun: dict[str, np.ndarray] = {}
+        self.since = 0
         self.reach = dict.fromkeys(values, 0.0)
         # The steps that each entry has taken part in, for the moments' bias corrections.
         self.visits = {key: dr.zeros(mi.Float, dr.width(flat(values[key]))) for key in values}
@@ -175,16 +177,23 @@ class Stepper:
     @property
     def untouched(self) -> list[str]:
         """Keys of the unknowns that have been stepped, and none of whose entries has had a gradient
-        so far."""
+        so far, finite or not."""
         # Of entries that never rest all steps are visits.
         masks = self.settings.mask_updates
         heard = {k: v if masks else flat(self.adam.state[k][3][2]) for k, v in self.visits.items()}
-        return [key for key in heard if self._taken(key) and not dr.any(heard[key] > 0)]
+        lost = self.lost
+        stepped = [key for key in heard if self._taken(key) and not lost[key]]
+        return [key for key in stepped if not dr.any(heard[key] > 0)]
+
+    @property
+    def lost(self) -> dict[str, int]:
+        """``nonfinite``. Waits."""
+        return {key: int(count[0]) for key, count in self.nonfinite.items()}
 
     @property
     def filtering(self) -> bool:
         """Whether the filter does something to some unknown."""
-        return any(type(each) is not OnUnknown for each in self.filtered.values())
+        return not all(each.idle for each in self.filtered.values())
 
     def rate(self, spent: float) -> float:
         """The learning rate of unknowns without one of their own, or of the first where all have
@@ -205,11 +214,12 @@ class Stepper:
 
     def step(self, gradients: dict, spent: float) -> None:
         """One Adam step along ``gradients`` (by key, any scale). Evaluates the new values."""
-        gradients = self._directed(gradients)
+        gradients = self._directed(gradients, spent)
         if not self.begun:
             few = (u.key for u in self.unknowns if u.start.size <= FEW and not u.doubled)
             self.begun = {key: as_numpy(dr.detach(self.adam[key])) for key in few}
-        rates, gradient, bad, touched = {}, {}, mi.UInt64(0), mi.UInt64(0)
+            self.since = self.steps
+        rates, gradient, touched = {}, {}, mi.UInt64(0)
         for unknown in self.unknowns:
             key = unknown.key
             if not unknown.moves(spent):
@@ -219,7 +229,7 @@ class Stepper:
             # Opaque, because the factor differs from run to run and would compile anew.
             entries = flat(gradients[key]) * dr.opaque(mi.Float, self.scale[key])
             finite = dr.abs(entries) < _LARGEST  # NaN is not
-            bad += mi.UInt64(dr.count(~finite))
+            self.nonfinite[key] += mi.UInt64(dr.count(~finite))
             touched += mi.UInt64(dr.count(~finite | (entries != 0)))
             clean = dr.select(finite, entries, 0)
             if unknown.kind.uniform:
@@ -229,32 +239,39 @@ class Stepper:
             self.visits[key] += dr.select(took_part, mi.Float(1), 0)
             dr.set_grad(self.adam[key], unflat(gradients[key], clean))
             gradient[key] = clean
-        self.nonfinite += bad
         self.touched += touched
         before = {key: dr.detach(self.adam[key]) for key in rates}
         self.adam.step(rates)
         for key, rate in rates.items():
             if self.filtered[key].moves:
                 self._move(key, before[key], gradient[key], rate, self._fallen(key, spent))
-        for each in self.unknowns.together:
-            if each.lens in before:
-                ends = (dr.detach(self.adam[key]) for key in (each.lens, each.size))
-                self.adam[each.size] = each.follow(before[each.lens], *ends)
         self.steps += 1
         for unknown in self.unknowns:
-            if np.isfinite(unknown.low) or np.isfinite(unknown.high):
-                value = self.adam[unknown.key]
-                self.adam[unknown.key] = dr.clip(dr.detach(value), unknown.low, unknown.high)
-            value = dr.detach(self.adam[unknown.key])
-            if (projected := unknown.kind.projected(value)) is not value:
-                self.adam[unknown.key] = projected
+            self._legal(unknown)
+        for each in self.unknowns.together:
+            if {each.lens, each.size} <= before.keys():
+                # By what the lens has kept of its step.
+                ends = (dr.detach(self.adam[key]) for key in (each.lens, each.size))
+                self.adam[each.size] = each.follow(before[each.lens], *ends)
+                self._legal(self.unknowns[each.size])
         memory = [each.memory for each in self.filtered.values()]
         dr.eval(self.adam.state, self.nonfinite, self.touched, self.visits, memory)
 
-    def _directed(self, gradients: dict) -> dict:
-        """Where steps go for these. Traced."""
+    def _legal(self, unknown: Unknown) -> None:
+        """Put the legal value next to an unknown's in its place. Traced."""
+        value = dr.detach(self.adam[unknown.key])
+        if np.isfinite(unknown.low) or np.isfinite(unknown.high):
+            self.adam[unknown.key] = value = dr.clip(value, unknown.low, unknown.high)
+        if (projected := unknown.kind.projected(value)) is not value:
+            self.adam[unknown.key] = projected
+
+    def _directed(self, gradients: dict, spent: float | None = None) -> dict:
+        """Where steps go for these, at the share ``spent`` of the schedule, or where all move.
+        Traced."""
         for each in self.unknowns.together:
-            gradients = each.directed(gradients, self.adam)
+            both = (self.unknowns[key] for key in (each.lens, each.size))
+            if spent is None or all(unknown.moves(spent) for unknown in both):
+                gradients = each.directed(gradients, self.adam)
         return {k: self.unknowns[k].kind.directed(g, self.adam[k]) for k, g in gradients.items()}
 
     def _move(self, key: str, before, gradient: mi.Float, rate: float, share: float) -> None:
@@ -327,7 +344,7 @@ class Stepper:
         unit, squared; NaN without such an entry. Of unknowns that move at the share ``spent`` of
         the schedule: others' means stand still. On the host.
         """
-        total, count, gradients = 0.0, 0, self._directed(gradients)
+        total, count, gradients = 0.0, 0, self._directed(gradients, spent)
         for key in (unknown.key for unknown in self.unknowns if unknown.moves(spent)):
             first = np.array(flat(self.adam.state[key][3][1]))
             every, visits = self._along(key, gradients[key]), np.array(self.visits[key])
@@ -375,7 +392,7 @@ class Stepper:
             for name, memory in self.filtered[key].memory.items():
                 arrays[f"filter/{name}/{key}"] = np.array(memory)
             steps[key] = int(count[0])
-        counters = {"nonfinite": int(self.nonfinite[0]), "touched": int(self.touched[0])}
+        counters = {"nonfinite": self.lost, "touched": int(self.touched[0])}
         levels = {"level": self.level, "scales": self.scales, "all_steps": self.steps}
         return arrays, {"steps": steps, **levels, **counters}
 
@@ -395,7 +412,7 @@ class Stepper:
             for name in memory:
                 memory[name] = own(mi.Float, arrays[f"filter/{name}/{key}"])
         self.steps = state["all_steps"]
-        self.nonfinite = mi.UInt64(state["nonfinite"])
+        self.nonfinite = {key: mi.UInt64(state["nonfinite"][key]) for key in values}
         self.touched = mi.UInt64(state["touched"])
         dr.make_opaque(self.nonfinite, self.touched)
         dr.eval(self.adam.state)

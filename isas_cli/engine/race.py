@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -193,7 +194,7 @@ class _Lanes:
             act(number)
         except NumericalError as error:
             ends[number] = NumericalError.ended
-            folder = self.recorders[number].folder
+            folder = shlex.quote(str(self.recorders[number].folder))
             self.display.say(f"{self.entries[number].name}: {error}; isas replay {folder}")
         finally:
             self._detach(self.recorders[number])

@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from ..config.schema import Config, OptimizerConfig
 from ..effects.settings import Effects
+from ..filters import Laplacian, Nothing
 from ..records import KEY_PREFIX, VALUE_PREFIX, RunWriter, manifest, safe_name, trackers
 from ..rendering.renderer import Renderer
 from ..runtime.errors import InputError, NumericalError
@@ -266,6 +267,12 @@ class Recorder:
             warnings.append(f"{paths} residuals of steps were not finite: left out of gradients")
         if self.loop.position.iteration:
             warnings += [
+                f"'{key}': {count:,} entries of its gradients were not finite, and taken for 0: "
+                "look for values at the edge of their range; isas replay takes a step again"
+                for key, count in self.loop.stepper.lost.items()
+                if count
+            ]
+            warnings += [
                 f"'{key}' had no gradient in any step: the images do not depend on it where it is"
                 for key in self.loop.stepper.untouched
             ]
@@ -292,7 +299,16 @@ class Recorder:
             warnings.append(f"loss={self.cfg.loss.name} is biased with single samples")
         blurs = " and the blurs' widths" if self.loop.estimator.blurs else ""
         before = self._begun.get("machine", {}).get("device"), self._begun.get("threads")
+        versions = manifest.versions(self._begun)
         for entry in self._resumed:
+            if (newer := manifest.versions(entry)) != versions:
+                told = (
+                    f"{name} {newer.get(name, '–')} (before {versions.get(name, '–')})"
+                    for name in sorted({*newer, *versions})
+                    if newer.get(name) != versions.get(name)
+                )
+                warnings.append(f"from iteration {entry['iteration']} on with {', '.join(told)}")
+            versions = newer
             if (now := (entry["device"], entry["threads"])) != before:
                 warnings.append(
                     f"from iteration {entry['iteration']} on it ran on {now[0]} with {now[1]} "
@@ -322,11 +338,26 @@ class Recorder:
                 "optimizer.factor=… scales them"
             )
         notes += ends.unheeded(self.loop.stepper)
-        if (name := self.cfg.optimizer.filter.name) not in ("none", "laplacian"):
-            if not self.loop.stepper.filtering:
-                notes.append(
-                    f"optimizer.filter={name} has no effect: no unknown has entries side by side"
-                )
+        chosen = self.loop.stepper.filter
+        if chosen not in (Nothing(), Laplacian()) and not self.loop.stepper.filtering:
+            notes.append(
+                f"optimizer.filter={chosen.name} has no effect: no unknown has as many entries "
+                "side by side as it takes"
+            )
+        if not self.loop.estimator.heeds_blurs:
+            notes += [
+                f"'{u.key}': its blur has no effect on the gradients of this estimator; its rate "
+                f"falls as it would with it, by schedule {self.loop.stepper.falls[u.key]}"
+                for u in self.loop.problem.unknowns
+                if u.blur is not None
+            ]
+        if self.loop.prior is not None:
+            notes += self.loop.prior.unheeded
+        plan, finish = self.loop.plan, self.cfg.effects.get("finish")
+        if finish and not (plan and plan.staged(self.loop.whole)):
+            notes.append(
+                f"effects.finish={finish:g} has no effect: nothing is left out of paths before it"
+            )
         for name in ("tolerance", "derivative_tolerance"):
             asked = self.cfg.effects.get(name, usual := getattr(Effects(), name))
             if asked != usual and not self.loop.plan.seconds:

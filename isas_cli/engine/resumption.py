@@ -184,7 +184,7 @@ def check_same(
     folder: Path,
     why: str | None = "billed seconds of both would not be comparable",
 ) -> None:
-    """Raises InputError unless scene, targets and variant are those that the run began with.
+    """Raises InputError unless scene, targets, starts and variant are those that it began with.
     ``why``: what another variant would change (None: nothing)."""
     import mitsuba as mi
 
@@ -194,6 +194,7 @@ def check_same(
             f"{machine.variant}: {why}"
         )
     now = {"scene_hash": problem.content_hash, "target_hash": problem.target_hash}
+    now["start_hash"] = problem.unknowns.start_hash
     versions = (earlier.get("packages") or {}).get("mitsuba"), mi.__version__
     newer = "" if versions[0] == versions[1] else ", or is Mitsuba {1}'s and not {0}'s"
     for name, value in now.items():

@@ -36,6 +36,11 @@ class Gradients:
     memory: Sequence[mi.Float] = ()
 
     @property
+    def heeds_blurs(self) -> bool:
+        """Whether the width of an unknown's blur changes its gradients."""
+        return self.blurs
+
+    @property
     def paths_per_step(self) -> int:
         """Light paths of one estimate, the latest."""
         raise NotImplementedError

@@ -48,6 +48,8 @@ class FiniteDifferences(Gradients):
     too (``Locality``).
     """
 
+    heeds_blurs = True
+
     def __init__(
         self, problem: Problem, loss, batch: int, step: float, freeze: bool = True, spp: int = 1
     ):

@@ -34,7 +34,7 @@ class _Local:
     def at(self, θ: np.ndarray) -> np.ndarray:
         """The parts' middles at ``θ (D,)``: ``(parts, 3)``."""
         own = θ[self.first : self.first + self.pose.size] - self.pose.present
-        return self.middles + own.reshape(self.pose.parts, -1) @ self.pose.spec.directions
+        return self.middles + own.reshape(self.pose.parts, -1) @ self.pose.ways
 
 
 class Locality:

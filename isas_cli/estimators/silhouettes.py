@@ -19,9 +19,11 @@ from ..rendering.projective import Attached, check_lamps, sharp
 from ..rendering.reflections import Reflections
 from ..rendering.shadows import Shadows
 from ..rendering.silhouettes import Silhouettes
-from ..rendering.standing import meshes_of, others, triangles
+from ..rendering.standing import meshes_of, others, surfaces, triangles
 from ..runtime.errors import InputError
+from ..scene.crossings import through
 from ..scene.problem import Problem
+from ..scene.shape_error import enclosed
 from ..scene.topology import Topology
 from ..unknowns import parameters
 from .estimator import Estimator, Gradients, at_least_one
@@ -31,6 +33,7 @@ _CONTOUR = "edge", "edge_residual"
 _EDGE = "edge", "edge_step", "edge_residual"
 _REFLECTED = "reflected_edge", "reflected"
 _BY_OUTLINE = Contours, PictureEdges
+_ALIKE = 0.99  # cosine between normals of one place that is no hard edge
 _SHADOW = "lamp", "shadow_edge", "shadow_residual"
 
 
@@ -97,6 +100,7 @@ class Settings(Estimator):
                 "out has no right derivative as it moves: give it a roughness, or take "
                 "sampler=plateau"
             )
+        told += _sunk(problem)
         if self.outline != Settings.outline and problem.part is problem.edges is None:
             told.append(
                 f"estimator.outline={self.outline:g} has no effect: no alpha, mask or edge of a "
@@ -275,14 +279,72 @@ def _geometry_alone(problem: Problem, cameras: bool) -> float:
     return min((share for u in others for share in u.during[:1]), default=0.0)
 
 
+def _sunk(problem: Problem) -> list[str]:
+    """What is to be said of meshes that move and pass through others: the line where they meet is
+    an edge of neither."""
+    every, told = surfaces(problem, mi.traverse(problem.scene)), []
+    for id in sorted(problem.unknowns.moved & every.keys()):
+        own = every.pop(id)  # of two that move, once
+        if met := [other for other, corners in every.items() if through(own, corners)]:
+            told.append(
+                f"estimator=silhouettes: '{id}' passes through {', '.join(met)}: the line where "
+                "they meet moves with it and is not followed, so that gradients are biased; "
+                "sampler=plateau follows it"
+            )
+    return told
+
+
+def _check_sides(problem: Problem, params: mi.SceneParameters, key: str, own: bool) -> None:
+    """Raise InputError for a closed mesh whose silhouettes would be shaded as from within: Mitsuba
+    turns normals there to the side that winding and normals call the outer one. ``own``: its
+    normals follow from its triangles."""
+    id = key.rpartition(".")[0]
+    points, faces = triangles(params, key)
+    if Topology.of(points, faces).flaws():
+        return
+    corners = points[faces].astype(np.float64)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    outward = np.sign(enclosed(corners))
+    (shape,) = (each for each in problem.scene.shapes() if each.id() == id)
+    normals = np.repeat(across[:, None], 3, axis=1)
+    if not own:
+        normals = np.array(params[f"{id}.vertex_normals"]).reshape(-1, 3)[faces]
+    along = np.einsum("fk,fvk->f", across, normals).sum() * outward
+    if shape.has_flipped_normals():
+        along = -along
+    seen = mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.BackSide)
+    if along < 0 and seen:
+        raise InputError(
+            f"'{id}' moves, and its normals point inwards: estimator=silhouettes would shade its "
+            "silhouettes as seen from within; turn its faces and normals round in its file "
+            "(flip_normals where only they are wrong), or take sampler=plateau"
+        )
+    _, place = np.unique(points, axis=0, return_inverse=True)
+    if outward < 0 and not own and _hard(normals, place.ravel()[faces]):
+        raise InputError(
+            f"'{id}' moves, has hard edges, and its triangles turn the other way than its normals, "
+            "as where to_world mirrors: estimator=silhouettes would shade its silhouettes by the "
+            "hidden face; apply the mirroring in its file, or take sampler=plateau"
+        )
+
+
+def _hard(normals: np.ndarray, place: np.ndarray) -> bool:
+    """Whether ``normals (F, 3, 3)`` at one ``place (F, 3)`` are not all alike."""
+    flat, place = normals.reshape(-1, 3), place.ravel()
+    first = np.zeros((place.max() + 1, 3))
+    first[place] = flat
+    return bool((np.einsum("nk,nk->n", flat, first[place]) < _ALIKE).any())
+
+
 def _meshes(problem: Problem) -> dict[str, dict[int, Topology]]:
     """Of what moves, the key of its vertices' positions, and how its triangles hang together, by
     the number of vertices."""
-    params, found = mi.traverse(problem.scene), {}
+    params, found, shaped = mi.traverse(problem.scene), {}, set()
     listed = {shape.id() for shape in problem.scene.shapes()}
     for name in problem.unknowns.moving:
         own = problem.unknowns[name].kind.topologies
         found |= own
+        shaped |= own.keys()
         for key in problem.unknowns.written(name):
             id, _, word = key.rpartition(".")
             if word == "vertex_positions" and id not in listed:
@@ -308,4 +370,6 @@ def _meshes(problem: Problem) -> dict[str, dict[int, Topology]]:
                 )
             topology = Topology.of(*triangles(params, key))
             found.setdefault(key, {len(topology.place): topology})
+    for key in found:
+        _check_sides(problem, params, key, key in shaped)
     return found

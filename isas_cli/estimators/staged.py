@@ -22,6 +22,10 @@ class Staged(Gradients):
         self.present, self.problem = self.first, self.first.problem
 
     @property
+    def heeds_blurs(self) -> bool:
+        return self.first.heeds_blurs or self.second.heeds_blurs
+
+    @property
     def paths_per_step(self) -> int:
         """Light paths of the latest estimate."""
         return self.present.paths_per_step

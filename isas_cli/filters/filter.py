@@ -75,7 +75,8 @@ def along(corrected: mi.Float, first: mi.Float, second: mi.Float) -> mi.Float:
 class OnUnknown:
     """A filter on one unknown. As it stands it changes nothing.
 
-    ``moves``: whether it makes another step of Adam's. ``memory``: what it has of earlier steps, by
+    ``moves``: whether it makes another step of Adam's. ``idle``: whether it changes nothing, as of
+    so few entries. ``memory``: what it has of earlier steps, by
     name, flat float arrays; saved with the run. The caller evaluates it.
     """
 
@@ -83,6 +84,7 @@ class OnUnknown:
 
     def __init__(self, layout: Layout):
         self.layout = layout
+        self.idle = type(self) is OnUnknown
         self.forget()
 
     def forget(self) -> None:

@@ -47,6 +47,7 @@ class _Gaussian(OnUnknown):
     def __init__(self, layout: Layout, width: float):
         super().__init__(layout)
         self.width = width
+        self.idle = max(_widths(layout, width)) < _NARROW
 
     def gradient(self, gradient: mi.Float, share: float) -> mi.Float:
         return smoothed(gradient, self.layout, self.width, share)
@@ -55,7 +56,7 @@ class _Gaussian(OnUnknown):
 def smoothed(entries: mi.Float, layout: Layout, widest: float, share: float = 1.0) -> mi.Float:
     """``entries`` smoothed with a standard deviation of ``widest * share`` sides of the array;
     themselves below 0.25 entries of ``widest``. Traced: one kernel for all shares."""
-    widths = [widest * layout.shape[axis] for axis, _ in layout.axes]
+    widths = _widths(layout, widest)
     share = (1 + _RUNG) ** round(math.log(max(share, 1e-6), 1 + _RUNG))
     if max(widths) < _NARROW:
         return entries
@@ -64,6 +65,11 @@ def smoothed(entries: mi.Float, layout: Layout, widest: float, share: float = 1.
         for width in widths
     ]
     return mean(entries, layout, kernels)
+
+
+def _widths(layout: Layout, share: float) -> list[float]:
+    """A width in entries along each axis."""
+    return [share * layout.shape[axis] for axis, _ in layout.axes]
 
 
 def reach(σ: float) -> int:

@@ -60,6 +60,7 @@ class _Laplacian(OnUnknown):
             for fine, coarse in zip(self.shapes, self.shapes[1:])
         ]
         super().__init__(layout)
+        self.idle = not self.memory  # too few entries for a coarser level
         self._stepped = recorded(self._traced, None)
 
     def remembers(self) -> dict[str, int]:
@@ -67,7 +68,7 @@ class _Laplacian(OnUnknown):
         return {"first": size, "second": size} if size else {}
 
     def moved(self, step: Step) -> mi.Float:
-        if not self.memory:  # too few entries for a coarser level
+        if self.idle:
             return step.after
         arguments = step.gradient, step.corrected, self.memory, self.layout.seen, self._ways
         coarser, self.memory = self._stepped(*arguments)

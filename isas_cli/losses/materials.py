@@ -67,6 +67,17 @@ class OnMaterials(OnUnknowns):
 
     def __init__(self, prior: Materials, smooth, metal: list[str], rough: list[str], factors: dict):
         self.smooth = smooth
+        parts = {
+            "smooth": (smooth, "no unknown has entries side by side"),
+            "metallic": (metal, "no unknown is a material's metallic"),
+            "roughness": (rough, "no unknown is a material's roughness"),
+            "expected": (rough, "no unknown is a material's roughness"),
+        }
+        self.unheeded = [
+            f"prior.{name}={asked:g} has no effect: {why}"
+            for name, (part, why) in parts.items()
+            if not part and (asked := getattr(prior, name)) not in (0, getattr(Materials, name))
+        ]
         # By key: weight, and ρ and its derivative by an entry. Opaque: runs share kernels.
         expected = dr.opaque(mi.Float, prior.expected)
         self.terms = [

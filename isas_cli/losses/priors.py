@@ -14,6 +14,7 @@ Entries that no pixel touched move as well, towards their neighbours: where
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -27,7 +28,10 @@ from ..unknowns.unknowns import Unknowns
 
 
 class OnUnknowns:
-    """A prior on the unknowns of one problem."""
+    """A prior on the unknowns of one problem. ``unheeded``: settings that no unknown follows, in
+    words."""
+
+    unheeded: Sequence[str] = ()
 
     def value(self, values: dict) -> float:
         """R at ``values``, weighed. Waits."""

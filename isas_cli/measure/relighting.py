@@ -11,6 +11,7 @@ What the names do not tell:
 - the peak is 1, also where values are cut at 4; before that, pictures are brightened by how much
   brighter sRGB shows the target in the mean;
 - no PSNR is below that of a picture of 0.5;
+- ``flip`` is ours, of what ``psnr_l`` is of (``runtime.likeness``);
 - ``normals`` is the mean of 1 − cos, 0 to 2. ``degrees``, the mean angle, is ours;
 - chamfer is of squared distances. Points lie evenly on both surfaces; the benchmark takes the
   vertices of its scans for those of the truth.
@@ -24,7 +25,7 @@ import numpy as np
 from scipy.ndimage import binary_erosion, convolve1d
 from scipy.spatial import cKDTree
 
-from ..runtime import images
+from ..runtime import images, likeness
 from ..runtime.errors import InputError
 from ..scene.photos import finding, transforms, turns
 from ..scene.photos.base import load_json
@@ -42,8 +43,9 @@ _ENDINGS = (".exr", ".hdr", ".png")
 
 def pictures(
     image: np.ndarray, target: np.ndarray, mask: np.ndarray, relit: bool = True
-) -> dict[str, float]:
-    """``psnr_h``, ``psnr_l`` (dB) and ``ssim`` of a rendering, ``relit``: under another light."""
+) -> dict[str, float | None]:
+    """``psnr_h``, ``psnr_l`` (dB), ``ssim`` and ``flip`` of a rendering, ``relit``: under another
+    light."""
     chosen = _inside(mask)
     image, target = _fitted(image, target, chosen) if relit else _cut(image, target, chosen)
     shown = np.clip(target, 0, _WHITE)
@@ -54,6 +56,7 @@ def pictures(
         "psnr_h": _psnr(*both, chosen),
         "psnr_l": _psnr(*encoded, chosen),
         "ssim": _ssim(*encoded),
+        "flip": likeness.flip(*(np.float32(each) for each in encoded), chosen),
     }
 
 
@@ -100,7 +103,7 @@ def of_set(file: Path | str, folder: Path | str) -> dict[str, dict]:
         if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
             raise InputError(f"{where} has no file_path")
         root, name = transforms.placed(file, frame)
-        path = finding.picture(root, frame["file_path"], where)
+        path = finding.picture(root, frame["file_path"], where, first=True)
         listed = finding.listed_mask(root, frame.get("mask_path"), f"{where}: mask_path")
         found = of_name(folder, name)
         if found is None:
@@ -158,10 +161,13 @@ def _scored(
     return pictures(image, picture, mask, relit)
 
 
-def mean(views: dict[str, dict]) -> dict[str, float]:
+def mean(views: dict[str, dict]) -> dict[str, float | None]:
     """Of ``pictures`` by view."""
-    names = next(iter(views.values()))
-    return {n: float(np.mean([view[n] for view in views.values()])) for n in names}
+    found = {}
+    for name, of_first in next(iter(views.values())).items():
+        every = [view[name] for view in views.values()]
+        found[name] = None if of_first is None else float(np.mean(every))
+    return found
 
 
 def of_name(folder: Path, name: str) -> Path | None:

@@ -57,6 +57,13 @@ def _made() -> dict:
     }
 
 
+def versions(entry: dict) -> dict[str, str]:
+    """Of what figures depend on, by name, as a manifest or its ``entry`` of a continuation says."""
+    known = entry.get("packages") or {}
+    told = {name: known.get(name.lower().replace(".", ""), "?") for name in ("Mitsuba", "Dr.Jit")}
+    return told | (entry.get("guests") or {})
+
+
 def continuation(
     backend: Backend, iteration: int, seconds: float, earlier_budget: str | None, failed: bool
 ) -> dict:
@@ -111,6 +118,7 @@ def describe(
         "seeds": {"run": seed, "target": target_seed},
         "scene_hash": problem.content_hash,
         "target_hash": problem.target_hash,
+        "start_hash": problem.unknowns.start_hash,
         "integrator": {"class": integrator.name, "max_depth": integrator.max_depth},
         "effects": effects,
         **({} if plan is None else {"plan": plan}),

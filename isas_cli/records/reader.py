@@ -51,8 +51,9 @@ class Run:
         return self.summary is not None and bool(self.summary.get("complete", True))
 
     def parameters(self) -> dict[str, np.ndarray]:
-        """The unknowns where the run stands, by key, float32 in their own shapes. Raises InputError
-        where there is no checkpoint."""
+        """The unknowns where the run stands, by key, float32 in their own shapes; of one that has
+        not come to its last level as coarse as it is. Raises InputError where there is no
+        checkpoint."""
         arrays, _ = load_checkpoint(self.folder)
         return {k[len(_VALUE) :]: array for k, array in arrays.items() if k.startswith(_VALUE)}
 

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..runtime import streams
+from ..runtime import guests, streams
 from ..runtime.backend import sync
 from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
@@ -47,17 +47,21 @@ def fill_in(problem: Problem, seed: int) -> None:
     as those of volumes do, they are judged with all unknowns at the truth, where that is known and
     shows any.
 
-    Raises InputError for an unknown that no view sees: nothing could be learnt about it. Where
-    something moves that cannot be told, and all entries of such an unknown count.
+    Raises InputError for an unknown that was asked for and that no view sees: nothing could be
+    learnt about it. Where something moves that cannot be told, and all entries of such an unknown
+    count.
     """
     judged = replayed(problem)
     arrays = cached(_key(problem, seed), lambda: _judge(problem, judged, seed)) if judged else {}
     for unknown in problem.unknowns:
         unknown.seen = np.ones(unknown.start.shape, bool)
+    some = any(arrays[f"seen{index}"].any() for index in range(len(judged)))
     for index, unknown in enumerate(judged):
         seen = arrays[f"seen{index}"].reshape(unknown.start.shape)
         if seen.any():
             unknown.seen = seen
+        elif some and not (unknown.asked or problem.unknowns.moving):
+            problem.warnings.append(f"'{unknown.key}': no view sees it: it stays where it starts")
         elif not problem.unknowns.moving:
             by, way = _short(problem.integrator)
             if problem.mask is not None:
@@ -93,7 +97,7 @@ def _key(problem: Problem, seed: int) -> str:
     unknowns = [
         (
             u.key,
-            type(u.kind).__qualname__,
+            u.kind.source,
             u.kind.settings,
             u.truth is not None,
             hashlib.blake2b(u.start.tobytes()).hexdigest(),
@@ -101,7 +105,7 @@ def _key(problem: Problem, seed: int) -> str:
         for u in problem.unknowns
     ]
     masked = "" if problem.mask is None else problem.target_hash
-    what = problem.content_hash, unknowns, masked, seed
+    what = problem.content_hash, unknowns, masked, seed, guests.installed()
     return "coverage-" + digest("coverage", 7, *what, mi.__version__, THRESHOLD, WELL_SEEN)
 
 

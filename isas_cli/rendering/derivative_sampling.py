@@ -327,11 +327,14 @@ def parts_pdf(wi: mi.Vector3f, wo: mi.Vector3f, alpha: mi.Float) -> mi.Float:
 
 
 def _holding(scene: mi.Scene, owner) -> list[mi.BSDF]:
-    """BSDFs of the scene's shapes that contain the texture or BSDF ``owner``, at any depth."""
-    found = []
-    for shape in scene.shapes():
-        bsdf = shape.bsdf()
-        owners = [entry[2] for entry in mi.traverse(bsdf).properties.values()]
-        if any(o is owner for o in owners) and not any(b is bsdf for b in found):
-            found.append(bsdf)
-    return found
+    """BSDFs of the scene's shapes that contain the texture or BSDF ``owner``, at any depth; none
+    where others have it that instances alone show."""
+    grouped = [each for each in mi.traverse(scene).hierarchy if isinstance(each, mi.Shape)]
+    found, more = ([], [])
+    for shapes, holding in ((scene.shapes(), found), (grouped, more)):
+        for bsdf in (shape.bsdf() for shape in shapes):
+            if bsdf is None or any(b is bsdf for b in (*found, *holding)):
+                continue
+            if any(entry[2] is owner for entry in mi.traverse(bsdf).properties.values()):
+                holding.append(bsdf)
+    return [] if more else found

@@ -54,9 +54,10 @@ class Silhouettes(Border):
     clip plane, says so.
 
     Bias: none for losses of linear derivative and closed meshes of smooth normals; edges that
-    reach behind a camera are left out, and so are silhouettes that mirrors and glass show, and the
-    rims where clip planes cut what moves; what lies beyond the far one counts as if it were seen
-    behind an edge. Those that shadows show are ``shadows.Shadows``.
+    reach behind a camera are left out, and so are silhouettes that mirrors and glass show, the
+    lines where a mesh passes through another thing, and the rims where clip planes cut what moves;
+    what lies beyond the far one counts as if it were seen behind an edge. Those that shadows show
+    are ``shadows.Shadows``.
     """
 
     def __init__(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -35,14 +36,27 @@ def others(problem: Problem) -> tuple[mi.Float, Topology] | None:
         lamps, moving = _lamps(problem), _moving(problem, params)
         for kind, shape in plain:
             points, faces = _PLAIN[kind]()
-            matrix = np.array(params[f"{shape.id()}.to_world"].matrix, np.float64).reshape(4, 4)
-            points = points @ matrix[:3, :3].T + matrix[:3, 3]
+            points = _placed(params, shape, points)
             if lamps and _in_the_way(points, kind != "Sphere", *lamps, moving):
                 meshes.append((points, faces))
     if not meshes:
         return None
     positions = np.concatenate([each for each, _ in meshes]).astype(np.float32)
     return own(mi.Float, positions.ravel()), Topology.together([Topology.of(*m) for m in meshes])
+
+
+def surfaces(problem: Problem, params: mi.SceneParameters) -> dict[str, np.ndarray]:
+    """By name, the triangles ``(F, 3, 3)`` of all meshes and rectangles that the scene lists."""
+    found = {}
+    for shape in problem.scene.shapes():
+        key = f"{shape.id()}.vertex_positions"
+        if key in params and dr.width(params[key]):
+            points, faces = triangles(params, key)
+            found[shape.id()] = points[faces]
+        elif shape.class_name() == "Rectangle":
+            points, faces = _rectangle()
+            found[shape.id()] = _placed(params, shape, points)[faces]
+    return found
 
 
 def meshes_of(problem: Problem, params: mi.SceneParameters) -> list[str]:
@@ -56,6 +70,12 @@ def triangles(params: mi.SceneParameters, key: str) -> tuple[np.ndarray, np.ndar
     """Positions ``(n, 3)``, which are ``params[key]``, and faces ``(F, 3)`` of a mesh."""
     faces = np.array(params[f"{key.rpartition('.')[0]}.faces"]).reshape(-1, 3)
     return np.array(params[key]).reshape(-1, 3), faces.astype(np.int64)
+
+
+def _placed(params: mi.SceneParameters, shape: mi.Shape, points: np.ndarray) -> np.ndarray:
+    """Points of a shape before its ``to_world`` in the world."""
+    matrix = np.array(params[f"{shape.id()}.to_world"].matrix, np.float64).reshape(4, 4)
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def _flat(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -54,11 +54,11 @@ def _animated(frames: list[np.ndarray]) -> bytes:
 
 def of_volumes(volumes: dict[str, np.ndarray]) -> bytes:
     """An animated WebP: of each of ``volumes (Z, Y, X)``, y up, the largest values along lines of
-    sight, white for the largest of the first, as all turn once about their middle."""
+    sight, white for the largest of the truth's or, without it, of the result's, as all turn once
+    about their middle."""
     from PIL import Image
 
-    first = next(iter(volumes.values()))
-    brightest = max(float(first.max()), 1e-30)
+    brightest = max(float(volumes.get("truth", volumes["result"]).max()), 1e-30)
     frames = []
     for number in range(_FRAMES):
         angle, strip = 360.0 * number / _FRAMES, []

@@ -138,7 +138,10 @@ def _views_sheet(views: Frames, path: Path) -> Picture:
             [row["density"] for row in views.values() if "density" in row]
         ),
     }
-    rows = {f"view {int(name)}": row for name, row in sorted(views.items())}
+    rows = {
+        f"view {int(name)}": row
+        for name, row in sorted(views.items(), key=lambda each: int(each[0]))
+    }
     canvas = _sheet(rows, columns, exposure, scales, words)
     save(canvas, path)
     return Picture(

@@ -54,7 +54,8 @@ def _unknowns(run: Run) -> Chart | None:
     columns = {key: KEY_PREFIX + key for key in run.keys if _known(run, KEY_PREFIX + key)}
     if len(columns) < 2:
         return None
-    styles = {key: Style(COLOURS[i % len(COLOURS)]) for i, key in enumerate(columns)}
+    count = len(COLOURS)
+    styles = {key: Style(COLOURS[i % count], i // count % 4) for i, key in enumerate(columns)}
     grid = [_panels(run, columns, "parameter RMSE (each in its own unit)", styles)]
     note = "Error of each unknown; the thin lines are at its value at the start."
     return Chart("unknowns", "Error of each unknown", note, grid, styles, alternatives=True)

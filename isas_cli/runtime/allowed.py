@@ -6,6 +6,8 @@ from __future__ import annotations
 import importlib
 import os
 import shlex
+import sys
+from pathlib import Path
 
 from . import guests
 from .errors import InputError
@@ -16,7 +18,8 @@ VARIABLE = "ISAS_ALLOW"
 def named(path: str, own: str, where: str):
     """The object at the dotted ``path``, defined in a module below the package ``own``, or in one
     that is installed as a guest of isas (``guests``), or that the environment variable ISAS_ALLOW
-    lists (names, with commas between). ``where``: the setting. Raises InputError."""
+    lists (names, with commas between), installed or in the present folder. ``where``: the setting.
+    Raises InputError."""
     module, _, name = str(path).rpartition(".")
     others = [*_listed(), *guests.packages()]
     if not _below(module, [own, *others]):
@@ -24,6 +27,9 @@ def named(path: str, own: str, where: str):
             f"{where}={path}: would import code that is not isas's own: set {VARIABLE}="
             f"{module or path} in the environment if you trust it"
         )
+    here = str(Path.cwd())
+    if not _below(module, [own]) and here not in sys.path:
+        sys.path.append(here)  # last, so that it takes no other module's place
     try:
         found = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:

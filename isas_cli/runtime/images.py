@@ -143,7 +143,7 @@ def size(path: str | Path, turned: bool = True) -> tuple[int, int]:
     if heif.names(path):
         return heif.size(Path(path))
     spec = _header(path)
-    over = turned and spec.get_int_attribute("Orientation", 1) >= 5
+    over = turned and _orientation(spec) >= 5
     return _frame(spec)[::-1] if over else _frame(spec)
 
 
@@ -158,7 +158,7 @@ def orientation(path: str | Path) -> int:
     """Exif's Orientation of a picture, 1 to 8; 1, upright, where it has none. Raises InputError."""
     if raw.names(path):
         return raw.orientation(Path(path))
-    return 1 if heif.names(path) else _header(path).get_int_attribute("Orientation", 1)
+    return 1 if heif.names(path) else _orientation(_header(path))
 
 
 def counted(path: str | Path) -> bool:
@@ -201,7 +201,7 @@ def read_alpha(path: str | Path, turned: bool = True) -> np.ndarray | None:
     finally:
         source.close()
     alpha = np.ascontiguousarray(_framed(pixels, spec)[..., place], np.float32)
-    return upright(alpha, spec.get_int_attribute("Orientation", 1)) if turned else alpha
+    return upright(alpha, _orientation(spec)) if turned else alpha
 
 
 def has_alpha(path: str | Path) -> bool:
@@ -389,7 +389,7 @@ def _read_colours(path: Path, turned: bool) -> tuple[np.ndarray, bool, Said]:
     pixels = _framed(pixels, spec)
     colours = pixels[..., _colour_channels(path, spec)].astype(np.float32) / np.float32(scale)
     if turned:
-        colours = upright(colours, spec.get_int_attribute("Orientation", 1))
+        colours = upright(colours, _orientation(spec))
     return colours, linear, profiles.said(path, spec)
 
 
@@ -483,6 +483,12 @@ def _alpha(spec: oiio.ImageSpec) -> int | None:
     if spec.alpha_channel >= spec.nchannels:
         return spec.channelnames.index("A") if "A" in spec.channelnames else None
     return None if spec.alpha_channel < 0 else spec.alpha_channel
+
+
+def _orientation(spec: oiio.ImageSpec) -> int:
+    """1, upright, for a tag that stands for no turn, as the 0 that cameras and scanners write."""
+    found = spec.get_int_attribute("Orientation", 1)
+    return found if 1 <= found <= 8 else 1
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:

@@ -7,7 +7,9 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+
+import psutil
 
 # The exit status after Ctrl-C, as shells have it: 128 + SIGINT.
 STATUS = 130
@@ -43,7 +45,14 @@ def graceful(notice: Callable[[], None] = lambda: None) -> Iterator[Callable[[],
         check()
         if held:
             held = False
-            os.kill(os.getpid(), signal.SIGSTOP)
+            # Jobs of a sweep are in groups of their own, which a terminal does not reach.
+            jobs = psutil.Process().children()
+            for number in (signal.SIGTSTP, signal.SIGCONT):
+                for job in jobs:
+                    with suppress(psutil.NoSuchProcess):
+                        job.send_signal(number)
+                if number == signal.SIGTSTP:
+                    os.kill(os.getpid(), signal.SIGSTOP)
         if wanted and not noticed:
             noticed = True
             notice()

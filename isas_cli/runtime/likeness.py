@@ -26,7 +26,7 @@ def metrics(image: np.ndarray, target: np.ndarray, mask: np.ndarray) -> dict[str
     return {
         "psnr": float("inf") if error == 0 else -10 * float(np.log10(error)),
         "ssim": _ssim(a, b, chosen),
-        "flip": _flip(a, b, chosen),
+        "flip": flip(a, b, chosen),
     }
 
 
@@ -46,8 +46,9 @@ def _ssim(a: np.ndarray, b: np.ndarray, chosen: np.ndarray) -> float:
     return float(found[inside if inside.any() else chosen].mean())
 
 
-def _flip(a: np.ndarray, b: np.ndarray, chosen: np.ndarray) -> float | None:
-    """Andersson et al. 2020, of displays at 67 pixels a degree."""
+def flip(a: np.ndarray, b: np.ndarray, chosen: np.ndarray) -> float | None:
+    """Andersson et al. 2020, of displays at 67 pixels a degree: the mean over the ``chosen (H, W)``
+    of two pictures in sRGB, ``(H, W, 3) float32``. None without the package flip-evaluator."""
     try:
         import flip_evaluator
     except ImportError:

@@ -49,7 +49,9 @@ def load(dictionary: dict[str, Any]) -> mi.Scene:
     """Nothing is merged: two materials that start equal stay two unknowns."""
     settings = mi.parser.ParserConfig(mi.variant())
     settings.merge_equivalent = settings.merge_meshes = False
-    return instances.instantiate(settings, mi.parser.parse_dict(settings, dictionary))[0]
+    state = mi.parser.parse_dict(settings, dictionary)
+    instances.in_floats(state)
+    return instances.instantiate(settings, state)[0]
 
 
 def _check_arguments(scene: SceneConfig, build: Callable) -> None:

@@ -1,4 +1,4 @@
-"""Which triangles of a mesh pass through each other."""
+"""Which triangles pass through each other."""
 
 from __future__ import annotations
 
@@ -27,6 +27,23 @@ def crossing(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
         for pair in (some, some[:, ::-1]):
             found[pair[_cuts(corners, faces, *pair.T, least)]] = True
     return np.flatnonzero(found)
+
+
+def through(own: np.ndarray, others: np.ndarray) -> bool:
+    """Whether any of the triangles ``own (F, 3, 3)`` passes through one of the ``others (G, 3,
+    3)``; to touch it is not enough."""
+    low, high = own.min(axis=(0, 1)), own.max(axis=(0, 1))
+    near = (others.max(axis=1) >= low).all(axis=1) & (others.min(axis=1) <= high).all(axis=1)
+    corners = np.concatenate([own, others[near]]).astype(np.float64)
+    faces = np.arange(3 * len(corners)).reshape(-1, 3)  # none shares a vertex
+    least = _TOUCHING * np.abs(corners).max()
+    pairs = _overlapping(corners.min(axis=1), corners.max(axis=1))
+    pairs = pairs[(pairs[:, 0] < len(own)) != (pairs[:, 1] < len(own))][:_MOST]
+    return any(
+        _cuts(corners, faces, *some.T, least).any()
+        for begin in range(0, len(pairs), _AT_ONCE)
+        for some in (pairs[begin : begin + _AT_ONCE], pairs[begin : begin + _AT_ONCE, ::-1])
+    )
 
 
 def _cuts(

@@ -3,6 +3,7 @@ with what was found in it."""
 
 from __future__ import annotations
 
+import filecmp
 import importlib
 import math
 import re
@@ -42,6 +43,8 @@ _VALUES = {"default", "boolean", "integer", "float", "string"}
 _COLOURS = ".base_color", ".reflectance", ".diffuse_reflectance", ".diffuse"
 # Plugins that Mitsuba has not: where they are registered, and what their files need.
 _OURS = {"phong": "isas_cli.scene.phong", "emission": "isas_cli.rendering.emission"}
+# Names what an export has brought into its folder.
+_MARK = ".isas-export"
 _NEEDS = {
     "phong": "after mitsuba.set_variant, import isas_cli.scene.phong, then load the scene",
     "emission": "isas alone renders it, with scene=file",
@@ -67,7 +70,8 @@ def write(
     photos = scene.photos
     named = scene.path, photos.mesh, photos.environment, photos.texture
     _check_apart(folder, [each for each in named if isinstance(each, str)])
-    if (folder / "scene.xml").exists() and not (folder / "scene.glb").exists():
+    own = (folder / _MARK, folder / "scene.glb")
+    if (folder / "scene.xml").exists() and not any(each.exists() for each in own):
         raise InputError(f"{folder} holds another scene.xml: take another --output")
     taken = _taken(scene)
     try:
@@ -106,6 +110,9 @@ def _write(
     _check_apart(folder, [str(mi.file_resolver().resolve(each)) for each in named])
     mi.parser.transform_all(settings, written)
     params = mi.traverse(loaded)
+    # Before the first of them: an export that is broken off can be done again.
+    ours = _ours(folder)
+    _mark(folder, ours)
     found = []
     for key in dict.fromkeys(name for each in unknowns for name in each.kind.writes):
         found += Place(params, key, made_from, written).put(folder)
@@ -116,7 +123,7 @@ def _write(
     brought = {path.name: path.resolve() for path in found}
     for node in written.nodes:
         if "filename" in node.props:
-            node.props["filename"] = _bring(node.props["filename"], folder, brought)
+            node.props["filename"] = _bring(node.props["filename"], folder, brought, ours)
         if (kind := node.props.plugin_name()) in _OURS:
             told.append(f"'{kind}' is isas's own: {_NEEDS[kind]}")
     path = folder / "scene.xml"
@@ -125,6 +132,7 @@ def _write(
     mi.parser.write_file(written, str(path))
     _keep_ids(path, written)
     _check(path)
+    _mark(folder, {*ours, *brought})
     told += gltf.write(loaded, path.with_suffix(".glb"), Said(made_from, written))
     return path, list(dict.fromkeys(told))
 
@@ -303,17 +311,35 @@ def _deepen(state, scene: SceneConfig) -> list[str]:
     return [f"the file names no integrator: render it with max_depth={scene.max_depth}"]
 
 
-def _bring(name: str, folder: Path, brought: dict[str, Path]) -> str:
+def _ours(folder: Path) -> set[str]:
+    """Names of what an earlier export has brought into ``folder``."""
+    try:
+        return set((folder / _MARK).read_text(encoding="utf-8").splitlines())
+    except OSError:
+        return set()
+
+
+def _mark(folder: Path, names: set[str]) -> None:
+    (folder / _MARK).write_text("\n".join(sorted(names)), encoding="utf-8")
+
+
+def _bring(name: str, folder: Path, brought: dict[str, Path], ours: set[str]) -> str:
     """Copies the file called ``name`` into ``folder``; returns its name there, with a number before
-    it where another of those ``brought`` has it."""
+    it where another of those ``brought`` has it, or somebody's own that is none of ``ours``."""
     source = Path(str(mi.file_resolver().resolve(name))).resolve()
     if source.parent == folder.resolve():
         return source.name
     here, number = source.name, 1
-    while brought.setdefault(here, source) != source:
+    while (here not in ours and _is_another(folder / here, source)) or (
+        brought.setdefault(here, source) != source
+    ):
         here, number = f"{number}-{source.name}", number + 1
     shutil.copyfile(source, folder / here)
     return here
+
+
+def _is_another(there: Path, source: Path) -> bool:
+    return there.exists() and not filecmp.cmp(there, source, shallow=False)
 
 
 def _keep_ids(path: Path, state) -> None:

@@ -116,14 +116,15 @@ class _Palette:
         self.said = said
         self.named: dict[str, _Painted] = {}
         self._read: dict[mi.BSDF, Material] = {}
+        self._names: set[str] = set()
         self._painted: dict[tuple, _Painted] = {}
 
     def material(self, bsdf: mi.BSDF, shape: str) -> Material:
         """``shape``: what it is called after where it has no name of its own."""
         if bsdf not in self._read:
             name = self.said.name(bsdf) or shape
-            taken = {each.name for each in self._read.values()}
-            self._read[bsdf] = gltf_materials.read(bsdf, unlike(name, taken), self.said)
+            self._read[bsdf] = gltf_materials.read(bsdf, unlike(name, self._names), self.said)
+            self._names.add(self._read[bsdf].name)
         return self._read[bsdf]
 
     def painted(self, bsdf: mi.BSDF, mirrored: bool | None) -> _Painted:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import mitsuba as mi
 import numpy as np
@@ -40,8 +41,11 @@ class Said:
 
     def name(self, thing: mi.Object) -> str | None:
         """Where it stands beside the scene's other things, for several to share."""
-        root = self.state.root.props
-        return thing.id() if self.made_from.get(thing) in references(root).values() else None
+        return thing.id() if self.made_from.get(thing) in self._beside else None
+
+    @cached_property
+    def _beside(self) -> set[int]:
+        return set(references(self.state.root.props).values())
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,17 @@ def instantiate(settings: mi.parser.ParserConfig, state: mi.parser.ParserState) 
     return made, origin
 
 
+def in_floats(state: mi.parser.ParserState) -> None:
+    """Have bitmaps hold their files' numbers as they are, in single precision, where whole ones are
+    not asked for, which have no derivative: by default Mitsuba keeps bytes and halves, and Adam
+    steps a copy of halves."""
+    for node in state.nodes:
+        if node.props.plugin_name() != "bitmap" or not {"filename", "bitmap"} & set(node.props):
+            continue
+        if node.props.get("format", "auto") in ("auto", "fp16", "float16"):
+            node.props["format"] = "variant"
+
+
 def references(props: mi.Properties) -> dict[str, int]:
     """The numbers of the nodes that ``props`` refers to, by name; the rest is not read: Mitsuba
     refuses properties that nobody has read."""

@@ -7,7 +7,6 @@ import inspect
 import re
 import shlex
 import subprocess
-import sys
 import tempfile
 import traceback
 from collections.abc import Callable
@@ -87,8 +86,6 @@ class Outside:
         return found
 
     def _called(self) -> Callable[[int, int], np.ndarray]:
-        if (here := str(Path.cwd())) not in sys.path:
-            sys.path.append(here)  # last, so that it takes no other module's place
         function = allowed.named(self.settings.function, "isas_cli", "scene.external.function")
         if not callable(function):
             raise InputError(f"{self.where}: is no function")

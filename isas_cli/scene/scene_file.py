@@ -98,10 +98,8 @@ def parse(path: str) -> tuple[mi.parser.ParserConfig, mi.parser.ParserState]:
         # Older versions call properties otherwise.
         mi.parser.transform_upgrade(settings, state)
         file_checks.check(state, f"scene.path={path}")
+    instances.in_floats(state)
     for node in state.nodes:
-        # As the file's own numbers are, where nothing else is said: whole ones have no derivative.
-        if node.props.plugin_name() == "bitmap" and node.props.get("format", "auto") == "auto":
-            node.props["format"] = "variant"
         # A largest value that does not follow the grid's: where that grows beyond it, pictures and
         # derivatives are others'.
         if node.props.plugin_name() == "gridvolume" and "max_value" in node.props:

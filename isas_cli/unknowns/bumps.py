@@ -23,6 +23,7 @@ class Bumps(Texture):
 
     name = "normal map"
     colours = False
+    all_of = 0.0, 1.0
 
     @classmethod
     def matches(cls, params: mi.SceneParameters, key: str) -> bool:

@@ -19,6 +19,7 @@ class Direction(Kind):
 
     name = "direction"
     moves_geometry = True
+    all_of = -1.0, 1.0
 
     @classmethod
     def matches(cls, params: mi.SceneParameters, key: str) -> bool:

@@ -36,6 +36,8 @@ class Exposure(Kind):
 
     name = "exposure"
     carried = False
+    nested = True
+    listed = "a list for every view, such as [[1], [1.2]]"
 
     @classmethod
     def keys(cls, loaded: Loaded) -> list[str]:

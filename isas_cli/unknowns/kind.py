@@ -84,6 +84,11 @@ class Kind:
     of the array, whether its last entry is the first one's neighbour), for each axis along which
     neighbours are alike.
 
+    ``all_of``: (low, high) of what it may come to whatever its ``range``, as what has one length
+    after every step does, or None. ``listed``: how a start of several numbers is to be given, in
+    words; ``nested``: as lists within a list alone, where a plain one might mean either;
+    ``repeats``: how many stand for all, as those of a part for every part, or 0.
+
     ``outlined``: whether alpha and masks tell it by the outline of what moves (``Contours``),
     as they do shapes and poses.
 
@@ -111,6 +116,10 @@ class Kind:
     affine: bool = False
     deforms: bool = False
     hides: bool = False
+    all_of: ClassVar[tuple[float, float] | None] = None
+    listed: ClassVar[str] = "one per channel"
+    nested: ClassVar[bool] = False
+    repeats: int = 0
     outlined: bool = False
     period: float | None = None
     scale: float = 1.0
@@ -129,6 +138,11 @@ class Kind:
     carried: bool = True
     aside: str = ""
     role: str = ""
+
+    @property
+    def source(self) -> str:
+        """The class that it is of, as no other package has it."""
+        return f"{type(self).__module__}.{type(self).__qualname__}"
 
     @classmethod
     def matches(cls, params: mi.SceneParameters, key: str) -> bool:

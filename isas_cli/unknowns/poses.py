@@ -90,6 +90,7 @@ class Pose(Kind):
 
     name = "pose"
     moves_geometry = True
+    listed = "one per direction, or one per part and direction"
 
     @classmethod
     def keys(cls, loaded: Loaded) -> list[str]:
@@ -114,9 +115,12 @@ class Pose(Kind):
             for id in self.ids:
                 _check_parts(where, id, self.parts, params)
         self._left = [id for id in self.ids if _filled(params, id)]
+        ways = np.array(spec.directions, float)
+        self.ways = ways / np.linalg.norm(ways, axis=1, keepdims=True)  # (each, 3)
         turns = spec.kind == "rotation"
         self.affine = self.parts == 1
         self.each = len(spec.directions) if spec.kind == "translation" else 1
+        self.repeats = self.each
         at = np.zeros(self.each) if spec.at is None else np.asarray(spec.at, float)
         if at.shape not in ((self.each,), (self.size,)):
             raise InputError(f"{where}.at={list(spec.at)}: {self.each} numbers, one per direction")
@@ -219,7 +223,7 @@ class Pose(Kind):
         return mi.Vector3f(*(axis / np.linalg.norm(axis)).tolist())
 
     def _offset(self, amounts: list[mi.Float]) -> mi.Vector3f:
-        terms = (mi.Vector3f(*map(float, d)) * a for d, a in zip(self.spec.directions, amounts))
+        terms = (mi.Vector3f(*way) * a for way, a in zip(self.ways.tolist(), amounts))
         return sum(terms, mi.Vector3f(0))
 
     def _transform(self, amounts: list[mi.Float]) -> mi.Transform4f:

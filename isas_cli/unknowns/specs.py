@@ -36,16 +36,23 @@ def _start(spec, kind: Kind, loaded: Loaded, truth_known: bool) -> np.ndarray:
     try:
         if isinstance(spec, bool):
             raise TypeError
-        word = key.rpartition(".")[2]
-        if np.ndim(spec) == 1 and current.ndim == 1 and word.startswith(("vertex_", "face_")):
-            if len(spec) == routes.channels(loaded.params, key):
-                spec = np.tile(spec, current.size // len(spec))
+        if np.ndim(spec) == 1 and len(spec) == _repeated(kind, loaded):
+            spec = np.tile(spec, current.size // len(spec))
+        if kind.nested and np.ndim(spec) == 1:
+            raise ValueError
         return np.broadcast_to(np.asarray(spec, np.float32), current.shape).copy()
     except (ValueError, TypeError):
         raise InputError(
             f"scene.unknowns['{key}'].start={spec} does not fit the parameter's shape "
-            f"{current.shape}: give one number, or one per channel"
+            f"{current.shape}: give one number, or {kind.listed}"
         ) from None
+
+
+def _repeated(kind: Kind, loaded: Loaded) -> int:
+    """How many numbers of a start stand for all."""
+    if kind.present.ndim == 1 and kind.key.rpartition(".")[2].startswith(("vertex_", "face_")):
+        return routes.channels(loaded.params, kind.key)
+    return kind.repeats
 
 
 def _random_start(spec: Mapping, key: str, shape: tuple[int, ...]) -> np.ndarray:
@@ -170,7 +177,8 @@ def parse(
     for kind in registry.kinds():
         kind.check(loaded, list(specs))
     _check_shared([unknown.kind for unknown in found])
-    _check_stages(found)
+    _check_cones({unknown.key: unknown for unknown in found})
+    check_stages(found)
     return found
 
 
@@ -188,7 +196,21 @@ def _check_shared(kinds: list[Kind]) -> None:
                 )
 
 
-def _check_stages(unknowns: list[Unknown]) -> None:
+def _check_cones(unknowns: dict[str, Unknown]) -> None:
+    """Raise InputError where a spot's beam may come to be wider than its cone."""
+    for key, beam in unknowns.items():
+        holder, _, word = key.rpartition(".")
+        cone = unknowns.get(f"{holder}.cutoff_angle") if word == "beam_width" else None
+        if cone is not None and not beam.high < cone.low:
+            middle = float(beam.start.item() + cone.start.item()) / 2
+            raise InputError(
+                f"scene.unknowns: '{key}' may be up to {beam.high:g} and '{cone.key}' from "
+                f"{cone.low:g} on, so that they might cross: give both a range, such as "
+                f"[{beam.low:g}, {middle - 0.1:g}] and [{middle:g}, {cone.high:g}]"
+            )
+
+
+def check_stages(unknowns: list[Unknown]) -> None:
     """Raise InputError where at some share of the budget nothing would move."""
     for share in sorted({0.0, *(s for u in unknowns for s in u.during if s < 1)}):
         if not any(u.moves(share) for u in unknowns):
@@ -241,6 +263,11 @@ def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
     where = f"scene.unknowns['{kind.key}']"
     start = _start(spec.start, kind, loaded, truth_known)
     low, high = _range(spec.range, kind)
+    if kind.all_of is not None and not (low <= kind.all_of[0] and high >= kind.all_of[1]):
+        raise InputError(
+            f"{where}.range: a {kind.name} has length 1 after every step, whatever the range: "
+            "leave it out"
+        )
     if not np.all(np.isfinite(start)) or start.min() < low or start.max() > high:
         raise InputError(f"{where}.start lies outside its range [{low:g}, {high:g}]")
     reason = kind.refusal(start)

@@ -31,7 +31,8 @@ class Unknown:
     ``seen``: which entries some view sees (bool, same shape), filled in by ``coverage``;
     ``doubled``: the shares of the budget at which its resolution doubles until it is whole;
     ``schedule``, ``final``: of its rate, or None for what ``OptimizerConfig`` says; ``prior``: a
-    factor on the prior's weights."""
+    factor on the prior's weights; ``asked``: whether the configuration names it: what photographs
+    make unknown by themselves may be seen by no view."""
 
     kind: Kind
     start: np.ndarray
@@ -46,6 +47,7 @@ class Unknown:
     schedule: str | None = None
     final: float | None = None
     prior: float = 1.0
+    asked: bool = True
 
     @property
     def key(self) -> str:
@@ -191,6 +193,14 @@ class Unknowns:
         if others & set(self.written(key)):
             raise InputError(f"{where}: only for a pose of one object that nothing else moves")
         return found
+
+    @property
+    def start_hash(self) -> str:
+        """Of what each starts from."""
+        found = hashlib.blake2b(digest_size=16)
+        for unknown in self.items:
+            found.update(f"{unknown.key} {unknown.start.shape}".encode() + unknown.start.tobytes())
+        return found.hexdigest()
 
     def values_of(self, arrays: dict[str, np.ndarray]) -> dict:
         """NumPy arrays by key → Dr.Jit values of the scene's types."""

@@ -81,6 +81,18 @@ def test_two_of_one_name_are_refused(folder, capsys):
     assert main(["scenes", "--config-dir", str(folder)]) == 2
     error = capsys.readouterr().err
     assert f"loss=l2 is in isas itself and in {folder}: rename one" in error
+    assert main(["run", "--config-dir", str(folder), "scene=dodoco", "loss=l2"]) == 2
+    assert f"loss=l2 is in isas itself and in {folder}: rename one" in capsys.readouterr().err
+
+
+def test_a_scene_s_own_method_may_choose_a_filter(folder, monkeypatch):
+    file = folder / "scene/small.yaml"
+    scene = yaml.safe_load(file.read_text()) | {"method": {"optimizer": {"filter": "gaussian"}}}
+    file.write_text(yaml.safe_dump(scene))
+    monkeypatch.setenv(searchpath.VARIABLE, str(folder))
+    assert compose(translate(["scene=small"])).optimizer.filter.name == "gaussian"
+    typed = ["scene=small", "optimizer.filter=none"]
+    assert compose(translate(typed)).optimizer.filter.name == "none"
 
 
 @pytest.mark.parametrize("flag", [["--config-dir", "nowhere"], ["--config-dir"], ["-cd", "a,b"]])

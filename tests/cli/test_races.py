@@ -115,6 +115,10 @@ def test_ctrl_c_leaves_what_resume_goes_on_with(isas, monkeypatch):
     more = max(end["iterations"] for end in first.values()) + 2
     status, _, err = isas("race", "resume=.", f"budget.iterations={more}")
     assert status == 0, err
+    # For those that an interruption leaves without.
+    changes = yaml.safe_load(Path("races.yaml").read_text())["changes"]
+    assert changes == [f"budget.iterations={more}"]
+    assert isas("race", "resume=.")[0] == 0
     monkeypatch.chdir("..")
     ends = runs()
     assert len(ends) == 4 and {run.summary["iterations"] for run in ends.values()} == {more}
@@ -242,3 +246,10 @@ def test_a_damaged_list_of_races_is_refused(refused, text):
     Path("all/races.yaml").write_text(text)
     err = refused(["race", "resume=all"])
     assert err == "isas: all holds no race: races.yaml is missing or damaged\n"
+
+
+def test_names_of_folders_are_as_long_as_disks_take():
+    labels = [f"ours scene.unknowns={{{'x' * 300}: {end}}}" for end in (1, 2)]
+    names = [race.slug(label) for label in labels]
+    assert len({*names}) == 2 and all(len(name) <= 120 for name in names)
+    assert race.slug("ours optimizer.lr=0.1") == "ours_optimizer.lr=0.1"

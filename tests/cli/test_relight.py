@@ -389,16 +389,19 @@ def test_exposures_that_the_run_found_are_fitted(run, tmp_path, monkeypatch, cap
     assert "photos.refine: cameras are as their file has them" in capsys.readouterr().err
 
 
-def test_a_view_of_an_empty_mask_is_left_out_and_named(run, tmp_path, capsys):
+@pytest.mark.parametrize("empty", [0, 1])
+def test_a_view_of_an_empty_mask_is_left_out_and_named(run, tmp_path, capsys, empty):
+    """The last one as well."""
     shutil.copytree(run / "set", tmp_path / "set")
-    mask = tmp_path / "set/masks/view_0.png"
+    mask = tmp_path / f"set/masks/view_{empty}.png"
     Image.new("L", Image.open(mask).size).save(mask)
     words = ["--light", str(run / "sky.exr"), "--output", str(tmp_path / "out")]
     assert main(["relight", str(run / "run"), str(tmp_path / "set"), *words]) == 0
     found = json.loads((tmp_path / "out/scores.json").read_text())
-    assert list(found["views"]) == ["view_1.exr"] and found["left_out"] == ["view_0.exr"]
-    assert "view_0.exr: left out" in capsys.readouterr().err
-    assert (tmp_path / "out/view_0.exr").is_file()
+    assert list(found["views"]) == [f"view_{1 - empty}.exr"]
+    assert found["left_out"] == [f"view_{empty}.exr"]
+    assert f"view_{empty}.exr: left out" in capsys.readouterr().err
+    assert (tmp_path / f"out/view_{empty}.exr").is_file()
 
 
 def test_paths_are_as_long_as_the_runs(run):

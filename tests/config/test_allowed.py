@@ -1,6 +1,7 @@
 """A configuration or a record chooses no code: what isas ships, or a user allows, is imported."""
 
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,13 @@ def trap(tmp_path, monkeypatch):
 
 def sprung(tmp_path) -> bool:
     return (tmp_path / "sprung").exists()
+
+
+def test_a_module_in_the_present_folder_is_found(trap, tmp_path, monkeypatch):
+    """As `isas`, a script elsewhere, would not."""
+    monkeypatch.setattr(sys, "path", [each for each in sys.path if each != str(tmp_path)])
+    monkeypatch.setenv("ISAS_ALLOW", trap)
+    assert allowed.named(f"{trap}.build", "isas_cli.scenes", "scene.builder")() == {}
 
 
 def test_a_builder_of_nobodys_is_not_imported(trap, tmp_path, refused, monkeypatch):

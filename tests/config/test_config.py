@@ -127,6 +127,34 @@ def test_unknowns_in_json_and_in_hydras_notation():
         }
 
 
+KEY = "jar.bsdf.base_color.data"
+
+
+def test_a_setting_of_one_unknown_as_comparisons_name_it():
+    usual = typed("scene=pottery").scene.unknowns[KEY]
+    for field, value in (("lr", 0.05), ("range", [0.1, 0.9]), ("start", "a.png")):
+        text = f"scene.unknowns.{KEY}.{field}={value}".replace(" ", "")
+        found = typed("scene=pottery", text).scene.unknowns[KEY]
+        assert found == dataclasses.replace(usual, **{field: value})
+    (made,) = translate([f"scene.unknowns.{KEY}.blur.end=0.1"])
+    assert made == translate([f'scene.unknowns={{"{KEY}": {{"blur": {{"end": 0.1}}}}}}'])[0]
+    with pytest.raises(InputError, match="no such setting"):
+        typed("scene=pottery", f"scene.unknowns.{KEY}.rate=0.05")
+
+
+def test_a_slip_in_json_of_several_lines_is_one_in_json():
+    with pytest.raises(InputError, match="no valid JSON"):
+        translate(['scene.unknowns={\n  "a": {"start": 1},\n}'])
+
+
+def test_a_path_may_be_none_or_several():
+    photos = ["scene=photos", "photos.path=chessboard"]
+    assert typed(*photos, "photos.environment=null").scene.photos.environment is None
+    home = str(Path.home())
+    assert translate(["photos.path=a,~/b c"]) == [f"scene.photos.path='a','{home}/b c'"]
+    assert translate(["hydra.run.dir=a,b"]) == ["hydra.run.dir='a,b'"]
+
+
 def test_start_may_be_a_file():
     text = 'scene.unknowns={"a": {"start": "it\'s, a \\\\ file.png"}}'
     unknowns = typed("scene=file", "scene.path=x.xml", text).scene.unknowns

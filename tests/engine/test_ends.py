@@ -71,14 +71,17 @@ def test_a_run_says_that_it_did_not_leave_its_start(tmp_path, capsys):
 def test_settings_without_effect_are_said(tmp_path):
     file = tmp_path / "blend.xml"
     file.write_text(BLEND)
-    unknown = "{start: 0.7, schedule: inverse, final: 0.1}"
+    unknown = "{start: 0.7, schedule: inverse, final: 0.1, blur: {start: 0.1, end: 0.01}}"
     run = ["scene=file", f"scene.path={file}", f"scene.unknowns={{{KEY}: {unknown}}}"]
     run += ["target.spp=4", "budget.iterations=2", "optimizer.filter=gaussian"]
     run += ["optimizer.schedule=cosine", "optimizer.final=0.3"]
-    run += ["optimizer.filter.width=0.1", "effects.tolerance=0.1", *QUIET, "estimator.batch=256"]
+    run += ["optimizer.filter.width=0.1", "effects.tolerance=0.1", "effects.finish=0.3", *QUIET]
+    run += ["estimator.batch=256"]
     notes = ran(tmp_path / "run", *run).summary["notes"]
     assert any(note.startswith("optimizer.filter=gaussian has no effect") for note in notes)
     assert any(note.startswith("effects.tolerance=0.1 has no effect") for note in notes)
+    assert any(note.startswith(f"'{KEY}': its blur has no effect") for note in notes)
+    assert any(note.startswith("effects.finish=0.3 has no effect") for note in notes)
     assert any(note.startswith("optimizer.schedule=cosine has no effect: every") for note in notes)
     assert any(note.startswith("optimizer.final=0.3 has no effect: rates fall") for note in notes)
     assert any(note.startswith(f"'{KEY}': its final=0.1 has no effect") for note in notes)
@@ -160,3 +163,12 @@ def test_what_becomes_finer_is_not_asked_how_it_moved():
     stepper.step(dict(stepper.values), 0.0)
     stepper.refine(1)
     assert volumes_for_tests.DENSITY not in stepper.begun and ends.underway(stepper) == []
+
+
+def test_nobody_is_on_the_way_three_steps_after_a_resume():
+    p = problem(0.5)
+    stepper = Stepper(p.unknowns, OptimizerConfig())
+    stepper.steps = 300  # as restored
+    for _ in range(3):
+        stepper.step({ROUGHNESS: type(stepper.values[ROUGHNESS])(1.0)}, 0.0)
+    assert stepper.begun and ends.underway(stepper) == []

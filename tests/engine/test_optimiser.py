@@ -1,5 +1,7 @@
 """Adam's step: finite, scaled, inside its ranges, at the rate that was asked for."""
 
+from types import SimpleNamespace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -140,6 +142,42 @@ def test_what_has_not_moved_yet_is_not_called_without_a_gradient():
     assert stepper.untouched == [TEXTURE]
     stepper.step(nothing, 0.7)
     assert stepper.untouched == [TEXTURE, ROUGHNESS]
+
+
+def test_gradients_that_are_not_finite_are_counted_for_each_unknown():
+    """And none of these is said to have had none."""
+    p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5})
+    stepper = Stepper(p.unknowns, settings())
+    some = gradients(p, np.random.default_rng(1)) | {ROUGHNESS: mi.Float(np.nan)}
+    for _ in range(2):
+        stepper.step(some, 0.0)
+    assert stepper.lost == {TEXTURE: 0, ROUGHNESS: 2} and stepper.untouched == []
+    arrays, state = stepper.export()
+    again = Stepper(p.unknowns, settings())
+    again.restore(arrays, state)
+    assert again.lost == stepper.lost
+
+
+def test_a_size_goes_with_what_its_lens_keeps_of_a_step_and_in_its_own_stages():
+    def follow(before, after, size):
+        return type(size)(size.array + dr.sum((after - before).array), size.shape)
+
+    p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5})
+    p.unknowns[ROUGHNESS].low = 0.5  # it begins at an end of its range
+    p.unknowns[TEXTURE].during = (0.0, 0.5)
+    moves = SimpleNamespace(lens=ROUGHNESS, size=TEXTURE, follow=follow)
+    moves.directed = lambda found, values: found | {ROUGHNESS: found[ROUGHNESS] * 2}
+    p.unknowns.together = [moves]
+    zero = unflat(p.unknowns.starts()[TEXTURE], mi.Float(0) * np.ones(48))
+
+    def step(sign: float, spent: float) -> tuple[float, float]:
+        stepper = Stepper(p.unknowns, settings(lr=0.1))
+        stepper.step({TEXTURE: zero, ROUGHNESS: mi.Float(sign)}, spent)
+        return tuple(float(as_numpy(v).mean()) - 0.5 for v in stepper.values.values())
+
+    assert step(1.0, 0.0) == (0, 0)
+    assert step(-1.0, 0.0) == pytest.approx((0.1, 0.1), rel=1e-3)
+    assert step(-1.0, 0.7) == pytest.approx((0, 0.1), rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -228,6 +228,7 @@ def test_an_interrupted_race_goes_on(tmp_path, capsys, no_page):
         (["samplers=[ours]", "seed=[1,1]"], "given twice"),
         (["samplers=[ours]", "seed=[a]"], "whole numbers"),
         (["samplers=[ours]", "sampler=uniform"], "samplers=[A,B]"),
+        (["samplers=[ours]", "name=mine"], "a race names its runs itself"),
         (["samplers=[ours]", "slice=0"], "above 0"),
         (["samplers=[ours]", "optimizer.lt=1"], "did you mean 'optimizer.lr'"),
         (["contestants=[ours]"], "a list of differences"),

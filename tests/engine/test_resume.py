@@ -16,6 +16,7 @@ import pytest
 from processes import begun, isas
 from runs_for_tests import ran, resumed
 
+import isas_cli
 from isas_cli import records
 from isas_cli.cli import app
 from isas_cli.engine import resumption
@@ -150,6 +151,25 @@ def test_a_larger_budget_goes_on_where_the_run_ended(finished, capsys):
     assert after.manifest["resumed"][0]["earlier_budget"] == "iterations=4"
 
 
+def test_other_versions_than_a_run_began_with_are_told(finished, tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(finished, folder)
+    content = json.loads((folder / "manifest.json").read_text())
+    begun = content | {"resumed": [], "guests": {"example": "0.1"}}
+    (folder / "manifest.json").write_text(json.dumps(begun))
+    warnings = resumed(folder, "budget.iterations=30").summary["warnings"]
+    assert any("on with example – (before 0.1)" in each for each in warnings)
+
+
+def test_a_program_goes_on_with_a_run(finished, tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(finished, folder)
+    after = isas_cli.run(f"resume={folder}", "budget.iterations=40")
+    assert after.folder == folder and after.summary["iterations"] == 40
+    with pytest.raises(InputError, match="-m: a program makes one run at a time"):
+        isas_cli.run("-m", *DODOCO)
+
+
 def test_what_was_made_of_an_earlier_end_is_told_and_its_error_goes(finished, tmp_path):
     folder = tmp_path / "copy"
     shutil.copytree(finished, folder)
@@ -250,6 +270,9 @@ def test_a_changed_scene_and_a_living_process_are_refused(finished, refused):
         path.write_text(json.dumps({**content, "resumed": [], "scene_hash": "0" * 32}))
         error = refused(["run", f"resume={finished}", "budget.iterations=50"])
         assert "scene has changed" in error and "new run" in error
+        path.write_text(json.dumps({**content, "resumed": [], "start_hash": "0" * 32}))
+        error = refused(["run", f"resume={finished}", "budget.iterations=50"])
+        assert "its start has changed since" in error
         other = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
         alive = {**content, "resumed": [], **manifest.process(), "pid": other.pid}
         path.write_text(json.dumps(alive))

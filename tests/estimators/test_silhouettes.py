@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from isas_cli.scenes import kirby, meshes
+from isas_cli.scenes import kirby, meshes, stage
 from scenes_for_tests import TEXTURE, dictionary, render_targets, without_targets
 from shapes_for_tests import (
     COUNT,
@@ -412,8 +412,10 @@ def test_what_moves_and_mirrors_is_told_once(material):
     p = without_targets(scene, {KEY: UnknownConfig(start="sphere")})
     for _ in range(2):
         Settings().on(p, losses.L2())
+    rest = [each for each in p.warnings if "'figure' passes through mirror" not in each]
     found = [each for each in p.warnings if "what figure mirrors" in each]
-    assert len(found) == len(p.warnings) == (material != "rough")
+    assert len(found) == len(rest) == (material != "rough")
+    assert len(p.warnings) == len(rest) + 1
 
 
 def test_what_no_path_goes_on_from_has_no_mirrors():
@@ -470,3 +472,55 @@ def test_what_lies_in_a_group_is_refused():
     p.set_targets(dr.zeros(mi.Float, 3 * p.views.total), None, "test")
     with pytest.raises(InputError, match="'group.leaf', which lies in a group"):
         Settings(batch=64).on(p, losses.L2())
+
+
+def posed(thing: dict):
+    """A thing that is to be moved up and down, above a floor at y = 0."""
+    scene = dictionary()
+    flat = mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(3)
+    scene = {each: scene[each] for each in ("type", "integrator")} | {
+        "floor": WALL | {"to_world": flat},
+        "sensor": stage.camera([0.2, 1.6, 3.5], (0.0, 0.4, 0.0), 45.0, 8),
+        "sky": {"type": "constant"},
+        "thing": thing,
+    }
+    pose = {"up": PoseConfig(kind="translation", objects=["thing"], directions=[[0, 1, 0]])}
+    p = without_targets(scene, {"up": UnknownConfig(start=0.1)}, pose)
+    p.set_targets(dr.zeros(mi.Float, 3 * p.views.total), None, "test")
+    Settings(batch=64, edges=64).on(p, losses.L2())
+    return p
+
+
+def test_meshes_whose_outer_side_is_not_known_are_refused():
+    """Both sides of the first look alike in images, and the second is one of hard edges whose
+    to_world mirrors; Mitsuba would shade the silhouettes of both from within."""
+    vertices, faces = ball(2, 0.3)
+    vertices = (vertices + np.array([0, 0.5, 0])).astype(np.float32)
+
+    def thing(turned: np.ndarray, material: dict) -> mi.Mesh:
+        normals = meshes.corner_normals(vertices, turned)
+        apart = meshes.from_corners(vertices[turned], np.zeros((0, 2)), normals)
+        return meshes.shape("thing", apart, material)
+
+    matt, inwards = {"type": "diffuse"}, np.ascontiguousarray(faces[:, ::-1])
+    both = {"type": "twosided", "bsdf": matt}
+    posed(thing(faces, both))
+    posed(thing(inwards, matt))  # of one side: black from there
+    with pytest.raises(InputError, match="'thing' moves, and its normals point inwards"):
+        posed(thing(inwards, both))
+    for side in (0.3, -0.3):
+        to_world = mi.ScalarTransform4f().translate([0, 0.5, 0]).scale([side, 0.3, 0.3])
+        cube = {"type": "cube", "to_world": to_world, "bsdf": WALL["bsdf"]}
+        if side > 0:
+            posed(cube)
+            continue
+        with pytest.raises(InputError, match="hard edges, and its triangles turn the other way"):
+            posed(cube)
+
+
+@pytest.mark.parametrize("height, told", [(0.2, True), (0.3, False), (0.5, False)])
+def test_what_passes_through_something_else_is_told(height, told):
+    """And what stands on it is not: the line where two meet is an edge of neither."""
+    to_world = mi.ScalarTransform4f().translate([0, height, 0]).scale(0.3)
+    warnings = posed({"type": "cube", "to_world": to_world, "bsdf": WALL["bsdf"]}).warnings
+    assert any("'thing' passes through floor" in each for each in warnings) is told

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from isas_cli.config.schema import OptimizerConfig
 from isas_cli.engine.optimiser import Stepper
-from isas_cli.filters import Gaussian, Layout, Nothing
+from isas_cli.filters import Gaussian, Laplacian, Layout, Nothing
 from isas_cli.filters.gaussian import bell, convolved, smoothed
 from isas_cli.unknowns.parameters import as_numpy, flat, own, unflat
 
@@ -105,3 +105,11 @@ def test_widths_are_of_a_ladder():
     for share in np.linspace(1, 0.5, 200):
         smooth(array, 0.1, share)
     assert 0 < len(dr._resample_cache) - before <= 32
+
+
+def test_maps_too_small_for_it_are_known():
+    p = problem({TEXTURE: 0.5})
+    assert not Stepper(p.unknowns, OptimizerConfig(), Gaussian()).filtering
+    assert not Stepper(p.unknowns, OptimizerConfig(), Laplacian()).filtering
+    assert Stepper(p.unknowns, OptimizerConfig(), Gaussian(0.2)).filtering
+    assert Stepper(p.unknowns, OptimizerConfig(), Laplacian(coarsest=1)).filtering

@@ -115,7 +115,7 @@ def test_a_step_keeps_every_value_finite_and_legal(unknowns):
         first = as_numpy(stepper.values[TEXTURE]).ravel()
         assert np.isfinite(first).all() and first.min() >= 0 and first.max() <= 1
         unusable = ~(np.abs(np.resize(given_, size)) < 1e18)
-        assert int(stepper.nonfinite[0]) == 2 * (unusable.sum() + int(unusable[0]))
+        assert sum(stepper.lost.values()) == 2 * (unusable.sum() + int(unusable[0]))
         assert np.all(first[unusable] == 0.5)
         for _ in range(3):
             stepper.step(gradients(np.ones(1, np.float32)), 0.0)

@@ -56,6 +56,15 @@ def test_on_a_problem_the_smooth_part_is_smoothness(rng):
     assert np.allclose(np.array(found[ROUGHNESS]), 0.5 * 0.5 * 2 * 0.3)
 
 
+def test_settings_that_no_unknown_follows_are_said():
+    unknowns = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}).unknowns
+    assert not Materials(smooth=0.7, roughness=0.5, expected=0.2, metallic=0).on(unknowns).unheeded
+    (only,) = Materials(metallic=0.3).on(unknowns).unheeded
+    assert only == "prior.metallic=0.3 has no effect: no unknown is a material's metallic"
+    rest = Materials(roughness=0.3, expected=0.2).on(problem({TEXTURE: 0.5}).unknowns).unheeded
+    assert [said.split("=")[0] for said in rest] == ["prior.roughness", "prior.expected"]
+
+
 def test_a_texture_is_what_reads_it_whatever_it_is_called():
     """One of opacities that is called alpha is no roughness."""
     unknowns = problem({ROUGHNESS: 0.5, TEXTURE: 0.5}).unknowns

@@ -302,6 +302,27 @@ def test_roughness_out_of_reach_is_refused():
         derivative_sampling.sampled(problem)
 
 
+def test_a_roughness_that_a_group_shares_is_refused():
+    """What only instances show is not asked for its lobe."""
+    shared = {"type": "ref", "id": "shared"}
+    rough = {"type": "roughconductor", "alpha": shared}
+    more = {
+        "group": {"type": "shapegroup", "leaf": {"type": "cube", "bsdf": rough}},
+        "one": {"type": "instance", "group": {"type": "ref", "id": "group"}},
+    }
+
+    def made(**more):
+        scene = dictionary(size=2)
+        picture = mi.Bitmap(np.full((2, 2, 1), 0.3, np.float32))
+        scene["shared"] = {"type": "bitmap", "bitmap": picture, "raw": True}
+        scene["wall"]["bsdf"] = rough
+        return without_targets(scene | more, {"wall.bsdf.alpha.data": 0.5})
+
+    derivative_sampling.sampled(made())
+    with pytest.raises(InputError, match="'wall.bsdf.alpha.data' lies inside a material or an"):
+        derivative_sampling.sampled(made(**more))
+
+
 def test_other_integrators_are_refused():
     scene = dictionary(size=2)
     scene["integrator"] = {"type": "prb", "max_depth": 4, "hide_emitters": True}

@@ -57,6 +57,33 @@ def test_a_baseline_s_run_that_ended_early_is_not_its_budget(tmp_path):
     assert build([tmp_path]).across[0].budgets["bowl"] == 32
 
 
+def test_the_run_that_gives_a_level_reaches_it(tmp_path, rng):
+    """Whatever the digits of its error round to."""
+    for scene in (f"scene{number}" for number in range(12)):
+        for sampler in ("uniform", "ours"):
+            error = np.sort(rng.uniform(0.01, 0.9, len(SECONDS)))[::-1]
+            where = tmp_path / scene / sampler
+            own = {"sampler": sampler, "settings": {"scene.name": scene}}
+            synthetic.write(where, SECONDS, error, error, **own)
+    assert table(tmp_path).loc["uniform", "reached"] == 1
+
+
+def test_a_table_of_all_scenes_does_not_outlive_them(tmp_path):
+    """And why there is none is said."""
+    speeds = {"uniform": [4.0], "ours": [8.0], "gradient": [2.0]}
+    recorded(tmp_path / "runs", {"bowl": speeds, "pottery": speeds})
+    output = tmp_path / "comparison"
+    write(build([tmp_path / "runs"]), output)
+    assert (output / "across.csv").exists()
+    recorded(tmp_path / "runs", {"earth": {"gradient": [4.0], "ours": [8.0]}})
+    found = build([tmp_path / "runs"])
+    (said,) = [line for line in found.warnings if "nothing is said of all scenes" in line]
+    assert said.endswith("names one of gradient, ours")
+    assert build([tmp_path / "runs"], "ours").across
+    write(found, output)
+    assert not (output / "across.csv").exists() and (output / "methods.csv").exists()
+
+
 def test_twice_as_fast_is_a_speed_up_of_two(tmp_path):
     """On all scenes, at all levels; the slower one is a half and never gets to the end."""
     speeds = {"uniform": [4.0] * 3, "ours": [8.0] * 3, "gradient": [2.0] * 3}

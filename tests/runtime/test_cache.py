@@ -87,3 +87,9 @@ def test_no_room_is_no_cache(tmp_path, monkeypatch):
     cache.cached("before", compute)
     cache.cached("after", compute)
     assert len(counts) == 3 and not (tmp_path / "after.npz").exists()
+    with cache.unfinished("half") as (part, keep):
+        keep(lambda: {"a": np.ones(1000)})
+    with pytest.raises(KeyboardInterrupt), cache.unfinished("half") as (part, keep):
+        keep(lambda: {"a": np.ones(1000)})
+        raise KeyboardInterrupt
+    assert part == {} and [path.name for path in tmp_path.iterdir()] == ["before.npz"]

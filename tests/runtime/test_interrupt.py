@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+import psutil
 import pytest
 
 from isas_cli.runtime import interrupt
@@ -38,6 +39,42 @@ def test_a_suspended_run_is_not_billed():
     loop.send_signal(signal.SIGINT)
     billed = float(loop.communicate()[0])
     assert 0 < billed < time.perf_counter() - begun - 2
+
+
+_PARENT = """
+import subprocess, sys, time
+from isas_cli.runtime import interrupt
+
+job = "import os, time; os.setpgid(0, 0); print('job', flush=True); time.sleep(60)"
+with interrupt.graceful() as stop:
+    begun = subprocess.Popen([sys.executable, "-c", job], stdout=subprocess.PIPE)
+    begun.stdout.readline()
+    print(begun.pid, flush=True)
+    while not stop():
+        time.sleep(0.1)
+begun.kill()
+"""
+
+
+def test_jobs_are_suspended_with_their_sweep():
+    parent = subprocess.Popen([sys.executable, "-c", _PARENT], stdout=subprocess.PIPE, text=True)
+    job = psutil.Process(int(parent.stdout.readline()))
+    parent.send_signal(signal.SIGTSTP)
+    _, status = os.waitpid(parent.pid, os.WUNTRACED)
+    assert os.WIFSTOPPED(status)
+
+    def comes_to(stopped: bool) -> bool:
+        for _ in range(100):
+            if (job.status() == psutil.STATUS_STOPPED) is stopped:
+                return True
+            time.sleep(0.05)
+        return False
+
+    assert comes_to(stopped=True)
+    parent.send_signal(signal.SIGCONT)
+    assert comes_to(stopped=False)
+    parent.send_signal(signal.SIGINT)
+    assert parent.wait(30) == 0
 
 
 def test_what_is_held_is_done_before_ctrl_c_counts():

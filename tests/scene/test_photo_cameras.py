@@ -225,6 +225,9 @@ def test_cameras_json_of_another_program_gives_way(tmp_path):
     photo_sets.transforms(Files(tmp_path, POSES))
     (tmp_path / "cameras.json").write_text('[{"id": 0, "img_name": "a", "rotation": []}]')
     assert reading.read(str(tmp_path)).cameras[0].described.endswith("transforms.json")
+    (tmp_path / "transforms.json").unlink()
+    with pytest.raises(InputError, match="cameras.json is another program's of that name"):
+        reading.read(str(tmp_path))
 
 
 def test_distortion_of_nerfstudio_in_one_list(tmp_path):

@@ -10,10 +10,12 @@ import pytest
 from PIL import Image
 
 from isas_cli.config.schema import PhotosConfig, UnknownConfig
+from isas_cli.runtime.errors import InputError
 from isas_cli.scene.photos import brightness, building, photographs
 from isas_cli.scene.views import Views
 from isas_cli.unknowns.exposure import Exposure
 from isas_cli.unknowns.kind import Loaded
+from isas_cli.unknowns.specs import parse
 
 PIXELS = np.array([2.0, 1.0, 4.0, 0.5])
 TRUTH = np.array([[1.0], [0.4], [1.0], [2.5]])
@@ -79,6 +81,21 @@ def test_the_first_view_is_the_unit():
 
 
 FACTORS = 1.0, 0.4, 1.2, 0.8, 0.6, 1.1
+
+
+def test_a_start_is_of_every_view():
+    """Of three views and three channels a plain list might mean either."""
+    params = mi.traverse(mi.load_dict({"type": "scene"}))
+    of_views = {"views": Views.of([(4, 3)] * 3), "channels": 3}
+
+    def start(value) -> np.ndarray:
+        asked = {"exposure": UnknownConfig(start=value)}
+        return parse(params, asked, False, of_views=of_views)[0].start
+
+    with pytest.raises(InputError, match=r"for every view, such as \[\[1\], \[1.2\]\]"):
+        start([1.0, 1.2, 0.9])
+    found = start([[1.0], [1.2], [0.9]])
+    np.testing.assert_allclose(found, np.repeat([[1.0], [1.2], [0.9]], 3, axis=1))
 
 
 @pytest.mark.parametrize("kind, channels", [("scale", 1), ("channels", 3)])

@@ -91,6 +91,23 @@ def test_of_colmap(tmp_path):
     assert all(not each.mask[:8].any() for each in found.shown)
 
 
+def test_masks_of_distorted_pictures_are_not_those_of_undistorted_ones(tmp_path):
+    """COLMAP's image_undistorter makes pictures of the same names, and no masks."""
+    dense = tmp_path / "dense"
+    (dense / "stereo").mkdir(parents=True)
+    photo_sets.colmap(Files(dense, POSES))
+    asked = PhotosConfig(path=str(tmp_path), cameras="dense", sphere=[0.0, 0.0, 0.0, 0.5])
+    for number in range(3):
+        mask(tmp_path / f"masks/view_{number}.jpg")
+    found = photographs.load(asked)
+    assert all(each.mask.all() for each in found.shown)
+    (told,) = [line for line in found.warnings if "looks like masks" in line]
+    assert "before they were undistorted" in told and f"belong in {dense / 'masks'}" in told
+    (tmp_path / "masks").rename(dense / "masks")
+    found = photographs.load(asked)
+    assert found.warnings == [] and all(not each.mask[:8].any() for each in found.shown)
+
+
 def test_a_folder_that_fits_nothing_is_told(tmp_path, taken):
     for name in ("a.png", "b.png", "c.png"):
         mask(tmp_path / "object_masks" / name)

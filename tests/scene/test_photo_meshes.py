@@ -458,3 +458,10 @@ def test_a_picture_that_is_moved_on_its_mesh_is_told(tmp_path):
         assert any("paint are moved" in note for note in capture.notes) == said
     with pytest.raises(InputError, match="material paint are whole numbers.*quantization"):
         parts(moved_texture(tmp_path, True, **moved))
+
+
+def test_points_are_no_mesh(tmp_path):
+    """As COLMAP's fused.ply holds them."""
+    trimesh.PointCloud(np.eye(3)).export(tmp_path / "fused.ply")
+    with pytest.raises(InputError, match="it has points and no triangles: make a mesh of them"):
+        parts(str(tmp_path / "fused.ply"))

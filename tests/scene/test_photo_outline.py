@@ -173,7 +173,15 @@ def test_a_mesh_of_few_corners_is_asked_all_over(ball):
     assert told(ball, background="black", sphere=None, mesh=str(mesh)) == []
 
 
-@pytest.mark.parametrize("factor, words", [(0.5, "1.9 times as small"), (2.2, "times as large")])
+@pytest.mark.parametrize(
+    "factor, words",
+    [
+        (0.5, "1.9 times as small"),
+        (2.2, "times as large"),
+        (1e3, "more than 100 times as large"),  # the cameras stand inside it
+        (1e-3, "more than 100 times as small"),
+    ],
+)
 def test_a_mesh_in_other_units_is_told_by_its_outline(ball, factor, words):
     """Of a beginning, which may have any size, nothing is said."""
     mesh = ball / "ball.obj"
@@ -332,3 +340,24 @@ def test_alpha_ends_a_close_object_whose_mask_leaves_a_glare_out():
     alpha[3:-3, 4:-4], given[12:18, 15:25] = 1, 0
     assert not outlines.framed(alpha, given)
     assert outlines.framed(alpha, given * alpha)
+
+
+def test_what_lies_behind_a_soft_mask_is_taken_away():
+    """A dark object on a bright wall: half of the rim's light is the wall's."""
+    part = np.clip((np.arange(24) - 9) / 4, 0, 1)[None].repeat(8, 0).astype(np.float32)
+    image = part[..., None] * np.float32(0.1) + (1 - part[..., None]) * np.float32(0.9)
+    image = np.repeat(image, 3, axis=2)
+    found = outlines.over_black(image, part)
+    np.testing.assert_allclose(found, np.repeat(part[..., None] * 0.1, 3, axis=2), atol=1e-6)
+
+
+def test_masks_of_jpeg_are_black_and_white(ball):
+    """But for its noise: they end the object as finely as the picture does."""
+    (ball / "masks").mkdir()
+    for number in range(4):
+        Image.open(ball / f"{number}.png").convert("RGB").save(ball / f"{number}.png")
+        mask = Image.fromarray(np.uint8(255 * (covered() > 0.5)))
+        mask.save(ball / f"masks/{number}.jpg", quality=70)
+    for each in load(ball, background="black", saturated=None):
+        beside = each.part[covered() == 0]
+        assert (beside <= 0.5).all() and (beside == 0).mean() > 0.9

@@ -81,6 +81,17 @@ def test_cameras_of_stored_pixels(tmp_path, form, orientation):
             loaded(tmp_path, orientation="turned")
 
 
+@pytest.mark.parametrize("orientation", [0, 9])
+def test_a_tag_that_stands_for_no_turn_is_upright(tmp_path, orientation):
+    """Cameras and scanners write 0, which OpenCV takes as upright."""
+    for number in range(2):
+        save(tmp_path / f"{number}.jpg", RAMP, orientation)
+    listed(tmp_path, "ours", ["0.jpg", "1.jpg"])
+    for asked in ("auto", "turned"):
+        taken = loaded(tmp_path, orientation=asked)
+        assert taken.warnings == [] and all(likeness(each.image, RAMP) for each in taken.shown)
+
+
 @pytest.mark.parametrize("form", ["colmap", "transforms", "ours"])
 def test_sizes_tell_for_all_of_a_set(tmp_path, form):
     """One on edge tells what one upside down cannot."""

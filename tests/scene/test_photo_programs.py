@@ -2,6 +2,7 @@
 documentation gives, of cameras that are known."""
 
 import json
+import shutil
 
 import numpy as np
 import photo_sets
@@ -194,6 +195,8 @@ def test_polycams_mesh_is_in_a_world_of_its_own(tmp_path):
     stay = reading.read(str(tmp_path), world="file")
     np.testing.assert_allclose(stay.cameras[0].to_world, raw[0], atol=1e-9)
     assert stay.notes == [border]
+    below = " ".join(reading.read(str(tmp_path / "keyframes")).notes)
+    assert "lies above the set, and is not read" in below
     photo_sets.write(tmp_path / "mesh_info.json", {"alignmentTransform": [1, 2]})
     refused(tmp_path, "mesh_info.json: alignmentTransform: no 16 numbers")
 
@@ -205,6 +208,24 @@ def test_what_of_polycam_is_refused(tmp_path):
     del content["t_12"]
     photo_sets.write(file, content)
     refused(tmp_path, "view_1.json: has no t_12, which Polycam's cameras have")
+
+
+def test_two_pictures_of_one_name_are_not_chosen_from(tmp_path):
+    """What has been cut out lies beside, or a mask; what the camera wrote as well does not count,
+    nor does it of a file whose loaders have an order."""
+    polycam(tmp_path)
+    picture = tmp_path / "keyframes/corrected_images/view_1.png"
+    picture.with_suffix(".CR2").write_bytes(b"raw")
+    agree(tmp_path)
+    shutil.copy(picture, picture.with_suffix(".jpg"))
+    refused(tmp_path, "view_1.png and view_1.jpg in .* are both called view_1: move")
+    nerf = Files(tmp_path / "nerf", POSES)
+    content = photo_sets.transforms(nerf)
+    content["frames"][1]["file_path"] = "view_1"
+    photo_sets.write(nerf.folder / "transforms.json", content)
+    for ending in (".png", ".jpg"):
+        shutil.copy(picture, nerf.folder / f"view_1{ending}")
+    assert reading.read(str(nerf.folder)).cameras[1].image.name == "view_1.png"
 
 
 # RealityCapture ----------------------------------------------------------------------------------

@@ -231,3 +231,12 @@ def test_the_turn_that_an_older_nerfstudio_did_not_write_is_undone(tmp_path):
         photo_sets.write(tmp_path / "transforms.json", content | word)
         assert not reading.read(str(tmp_path)).notes
         photo_sets.write(tmp_path / "transforms.json", content)
+
+
+def test_axes_that_nerfstudio_changes_without_a_word_are_doubted(tmp_path):
+    photo_sets.transforms(Files(tmp_path, POSES), orientation_override="none")
+    (note,) = reading.read(str(tmp_path)).notes
+    assert "may be nerfstudio's of Polycam or Metashape" in note
+    change(tmp_path, lambda c: c.update(applied_transform=TURN.tolist()))
+    (note,) = reading.read(str(tmp_path)).notes
+    assert "applied_transform undone" in note

@@ -12,8 +12,9 @@ from xml_for_tests import camera
 from isas_cli import records
 from isas_cli.cli.app import main
 from isas_cli.rendering import integrators, targets
-from isas_cli.runtime import images
+from isas_cli.runtime import backend, images
 from isas_cli.runtime.errors import InputError
+from isas_cli.scene import built as described
 from isas_cli.scene import scene_file
 from isas_cli.unknowns.parameters import owner
 
@@ -405,7 +406,7 @@ def test_bad_targets_are_refused_in_one_line(folder, refused, targets, masks, pa
     refused(["run", *FEW, *given, "target.spp=null"], *parts)
 
 
-@pytest.mark.parametrize("said, works", [("auto", True), ("uint8", False)])
+@pytest.mark.parametrize("said, works", [("auto", True), ("fp16", True), ("uint8", False)])
 def test_a_bitmap_whose_format_is_said(folder, refused, said, works):
     file = folder / "own/scene.xml"
     text, line = file.read_text(), f'<string name="format" value="{said}"/>'
@@ -508,3 +509,25 @@ def test_targets_of_another_filter_and_of_a_whole_film_are_told(folder):
     (folder / "own" / "scene.xml").write_text(xml(sensors=window))
     with pytest.raises(InputError, match="a window of 10×8: cut that out, from 5, 2 on"):
         built(*words)
+
+
+def test_a_measured_material_is_known_by_what_its_file_holds(tmp_path):
+    """Mitsuba's parameters do not tell it, and kept targets go by what does."""
+    file, node, found = tmp_path / "metal.bsdf", mi.parser.SceneNode(), []
+    node.props = mi.Properties("measured")
+    node.props["filename"] = str(file)
+    for content in (b"one", b"two", b"one"):
+        file.write_bytes(content)
+        found.append(scene_file._contents(node))
+    assert found[0] == found[2] != found[1]
+
+
+@pytest.mark.parametrize("name, kind", [("bytes.png", np.uint8), ("halves.exr", np.float16)])
+def test_bitmaps_of_builders_hold_floats(tmp_path, name, kind):
+    """Bytes have no derivative, and of halves Adam would step a copy."""
+    with backend.loading():
+        mi.Bitmap(np.full((2, 3, 3), 1, kind)).write(str(tmp_path / name))
+        picture = {"type": "bitmap", "filename": str(tmp_path / name), "raw": True}
+        ball = {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": picture}}
+        params = mi.traverse(described.load({"type": "scene", "ball": ball}))
+    assert type(params["ball.bsdf.reflectance.data"]) is mi.TensorXf

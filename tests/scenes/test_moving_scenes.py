@@ -62,7 +62,7 @@ def test_a_path_that_is_not_a_number_costs_its_pixel(monkeypatch, workshop, spp,
 
     def watched(loop, progress):
         values.append(float(loop.stepper.values["red.depth"][0]))
-        bad.append(int(loop.stepper.nonfinite[0]))
+        bad.append(sum(loop.stepper.lost.values()))
 
     assert loop.run(Hooks(stepped=watched)) == "done"
     print(loop.lost_in_steps, "pixels left out of", len(bad), "steps")

@@ -5,9 +5,12 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from isas_cli.config.schema import UnknownConfig
+from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns import registry
 from isas_cli.unknowns.bumps import Bumps
 from isas_cli.unknowns.kind import Loaded
+from isas_cli.unknowns.specs import parse
 
 KEY = "thing.bsdf.normalmap.data"
 
@@ -35,6 +38,11 @@ def test_a_normal_map_is_of_its_own_kind_and_a_colour_is_not(bumps):
     offered = registry.offered(loaded(bumps))
     assert offered[KEY] is Bumps
     assert offered["thing.bsdf.nested_bsdf.reflectance.data"].name == "texture"
+
+
+def test_a_range_would_not_be_kept(bumps):
+    with pytest.raises(InputError, match="range: a normal map has length 1 after every step"):
+        parse(loaded(bumps).params, {KEY: UnknownConfig(range=[0.2, 1.0])}, False)
 
 
 def test_lengths_are_no_unknowns(bumps):

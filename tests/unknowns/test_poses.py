@@ -138,9 +138,13 @@ def test_parts_move_by_themselves():
     rest = as_numpy(mi.traverse(p.scene)["box.vertex_positions"]).reshape(2, 24, 3)
     p.unknowns.write(p.unknowns.starts())
     found = as_numpy(p.unknowns.params["box.vertex_positions"]).reshape(2, 24, 3)
-    assert np.allclose(found[0] - rest[0], [0.1, 0, 0.4], atol=1e-6)
-    assert np.allclose(found[1] - rest[1], [0.3, 0, 0.8], atol=1e-6)
+    assert np.allclose(found[0] - rest[0], [0.1, 0, 0.2], atol=1e-6)
+    assert np.allclose(found[1] - rest[1], [0.3, 0, 0.4], atol=1e-6)
     assert p.unknowns.items[0].truth.tolist() == [0, 0, 0, 0]
+    p = moved({"boxes.place": spec}, {"boxes.place": [0.1, 0.2]})
+    assert p.unknowns.items[0].start.tolist() == pytest.approx([0.1, 0.2, 0.1, 0.2])
+    with pytest.raises(InputError, match="one per direction, or one per part and direction"):
+        moved({"boxes.place": spec}, {"boxes.place": [0.1, 0.2, 0.3]})
 
 
 def test_poses_of_one_object_follow_each_other():

@@ -217,6 +217,17 @@ def test_a_spot_keeps_an_edge_in_which_its_light_falls_off(word, low, high):
     assert found == pytest.approx([low, high]) and unit == "degrees"
 
 
+def test_a_beam_may_not_become_wider_than_its_cone():
+    lamp = {"type": "spot", "cutoff_angle": 20.0, "beam_width": 15.0}
+    params = mi.traverse(mi.load_dict({"type": "scene", "spot": lamp}, optimize=False))
+    beam, cone = UnknownConfig(start=16.0), UnknownConfig(start=18.0)
+    both = {"spot.beam_width": beam, "spot.cutoff_angle": cone}
+    with pytest.raises(InputError, match=r"might cross: give both a range, such as \[0, 16.9\]"):
+        parse(params, both, True)
+    beam.range, cone.range = [0.0, 16.9], [17.0, 90.0]
+    assert len(parse(params, both, True)) == 2
+
+
 def test_a_grid_s_range_is_of_what_its_medium_makes_of_it():
     counts = {
         "type": "gridvolume",

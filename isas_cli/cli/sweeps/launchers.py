@@ -28,6 +28,7 @@ _OURS = [*_EXTRAS, ("launcher", "joblib")]
 _OF_ALL = ("name", "timeout_min", "mem_gb", "nodes", "cpus_per_task", "gpus_per_node")
 _OF_ALL += ("tasks_per_node", "stderr_to_stdout")
 _POLL_SECONDS = 0.5
+_LAST_SECONDS = 60.0  # for what has been told to stop
 
 Stop = Callable[[], bool]
 Do = Callable[[Job, Stop | None], Outcome]
@@ -179,6 +180,8 @@ class Ray:
                 if stop():
                     for other in submitted:
                         ray.cancel(other)
+                    # They finish their records, and end with Ray.
+                    ray.wait(submitted, num_returns=len(submitted), timeout=_LAST_SECONDS)
                     return
             yield _result(lambda: ray.get(reference))
 

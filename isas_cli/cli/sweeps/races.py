@@ -203,7 +203,10 @@ def resume(root: Path, own: dict[str, str], overrides: list[str]) -> int:
     they change. Returns the exit status."""
     read, listed = race.read_yaml(root / FILE, "races", "arguments")
     launcher = [each for each in overrides if each.startswith(_LAUNCHER)]
-    changes = resumption.parse([each for each in overrides if each not in launcher])
+    # With those of earlier times, which an interrupted race may not have heard of.
+    given = [*read.get("changes", []), *(each for each in overrides if each not in launcher)]
+    changed = list({each.partition("=")[0]: each for each in given}.values())
+    changes = resumption.parse(changed)
     # What is replaced was replaced when they began.
     dropped = ("overwrite=", *(["slice="] if "slice" in own else []))
     more = [f"slice={own['slice']}"] if "slice" in own else []
@@ -211,7 +214,11 @@ def resume(root: Path, own: dict[str, str], overrides: list[str]) -> int:
         kept = [o for o in each["arguments"] if not o.startswith(dropped)]
         each["arguments"] = [*kept, *more]
     jobs = [_job(root, each, changes, read.get("started_in")) for each in listed]
-    return _held(root, jobs, launcher, lambda: None)
+
+    def begin() -> None:
+        race.write_yaml(root / FILE, {**read, "changes": changed})
+
+    return _held(root, jobs, launcher, begin)
 
 
 def _job(root: Path, listed: dict[str, Any], *more) -> Race:

@@ -44,7 +44,7 @@ def build(
         accuracy=accuracy.table(methods, chosen),
         price=price.table(methods),
         summary=summary.table(methods, chosen),
-        warnings=[*known, *warnings, *_few_seeds(methods)],
+        warnings=[*known, *warnings, *_few_seeds(methods), *across.untold(methods, chosen)],
         across=across.problems(methods, chosen),
     )
 

@@ -48,7 +48,7 @@ def start(methods: list[Method], measure: str) -> float:
 
 def level_name(level: float) -> str:
     """A share of the start's error as one writes it: 1/8."""
-    return str(Fraction(level).limit_denominator(1 << 20))
+    return str(Fraction(level))
 
 
 def step_name(level: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...records import Run, load
+from ...records import manifest as manifests
 from ...records.files import walked
 from ...records.follow import measures
 from ...records.reader import read_json
@@ -211,7 +213,7 @@ def _scene_name(run: Run) -> str:
 
 
 def _hashes(run: Run) -> Settings:
-    named = {name: run.manifest.get(name) for name in ("scene_hash", "target_hash")}
+    named = {name: run.manifest.get(name) for name in ("scene_hash", "target_hash", "start_hash")}
     return {name: str(value)[:8] for name, value in named.items() if value}
 
 
@@ -219,8 +221,10 @@ def _identity(run: Run) -> tuple:
     """Equal for runs that start at the same place of the same problem."""
     problem, _ = labels.split(labels.flatten(run.config))
     hashes = _hashes(run)
-    if len(hashes) == 2:  # they cover scene and targets, however the configuration puts it
+    if {"scene_hash", "target_hash"} <= hashes.keys():  # however the configuration puts it
         problem = {key: value for key, value in problem.items() if _of_unknowns(key)}
+    if "start_hash" in hashes:
+        problem = {k: value for k, value in problem.items() if not re.search(r"\.start(\.|$)", k)}
     return (*hashes.items(), *sorted(problem.items()))
 
 
@@ -317,8 +321,8 @@ def _machine(run: Run) -> str:
         for part in (begun, *manifest.get("resumed", []))
     )
     variant = manifest.get("variant", "unknown variant")
-    version = (manifest.get("packages") or {}).get("mitsuba", "?")
-    return f"{' then '.join(dict.fromkeys(each))}, {variant}, Mitsuba {version}"
+    versions = ", ".join(" ".join(each) for each in manifests.versions(manifest).items())
+    return f"{' then '.join(dict.fromkeys(each))}, {variant}, {versions}"
 
 
 def _by_seed(scene: str, label: str, runs: list[Run], warnings: list[str]) -> list[Run]:

@@ -60,7 +60,7 @@ def groups(methods: list[Method]) -> tuple[list[Group], str]:
     for name in sorted({name for _, textures in shown.values() for name in textures}):
         rows = {label: t[name] for label, (_, t) in shown.items() if name in t}
         before = "truth" if any("truth" in row for row in rows.values()) else "start"
-        factor, _ = cells.exposure(rows, (before,), at_least=1.0)
+        factor, _ = cells.exposure(rows, ("truth", "result", "start"), at_least=1.0)
         title = f"{key_of(name)}, {before} against result"
         made.append(_group(title, before, rows, factor, captions))
     return [group for group in made if group.slides], reason

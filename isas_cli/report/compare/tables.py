@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,9 @@ def write(comparison: Comparison, output: Path) -> list[Path]:
     }
     if comparison.across:
         files["across.csv"] = across.table(comparison.across)
+    else:  # an earlier one was of other runs
+        with contextlib.suppress(OSError):
+            (output / "across.csv").unlink()
     for name, frame in files.items():
         write_atomically(output / name, lambda path: frame.to_csv(path, index=False))
     return [output / name for name in files]

@@ -66,7 +66,8 @@ def _changes(image: np.ndarray) -> tuple[np.ndarray, int]:
     by = max(1, round(max(image.shape[:2]) / _LARGE))
     high, wide = (number // by for number in image.shape[:2])
     blocks = image[: high * by, : wide * by].reshape(high, by, wide, by, 3).mean(axis=(1, 3))
-    logs = np.log(blocks + _DARK * blocks.mean() + 1e-9)
+    # Vivid colours of wider gamuts are below 0 in ours.
+    logs = np.log(np.maximum(blocks, 0) + _DARK * blocks.mean() + 1e-9)
     found = np.stack(
         [gaussian_filter(logs, (_SMOOTH,) * 2 + (0,), (*o, 0)) for o in ((1, 0), (0, 1))]
     )

@@ -24,6 +24,7 @@ PLAIN = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".tiff", ".webp", ".bm
 PICTURES = (*PLAIN, *heif.ENDINGS, *raw.ENDINGS)
 NONE = "none"
 _MASKS = ("masks", "mask")
+_STEREO = "stereo"  # beside the images of COLMAP's image_undistorter
 # What folders of masks have in their names.
 _TELLING = ("mask", "matte", "matting", "alpha", "foreground", "segment", "silhouette")
 # Folders of pictures → of masks.
@@ -94,17 +95,17 @@ def _folder(settings: PhotosConfig, name: str, root: Path) -> Path | None:
     raise InputError(f"photos.{name}={value}: no such folder, neither in {root} nor here{none}")
 
 
-def picture(folder: Path, name: str, where: str) -> Path:
-    """The picture ``name`` below ``folder``, where a known ending may be left out. Raises
-    InputError, ``Missing`` where that may be."""
+def picture(folder: Path, name: str, where: str, first: bool = False) -> Path:
+    """The picture ``name`` below ``folder``, where a known ending may be left out; ``first``: of
+    several with it that of the first ending, as loaders of `transforms.json` do. Raises InputError,
+    ``Missing`` where that may be."""
     sources = _SOURCES.get(_AS_IT_IS)
-    found = _file(folder, name, where)
-    if sources.images is not None:
-        within = _below(sources.images, name)
-        if within is None and found is not None:
-            sources.elsewhere[called(name)] = None
-        found = within or found
+    if sources.images is not None and (found := _below(sources.images, name, first)) is not None:
+        return found
+    found = _file(folder, name, where, first)
     if found is not None:
+        if sources.images is not None:
+            sources.elsewhere[called(name)] = None
         return found
     if sources.skip:
         sources.missing.append(called(name))
@@ -185,15 +186,28 @@ def size(image: Path) -> tuple[int, int]:
     return round(width / sources.scale), round(height / sources.scale)
 
 
-def _file(folder: Path, name: Any, where: str) -> Path | None:
+def _file(folder: Path, name: Any, where: str, first: bool = True) -> Path | None:
+    """``first``: of several whose ending is left out the first one, else they are refused, but for
+    what a camera writes beside a picture."""
     if not isinstance(name, str):
         raise InputError(f"{where}: {name!r} is no name of a picture")
-    endings = ["", *PICTURES, *(ending.upper() for ending in PICTURES)]
+    endings = [*PICTURES, *(ending.upper() for ending in PICTURES)]
     for spelt in _spellings(name):
-        for ending in endings:
-            path = Path(f"{folder / spelt}{ending}")
-            if os.path.isfile(path):  # which also says no to a name that no file can have
-                return path
+        if os.path.isfile(whole := folder / spelt):  # no to a name that no file can have
+            return whole
+        found: list[Path] = []
+        for path in (Path(f"{whole}{ending}") for ending in endings):
+            # One file has both spellings where a disk does not tell them apart.
+            if os.path.isfile(path) and not any(path.samefile(other) for other in found):
+                found.append(path)
+        found = [path for path in found if path.suffix.lower() in PLAIN] or found
+        if len(found) > 1 and not first:
+            raise InputError(
+                f"{where}: {' and '.join(path.name for path in found)} in {whole.parent} are both "
+                f"called {whole.name}: move what is not its picture elsewhere, a mask to masks/"
+            )
+        if found:
+            return found[0]
     return None
 
 
@@ -223,14 +237,15 @@ def below(folders: Iterable[Path], name: str, where: str) -> Path:
     return picture(own, name, where)
 
 
-def _below(folder: Path, name: str) -> Path | None:
+def _below(folder: Path, name: str, first: bool = True) -> Path | None:
     """``name`` in a folder that stands for the first of its own ones, or for several of them, also
     with another ending."""
     for spelt in _spellings(name):
         parts = [part for part in Path(spelt).parts if part not in (".", "..", "/")]
         for path in (folder.joinpath(*parts[first:]) for first in range(len(parts))):
             for each in (path, path.with_suffix("")):
-                if (found := _file(folder, str(each.relative_to(folder)), name)) is not None:
+                within = str(each.relative_to(folder))
+                if (found := _file(folder, within, name, first)) is not None:
                     return found
     return None
 
@@ -281,35 +296,42 @@ class _Search:
         if camera.mask is not None and not self._sources.given:
             return camera.mask
         picture, sources = camera.image, self._sources
+        root = self._root_of(picture)
         if sources.given and camera.mask is not None and camera.mask.is_relative_to(sources.masks):
             return camera.mask
-        for folder in self._ancestors(picture):
+        for folder in self._ancestors(picture, root):
             below = picture.relative_to(folder)
-            for masks in self._folders(folder):
+            for masks in self._folders(folder, root):
                 inside = masks / below.parent
                 names = _MARKED if inside == picture.parent else (*_SAME, *_MARKED)
                 if (found := self._named(inside, below, names)) is not None:
                     return found
         return None if sources.given else self._named(picture.parent, picture, _MARKED)
 
-    def _ancestors(self, picture: Path) -> list[Path]:
+    def _root_of(self, picture: Path) -> Path:
+        """The set's folder, or in it that of COLMAP's undistorted pictures, which masks of others
+        do not fit."""
+        above = [each for each in picture.parents if each.is_relative_to(self._root)]
+        return next((each for each in above if (each / _STEREO).is_dir()), self._root)
+
+    def _ancestors(self, picture: Path, root: Path) -> list[Path]:
         """Folders around a picture from the set's own to its own."""
-        tops = [self._root, *([self._sources.images] if self._sources.images else [])]
+        tops = [root, *([self._sources.images] if self._sources.images else [])]
         for top in tops:
             if picture.is_relative_to(top):
                 own = [each for each in picture.parents if each.is_relative_to(top)]
                 return own[::-1]
         return [picture.parent]
 
-    def _folders(self, pictures: Path) -> list[Path]:
+    def _folders(self, pictures: Path, root: Path) -> list[Path]:
         """Where masks may lie of what lies in ``pictures``."""
         if self._sources.given:
             return [self._sources.masks]
         name = pictures.name
         around = [f"{name}_{each}" for each in _MASKS]
         around += [name.replace(a, b) for a, b in _INSTEAD if a in name]
-        found = [self._root / each for each in _MASKS] + [pictures / each for each in _MASKS]
-        if pictures != self._root:
+        found = [root / each for each in _MASKS] + [pictures / each for each in _MASKS]
+        if pictures != root:
             found += [pictures.parent / each for each in (*_MASKS, *around)]
         return list(dict.fromkeys(found))
 
@@ -336,7 +358,7 @@ class _Search:
         """Of folders that look like masks, none of which is one."""
         used = {mask.parent for mask in masks if mask is not None}
         first = min(self._pictures)
-        told = []
+        root, told = self._root_of(first), []
         for depth in ("*", "*/*"):
             for folder in sorted(self._root.glob(depth)):
                 below = str(folder.relative_to(self._root)).lower()
@@ -346,7 +368,12 @@ class _Search:
                     continue
                 files = self._files(folder) if folder.is_dir() else {}
                 files = [p for p in files.values() if p.suffix.lower() in PLAIN]
-                if files and not self._pictures & set(files):
+                if files and not folder.is_relative_to(root):
+                    told.append(
+                        f"{folder} looks like masks of pictures before they were undistorted to "
+                        f"{root}, so of none that is read: masks of these belong in {root}/masks"
+                    )
+                elif files and not self._pictures & set(files):
                     told.append(
                         f"{folder} looks like masks, but {files[0].name} there is the mask of no "
                         f"picture, and none is masked by it: call that of {first.name} "

@@ -45,7 +45,8 @@ class Photograph:
     the object fills, where that counts (``photos.background=black``), -1 where nothing says it;
     ``white``: what most of its mask's file is that is not black, or None without one; ``unsure``:
     whether that has a broad band between (``outlines.unsure``); ``box``: of its alpha or, where
-    that ends the object, mask (``outlines.box``), or None."""
+    that ends the object, mask (``outlines.box``), or None; ``edged``: the mask with the pixels that
+    are saturated, which have edges, where these count (``photos.edges``)."""
 
     camera: Camera
     image: np.ndarray
@@ -57,6 +58,7 @@ class Photograph:
     white: float | None = None
     unsure: bool = False
     box: np.ndarray | None = None
+    edged: np.ndarray | None = None
 
 
 def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photograph:
@@ -83,6 +85,8 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
         plain = part
         if alpha is None and np.isin(part, (0, 1)).all():
             image, part = outlines.softened(image, part)
+        elif alpha is None:
+            image = outlines.over_black(image, part)
         elif not associated:
             image = image * part[..., None]
         if rim is not None:
@@ -94,7 +98,8 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
             )
     ended = alpha if part is None else plain
     box = None if ended is None else outlines.box(ended)
-    mask, lost = _mask(camera, picture, alpha, settings, given, part)
+    shown, full, lost = _mask(camera, picture, alpha, settings, given, part)
+    mask = shown * ~full
     images.check_finite(camera.image, bad & (mask > 0) & (True if part is None else part > 0))
     if part is not None:
         mask *= part >= 0
@@ -110,6 +115,8 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
             f"photograph-{_key(camera, image, mask, target.width)}",
             lambda: dict(zip(("image", "mask"), resample(camera, target, image, mask))),
         )
+        if settings.edges:
+            _, shown = resample(camera, target, image, shown)
         image, mask = made["image"], made["mask"]
         variance = None if variance is None else variance * _noise_kept(camera, target)
         if part is not None:
@@ -137,7 +144,10 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
         lit = ending[ending > (_NOISE if camera.mask.suffix.lower() in noise.LOSSY else 0)]
         white = float(np.median(lit)) if lit.size else 0.0
     unsure = ending is not None and outlines.unsure(ending)
-    return Photograph(target, image, mask, lost, picture.doubt, variance, part, white, unsure, box)
+    edged = shown if settings.edges else None
+    return Photograph(
+        target, image, mask, lost, picture.doubt, variance, part, white, unsure, box, edged
+    )
 
 
 def opaque(alpha: np.ndarray | None) -> bool:
@@ -168,12 +178,13 @@ def _mask(
     settings: PhotosConfig,
     given: np.ndarray | None,
     part: np.ndarray | None,
-) -> tuple[np.ndarray, dict[str, int]]:
-    """Weights of the photograph's own pixels, and how many lack one for each reason. ``given``: its
+) -> tuple[np.ndarray, np.ndarray, dict[str, int]]:
+    """Weights of the photograph's own pixels but for saturation, which of them are saturated, so
+    that they have none, and how many lack one for each reason. ``given``: its
     mask, or None; ``part``: how much of each the object fills, where what it does not fill counts
     as black."""
     mask = np.ones(picture.image.shape[:2], np.float32)
-    lost = {}
+    full, lost = np.zeros(mask.shape, bool), {}
     # The only thing that says where the object ends may not also say what counts.
     if given is not None and (part is None or alpha is not None or camera.hides):
         mask *= given
@@ -189,10 +200,9 @@ def _mask(
         full = full if counted else clipped.cut_off(picture.image)
         if part is not None:
             full &= part > 0
-        mask *= ~full
         if counted or full.any():
             lost["saturated"] = int(np.count_nonzero(full))
-    return mask, lost
+    return mask, full, lost
 
 
 def _part(
@@ -216,6 +226,10 @@ def _given_mask(camera: Camera, settings: PhotosConfig, turned: bool) -> np.ndar
     picture, by its own tag or, if it has none and its size tells, by its picture's; back, where the
     picture is taken as it is stored. Raises InputError."""
     given, wanted = images.read_mask(camera.mask, turned), (camera.width, camera.height)
+    if camera.mask.suffix.lower() in noise.LOSSY and given.max(initial=0) > 1 - _NOISE:
+        # Black and white but for its noise.
+        given = np.where(given < _NOISE, np.float32(0), given)
+        given = np.where(given > 1 - _NOISE, np.float32(1), given)
     if camera.hides:
         given = np.float32(given == 0)
     size = given.shape[1::-1]

@@ -41,6 +41,8 @@ def colour(settings: PhotosConfig) -> tuple[np.ndarray | None, list[str]]:
         found = images.load(settings.colour)
     except InputError as error:  # which begins with the file's name
         raise InputError(f"photos.texture={error}") from None
+    if images.counted(settings.colour):  # a profile's white may be a hair beyond ours
+        found.image = np.clip(found.image, 0, 1)
     most = float(found.image.max())
     if not 0 <= float(found.image.min()) <= most <= 1:
         raise InputError(

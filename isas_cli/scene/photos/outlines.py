@@ -37,6 +37,8 @@ _AROUND = 0.9
 # By how much an object may be larger or smaller than alpha or masks show it. Where parts of
 # it are crowded, or thin, extents differ by a tenth.
 _SIZED = 1.3
+# Beyond these it is in another unit, whatever masks seem to be; and a number that says enough.
+_SPECK, _VAST, _MANY = 0.02, 10.0, 100.0
 # Pixels: how near to a mask's border mixtures are, and how near to a pixel those must be whose
 # colours it is mixed of, which differ by such a share of their brightness; by
 # how much of that difference a mixture may be off; and of how many of the border's pixels that must
@@ -185,6 +187,15 @@ def softened(image: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return picture, found
 
 
+def over_black(image: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """The picture of an object over black, of which a soft mask says how much it fills of each
+    pixel: what is behind it is taken away as it is beside it. As ``softened``."""
+    soft = (part > 0) & (part < 1)
+    back, near = _nearest(image, part <= 0)
+    own = np.clip(image - (1 - part[..., None]) * back, 0, None)
+    return np.where((soft & near)[..., None], own, image * part[..., None]).astype(np.float32)
+
+
 def _nearest(image: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of each pixel the colour of the nearest that is ``whole``, a mean of those beside it, and
     whether it is near."""
@@ -247,10 +258,14 @@ def doubts(
     sizes = [size for size in sizes if size is not None]
     larger = float(np.median(sizes)) if sizes else 1.0
     told = f"of the object's points only {met:.0%} lie where they are white"
-    if met < _DOUBTED and np.median([1 - share for share in shares]) >= _INVERTED:
+    inverted = met < _DOUBTED and np.median([1 - share for share in shares]) >= _INVERTED
+    # Wrong units are no matter of masks.
+    if inverted and _SPECK < larger < _VAST:
         found.append(f"masks look inverted: {told}, and white is what counts; or it lies elsewhere")
     elif not 1 / _SIZED < larger < _SIZED:
-        told = f"{larger:.2g} times as large" if larger > 1 else f"{1 / larger:.2g} times as small"
+        off = max(larger, 1 / max(larger, 1e-9))
+        off_by = f"{off:.2g}" if off < _MANY else f"more than {_MANY:g}"
+        told = f"{off_by} times as {'large' if larger > 1 else 'small'}"
         found.append(
             f"the object is {told} in the pictures as alpha or masks show it there (median of "
             f"{len(sizes)} views): bring the mesh to the cameras' units; photos.pose=true finds "
@@ -306,17 +321,23 @@ def _met(photograph: "Photograph", points: np.ndarray) -> float | None:
 
 def _larger(photograph: "Photograph", points: np.ndarray) -> float | None:
     """How many times as long the object's points are in a picture as what alpha or mask shows of
-    it, the geometric mean of both sides; None where either is not in it."""
+    it, the geometric mean of both sides; infinite where the camera stands in it and its picture
+    shows all of it; None where nothing is shown of it."""
     camera = photograph.camera
+    size = np.array([camera.width, camera.height])
     place, depth = camera.project(points)
     shown = np.argwhere(photograph.part > 0.5)[:, ::-1] + 0.5
-    if not len(shown) or not (depth > 0).all():
+    if not len(shown):
         return None
-    place = np.clip(place, 0, [camera.width, camera.height])
+    if not (depth > 0).all():
+        ends = (shown.min(axis=0) > 1).all() and (shown.max(axis=0) < size - 1).all()
+        return np.inf if ends else None
+    place = np.clip(place, 0, size)
     # Single points and pixels may lie anywhere.
     sides = [np.subtract(*np.percentile(each, (98, 2), axis=0)) for each in (place, shown)]
-    if min(sides[0].min(), sides[1].min()) < 2:
+    if sides[1].min() < 2:
         return None
+    sides[0] = np.maximum(sides[0], 1e-3)
     return float(np.sqrt(np.prod(sides[0] / sides[1])))
 
 

@@ -33,9 +33,10 @@ from .camera import Camera
 from .importing import Photograph
 
 _NAMED = 5  # of pictures that are missing
-# Of memory, a pixel: its colour, its mask and what the object fills of it. And how many times what
-# is advised leaves free, for targets and all else.
-_BYTES, _SPARE = 20, 4
+# Bytes a pixel: its colour, its mask and what the object fills of it, and the targets that they
+# become; and maps of edges, where these count. And how many times as much what is advised leaves
+# free, for all else.
+_BYTES, _OF_EDGES, _SPARE = 56, 96, 2
 
 
 @dataclass
@@ -215,15 +216,14 @@ def elsewhere(capture: Capture, sources: finding.Sources) -> list[str]:
 def _fit(cameras: list[Camera], settings: PhotosConfig) -> None:
     """Raises InputError where all views do not go into memory."""
     sizes = [images.size(camera.image) for camera in cameras]
-    pixels, widest = sum(w * h for w, h in sizes), max(w for w, _ in sizes)
-    share = min(1.0, (settings.width or widest) / widest)
+    each = _BYTES + (_OF_EDGES if settings.edges else 0)
+    needed = each * sum(w * h * min(1.0, (settings.width or w) / w) ** 2 for w, h in sizes)
     free = memory.available()
-    if pixels * share**2 * _BYTES > free:
-        fits = max(1, int(widest * (free / _SPARE / pixels / _BYTES) ** 0.5))
+    if needed > free:
+        fits = max(1, int((free / _SPARE / each / sum(h / w for w, h in sizes)) ** 0.5))
         raise InputError(
-            f"photos.path={settings.path}: {len(cameras)} views need "
-            f"{memory.gib(pixels * share**2 * _BYTES)} of memory, and {memory.gib(free)} are free: "
-            f"photos.width={fits} makes them smaller"
+            f"photos.path={settings.path}: {len(cameras)} views need {memory.gib(needed)} of "
+            f"memory, and {memory.gib(free)} are free: photos.width={fits} makes them smaller"
         )
 
 

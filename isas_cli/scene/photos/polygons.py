@@ -37,6 +37,11 @@ def load(file: Path):
         vertices, faces, uv = _off(file.read_text(encoding="utf-8", errors="replace"))
     else:
         data = file.read_bytes()
+        if not _counted(data):
+            raise ValueError(
+                "it has points and no triangles: make a mesh of them first, as COLMAP's "
+                "poisson_mesher or MeshLab do"
+            )
         with contextlib.suppress(ValueError):
             scene = trimesh.load_scene(file, process=False)
             if sum(len(each.faces) for each in scene.geometry.values()) <= _counted(data):

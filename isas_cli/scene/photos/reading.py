@@ -86,6 +86,12 @@ def _found(folder: Path, where: str):
     first = found = next(every, None)
     while found is not None and _foreign(*found):
         found = next(every, None)
+    if found is None and first is not None and first[0] is ours:
+        raise InputError(
+            f"{where}: {first[1]} is another program's of that name, as Gaussian splatting's and "
+            "OpenDroneMap's, which are not read, and there are no other cameras: give the folder "
+            "that it was made from"
+        )
     found = found or first
     if found is None:
         raise InputError(

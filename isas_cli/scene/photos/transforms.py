@@ -71,6 +71,12 @@ def read(file: Path, asked: Asked) -> Capture:
         cameras, held = cameras + more, [camera.name for camera in more]
     cameras, notes = _undone(file, top, cameras, asked.world)
     worlds = bool(notes)
+    if not worlds and top.get("orientation_override") == "none":
+        notes.append(
+            f"{file}: may be nerfstudio's of Polycam or Metashape, whose axes it changes without "
+            "an applied_transform: where the mesh is in the world of those programs, give "
+            "Polycam's own folder or Metashape's XML"
+        )
     if any("fisheye_crop_radius" in each for each in (top, *top["frames"])):
         notes.append(
             f"{file}: fisheye_crop_radius is not heeded: what lies beyond it counts, unless a mask "
@@ -164,7 +170,7 @@ def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
     both = {**top, **frame}
     lens = _lens(both, where)
     root, name = placed(file, frame)
-    image = picture(root, frame["file_path"], where)
+    image = picture(root, frame["file_path"], where, first=True)
     width, height = size(image)
     width = whole(both["w"], f"{where}: w") if "w" in both else width
     height = whole(both["h"], f"{where}: h") if "h" in both else height
