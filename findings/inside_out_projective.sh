@@ -3,8 +3,8 @@
 # One would guess: what turns no pixel of a picture turns no derivative of it either. Under `twosided`
 # a closed mesh looks the same whichever way its normals point.
 # Seen with Mitsuba 3.9.1: a matt ball (reflectance 0.8) under a sky of 1, by how much the mean of its
-# picture changes as it grows: by differences the same for both; by `prb_projective` right for normals
-# that point outwards, and about five times too much for those that point inwards. No warning.
+# picture changes as it grows: by differences -0.095 for both; by `prb_projective` -0.107 for normals
+# that point outwards, and -0.63 for those that point inwards. No warning.
 # Where: python/ad/integrators/prb_projective.py, sample_radiance_difference(): shading normals at a
 # silhouette are bent to the side that they would show if they pointed outwards; those that point
 # inwards then face into the ball, where `twosided` finds its other side, and no light.
@@ -22,7 +22,8 @@ import mitsuba as mi
 import numpy as np
 
 mi.set_variant("llvm_ad_rgb")
-ROWS, COLUMNS, STEP = 24, 48, 0.02
+mi.set_log_level(mi.LogLevel.Error)  # of borders of the film, where nothing is
+ROWS, COLUMNS, STEP = 96, 192, 0.02
 
 
 def ball(inward):
@@ -82,7 +83,7 @@ for inward in (False, True):
     told = "inwards" if inward else "outwards"
     print(f"normals {told}: by differences {found[inward][0]:.3f}, by prb_projective {derived:.3f}")
 (right, good), (same, bad) = found[False], found[True]
-if not (abs(good / right - 1) < 0.1 and abs(same / right - 1) < 0.02 and bad / right > 3):
-    raise SystemExit("changed: with Mitsuba 3.9.1 the second derivative was five times the first")
+if not (abs(good / right - 1) < 0.2 and abs(same / right - 1) < 0.02 and bad / right > 5):
+    raise SystemExit("changed: with Mitsuba 3.9.1 it was -0.095, -0.107, -0.095 and -0.63")
 END
 venv/bin/python try.py
