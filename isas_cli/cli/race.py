@@ -20,7 +20,7 @@ from omegaconf import OmegaConf
 
 from ..config import paths, searchpath
 from ..config.compose import compose, options, translate
-from ..config.grammar import override
+from ..config.grammar import override, plain
 from ..config.roles import meaning
 from ..engine import race, resumption
 from ..engine.race import Entry
@@ -270,16 +270,7 @@ def _values(name: str, text: str) -> list[Any]:
     values = value if isinstance(value, list) else [value]
     if not values or not isinstance(values[0], (str, int, float, dict)):
         raise InputError(f"{name}={text}: give a list such as [A,B]")
-    return [_plain(v) for v in values]
-
-
-def _plain(value: Any) -> Any:
-    """Hydra's quoted strings and nested values as plain Python."""
-    if isinstance(value, dict):
-        return {str(_plain(k)): _plain(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_plain(v) for v in value]
-    return getattr(value, "text", value)
+    return [plain(v) for v in values]
 
 
 def _distinct(what: str, values: list) -> None:

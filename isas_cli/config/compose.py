@@ -13,6 +13,8 @@ from pathlib import Path
 import yaml
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import ChoiceSweep
 from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -20,7 +22,7 @@ from omegaconf.errors import OmegaConfBaseException
 from ..runtime import allowed
 from ..runtime.errors import InputError, nearest
 from . import dropped, method, paths, presets, schema
-from .grammar import literal
+from .grammar import literal, plain
 from .method import options
 
 # These take keys that no schema can list; '++' lets Hydra add them.
@@ -35,8 +37,8 @@ _PATHS = (
         for name in ("path", "mesh", "cameras", "environment", "images", "masks")
     ),
 )
-# Of these several are several runs; of no folder or command.
-_SEVERAL = [each for each in _PATHS if not each.startswith("hydra") and "command" not in each]
+# Of these several are several runs.
+_SEVERAL = "scene.path", *(f"scene.photos.{name}" for name in ("path", "mesh", "environment"))
 # Files in a list, or beside what is no file.
 _FILES = "scene.targets", "scene.masks", "scene.photos.texture"
 # photos.path is short for scene.photos.path.
@@ -78,7 +80,8 @@ def _translate(override: str) -> str:
     key, equals, value = bare.partition("=")
     for setting, entry in _NAMED.items():
         if key.startswith(setting.replace("=", ".")) and (inner := _inner(key, value, setting)):
-            return _translate_named(inner, setting, entry)
+            made = (_translate_named(setting + each, setting, entry) for each in inner)
+            return f"++{setting}{','.join(each.partition('=')[2] for each in made)}"
     if key in _PATHS and value not in ("", "null") and value[0] not in "'\"":
         # A shell puts one's home in some places only.
         several = key in _SEVERAL and "," in value and not paths.exists(Path(value).expanduser())
@@ -134,20 +137,28 @@ def _once(pairs: list[tuple]) -> dict:
     return found
 
 
-def _inner(key: str, value: str, setting: str) -> str | None:
+def _inner(key: str, value: str, setting: str) -> list[str]:
     """A setting of one unknown or pose, as comparisons and ``--cfg job`` name it, in the form that
-    takes several: ``scene.unknowns.KEY.lr=0.1``; None for what is none. A KEY has dots."""
+    takes several: ``scene.unknowns.KEY.lr=0.1``, of several values one each; none for what is
+    none. A KEY has dots."""
     name, _, field = key.removeprefix(setting.replace("=", ".")).rpartition(".")
     fields, within = _NAMED[setting], setting == _UNKNOWNS and name.endswith(".blur")
     if within:
         name, fields = name.removesuffix(".blur"), schema.BlurConfig
     if not name or field not in [each.name for each in dataclasses.fields(fields)]:
-        return None
+        return []
     try:
-        entry = {field: json.loads(value)}
+        values = [json.loads(value)]
     except json.JSONDecodeError:
-        entry = {field: value}
-    return setting + json.dumps({name: {"blur": entry} if within else entry})
+        try:
+            read = OverridesParser.create().parse_override(f"x={value}")
+        except HydraException:
+            return []
+        if read.is_sweep_override() and not isinstance(read.value(), ChoiceSweep):
+            return []
+        values = read.value().list if read.is_sweep_override() else [read.value()]
+    entries = ({field: plain(each)} for each in values)
+    return [json.dumps({name: {"blur": each} if within else each}) for each in entries]
 
 
 def _may_be_a_name(word: str) -> bool:

@@ -23,6 +23,15 @@ def override(value) -> str:
     return literal(value)
 
 
+def plain(value):
+    """Hydra's quoted strings and nested values as plain Python."""
+    if isinstance(value, dict):
+        return {str(plain(k)): plain(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [plain(v) for v in value]
+    return getattr(value, "text", value)
+
+
 def listed(setting: str, values: Sequence[str]) -> str:
     """``setting`` with a list of ``values``, as it is typed in a shell; of many, the first, and how
     many more there are."""

@@ -48,7 +48,7 @@ def completed(overrides: list[str]) -> list[str]:
     if NONE in overrides or "scene" not in typed:
         return overrides
     own = flat(said(typed["scene"], "method"))
-    if typed["scene"] == "photos" and _moving(typed):
+    if typed["scene"] == "photos" and _moving(typed, overrides):
         own |= _OF_MOVING
     preset = typed.get("sampler") in PRESETS
     chosen = typed.get("estimator", typed["sampler"] if preset else own.get("estimator"))
@@ -68,15 +68,16 @@ def completed(overrides: list[str]) -> list[str]:
     return [f"{key}={override(value)}" for key, value in own.items() if left(key)] + overrides
 
 
-def _moving(typed: dict[str, str]) -> bool:
-    """Whether words that were typed, of scene=photos, make the object's pose unknown, or leave its
-    shape to a hull, which is unknown. No files are read, but for the one that may name a plane."""
+def _moving(typed: dict[str, str], overrides: list[str]) -> bool:
+    """Whether ``overrides``, ``typed`` by key, of scene=photos, make the object's pose unknown, or
+    leave its shape to a hull, which is unknown. No files are read, but for the one that may name a
+    plane."""
     said = {k.removeprefix("scene.photos."): v.strip("'\"") for k, v in typed.items()}
     if any(said.get(name, "").lower() in _YES for name in ("pose", "edges")):
         return True
     if any(said.get(name, "null") != "null" for name in ("mesh", "plane", "sphere")):
         return False
-    chosen = " ".join(f"{k}={v}" for k, v in typed.items() if k.startswith("scene.unknowns"))
+    chosen = " ".join(o for o in overrides if o.lstrip("+").startswith("scene.unknowns"))
     if chosen and ".vertices" not in chosen:
         return False
     if said.get("start", "null") != "null":

@@ -294,13 +294,20 @@ def _sunk(problem: Problem) -> list[str]:
     return told
 
 
-def _check_sides(problem: Problem, params: mi.SceneParameters, key: str, own: bool) -> None:
+def _check_sides(
+    problem: Problem,
+    params: mi.SceneParameters,
+    key: str,
+    topologies: dict[int, Topology],
+    own: bool,
+) -> None:
     """Raise InputError for a closed mesh whose silhouettes would be shaded as from within: Mitsuba
     turns normals there to the side that winding and normals call the outer one. ``own``: its
     normals follow from its triangles."""
     id = key.rpartition(".")[0]
     points, faces = triangles(params, key)
-    if Topology.of(points, faces).flaws():
+    topology = topologies.get(len(points)) or Topology.of(points, faces)
+    if topology.flaws():
         return
     corners = points[faces].astype(np.float64)
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -319,8 +326,7 @@ def _check_sides(problem: Problem, params: mi.SceneParameters, key: str, own: bo
             "silhouettes as seen from within; turn its faces and normals round in its file "
             "(flip_normals where only they are wrong), or take sampler=plateau"
         )
-    _, place = np.unique(points, axis=0, return_inverse=True)
-    if outward < 0 and not own and _hard(normals, place.ravel()[faces]):
+    if outward < 0 and not own and _hard(normals, topology.faces):
         raise InputError(
             f"'{id}' moves, has hard edges, and its triangles turn the other way than its normals, "
             "as where to_world mirrors: estimator=silhouettes would shade its silhouettes by the "
@@ -371,5 +377,5 @@ def _meshes(problem: Problem) -> dict[str, dict[int, Topology]]:
             topology = Topology.of(*triangles(params, key))
             found.setdefault(key, {len(topology.place): topology})
     for key in found:
-        _check_sides(problem, params, key, key in shaped)
+        _check_sides(problem, params, key, found[key], key in shaped)
     return found

@@ -60,7 +60,7 @@ def _made() -> dict:
 def versions(entry: dict) -> dict[str, str]:
     """Of what figures depend on, by name, as a manifest or its ``entry`` of a continuation says."""
     known = entry.get("packages") or {}
-    told = {name: known.get(name.lower().replace(".", ""), "?") for name in ("Mitsuba", "Dr.Jit")}
+    told = {name: known.get(name.lower().replace(".", "")) or "?" for name in ("Mitsuba", "Dr.Jit")}
     return told | (entry.get("guests") or {})
 
 

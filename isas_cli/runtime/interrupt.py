@@ -27,6 +27,7 @@ def graceful(notice: Callable[[], None] = lambda: None) -> Iterator[Callable[[],
     the function is next called: between steps, where no clock runs.
     """
     wanted = noticed = held = False
+    jobs: list[psutil.Process] = []
 
     def ask(number, frame) -> None:
         global _asked
@@ -46,13 +47,11 @@ def graceful(notice: Callable[[], None] = lambda: None) -> Iterator[Callable[[],
         if held:
             held = False
             # Jobs of a sweep are in groups of their own, which a terminal does not reach.
-            jobs = psutil.Process().children()
-            for number in (signal.SIGTSTP, signal.SIGCONT):
-                for job in jobs:
-                    with suppress(psutil.NoSuchProcess):
-                        job.send_signal(number)
-                if number == signal.SIGTSTP:
-                    os.kill(os.getpid(), signal.SIGSTOP)
+            jobs[:] = psutil.Process().children()
+            _send(jobs, signal.SIGTSTP)
+            os.kill(os.getpid(), signal.SIGSTOP)
+        # Again and again: one in the middle of a step suspends itself only after it.
+        _send(jobs, signal.SIGCONT)
         if wanted and not noticed:
             noticed = True
             notice()
@@ -60,6 +59,12 @@ def graceful(notice: Callable[[], None] = lambda: None) -> Iterator[Callable[[],
 
     with _handled({signal.SIGINT: ask, signal.SIGTERM: ask, signal.SIGTSTP: hold}):
         yield stop
+
+
+def _send(jobs: list[psutil.Process], number: int) -> None:
+    for job in jobs:
+        with suppress(psutil.NoSuchProcess):
+            job.send_signal(number)
 
 
 @contextmanager

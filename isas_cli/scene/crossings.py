@@ -32,9 +32,11 @@ def crossing(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def through(own: np.ndarray, others: np.ndarray) -> bool:
     """Whether any of the triangles ``own (F, 3, 3)`` passes through one of the ``others (G, 3,
     3)``; to touch it is not enough."""
-    low, high = own.min(axis=(0, 1)), own.max(axis=(0, 1))
-    near = (others.max(axis=1) >= low).all(axis=1) & (others.min(axis=1) <= high).all(axis=1)
-    corners = np.concatenate([own, others[near]]).astype(np.float64)
+    others = _around(others, own)
+    own = _around(own, others) if len(others) else own[:0]
+    if not len(own):
+        return False
+    corners = np.concatenate([own, others]).astype(np.float64)
     faces = np.arange(3 * len(corners)).reshape(-1, 3)  # none shares a vertex
     least = _TOUCHING * np.abs(corners).max()
     pairs = _overlapping(corners.min(axis=1), corners.max(axis=1))
@@ -44,6 +46,12 @@ def through(own: np.ndarray, others: np.ndarray) -> bool:
         for begin in range(0, len(pairs), _AT_ONCE)
         for some in (pairs[begin : begin + _AT_ONCE], pairs[begin : begin + _AT_ONCE, ::-1])
     )
+
+
+def _around(corners: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Of triangles those that meet the box around ``other`` ones."""
+    low, high = other.min(axis=(0, 1)), other.max(axis=(0, 1))
+    return corners[((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)]
 
 
 def _cuts(

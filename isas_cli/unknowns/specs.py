@@ -36,7 +36,7 @@ def _start(spec, kind: Kind, loaded: Loaded, truth_known: bool) -> np.ndarray:
     try:
         if isinstance(spec, bool):
             raise TypeError
-        if np.ndim(spec) == 1 and len(spec) == _repeated(kind, loaded):
+        if np.ndim(spec) == 1 and 0 < len(spec) == _repeated(kind, loaded):
             spec = np.tile(spec, current.size // len(spec))
         if kind.nested and np.ndim(spec) == 1:
             raise ValueError

@@ -138,6 +138,15 @@ def test_a_setting_of_one_unknown_as_comparisons_name_it():
         assert found == dataclasses.replace(usual, **{field: value})
     (made,) = translate([f"scene.unknowns.{KEY}.blur.end=0.1"])
     assert made == translate([f'scene.unknowns={{"{KEY}": {{"blur": {{"end": 0.1}}}}}}'])[0]
+    for text, value in ((".5", 0.5), ("'my start.png'", "my start.png"), ("[.1,.2,.3]", None)):
+        found = typed("scene=pottery", f"scene.unknowns.{KEY}.start={text}").scene.unknowns[KEY]
+        assert found.start == (value or [0.1, 0.2, 0.3])
+    (several,) = translate([f"scene.unknowns.{KEY}.lr=0.1,0.2"])
+    one, other = (translate([f"scene.unknowns.{KEY}.lr={lr}"])[0] for lr in (0.1, 0.2))
+    assert several == f"{one},{other.partition('=')[2]}"
+    width = translate([f"scene.unknowns.{KEY}.blur={{start:1,end:0.1}}"])
+    whole = '{"%s": {"blur": {"start": 1, "end": 0.1}}}' % KEY
+    assert width == translate([f"scene.unknowns={whole}"])
     with pytest.raises(InputError, match="no such setting"):
         typed("scene=pottery", f"scene.unknowns.{KEY}.rate=0.05")
 

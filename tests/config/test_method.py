@@ -124,3 +124,9 @@ def test_a_scene_without_one_keeps_the_usual_choices():
     usual = composed("scene=pottery")
     assert (usual.sampler.name, usual.estimator.name) == ("progress", "two_path")
     assert OmegaConf.to_container(usual.scene.method) == {}
+
+
+def test_every_word_of_the_unknowns_tells_whether_something_moves():
+    words = ["scene=photos", "photos.path=nowhere", "scene.unknowns.sky.data.lr=0.05"]
+    words.insert(2, 'scene.unknowns={"object.vertices": {}}')
+    assert compose(translate(words)).estimator.name == "silhouettes"

@@ -45,33 +45,50 @@ _PARENT = """
 import subprocess, sys, time
 from isas_cli.runtime import interrupt
 
-job = "import os, time; os.setpgid(0, 0); print('job', flush=True); time.sleep(60)"
 with interrupt.graceful() as stop:
-    begun = subprocess.Popen([sys.executable, "-c", job], stdout=subprocess.PIPE)
+    begun = subprocess.Popen([sys.executable, "-c", sys.argv[1]], stdout=subprocess.PIPE)
     begun.stdout.readline()
     print(begun.pid, flush=True)
     while not stop():
         time.sleep(0.1)
 begun.kill()
 """
+# Whose steps are short, and long.
+_JOBS = (
+    "import os, time; os.setpgid(0, 0); print('job', flush=True); time.sleep(60)",
+    """
+import os, time
+from isas_cli.runtime import interrupt
+os.setpgid(0, 0)
+with interrupt.graceful() as stop:
+    print("job", flush=True)
+    while not stop():
+        time.sleep(2)
+""",
+)
 
 
-def test_jobs_are_suspended_with_their_sweep():
-    parent = subprocess.Popen([sys.executable, "-c", _PARENT], stdout=subprocess.PIPE, text=True)
-    job = psutil.Process(int(parent.stdout.readline()))
-    parent.send_signal(signal.SIGTSTP)
-    _, status = os.waitpid(parent.pid, os.WUNTRACED)
-    assert os.WIFSTOPPED(status)
+@pytest.mark.parametrize("job", _JOBS)
+def test_jobs_are_suspended_with_their_sweep_and_go_on_with_it(job):
+    """Also one that is in the middle of a step while its sweep goes on already."""
+    command = [sys.executable, "-c", _PARENT, job]
+    parent = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    process = psutil.Process(int(parent.stdout.readline()))
 
     def comes_to(stopped: bool) -> bool:
         for _ in range(100):
-            if (job.status() == psutil.STATUS_STOPPED) is stopped:
+            if (process.status() == psutil.STATUS_STOPPED) is stopped:
                 return True
             time.sleep(0.05)
         return False
 
-    assert comes_to(stopped=True)
+    parent.send_signal(signal.SIGTSTP)
+    _, status = os.waitpid(parent.pid, os.WUNTRACED)
+    assert os.WIFSTOPPED(status)
+    if job == _JOBS[0]:
+        assert comes_to(stopped=True)
     parent.send_signal(signal.SIGCONT)
+    time.sleep(3)
     assert comes_to(stopped=False)
     parent.send_signal(signal.SIGINT)
     assert parent.wait(30) == 0

@@ -191,6 +191,14 @@ def test_a_mesh_in_other_units_is_told_by_its_outline(ball, factor, words):
     assert told(ball, background="black", sphere=[0.0, 0.0, 0.0, 0.6 * RADIUS]) == []
 
 
+def test_what_lies_elsewhere_is_no_matter_of_units(ball):
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=RADIUS)
+    mesh.apply_translation([0, 60, 0])
+    mesh.export(ball / "ball.obj")
+    said = told(ball, background="black", sphere=None, mesh=str(ball / "ball.obj"))
+    assert not any("the cameras' units" in line for line in said)
+
+
 def test_inverted_alpha_and_masks_are_doubted(ball):
     for number in range(4):
         rewrite(ball, number, 1 - covered())

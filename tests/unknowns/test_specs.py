@@ -56,6 +56,8 @@ def test_ranges_unless_given():
         parsed(lit("map"), {"sky.data": {"start": -0.1}})
     with pytest.raises(InputError, match="zero everywhere"):
         parsed(lit("map"), {"sky.data": {"start": 0}})
+    with pytest.raises(InputError, match="does not fit the parameter's shape"):
+        parsed(lit("map"), {"sky.data": {"start": []}})
 
 
 def test_what_moves_geometry_stays_refused():

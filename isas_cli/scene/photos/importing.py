@@ -111,12 +111,16 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
     target, counted = camera.pinhole(wide), mask.any()
     same = camera.ideal and (target.width, target.height) == (camera.width, camera.height)
     if not same:
-        made = cached(
-            f"photograph-{_key(camera, image, mask, target.width)}",
-            lambda: dict(zip(("image", "mask"), resample(camera, target, image, mask))),
-        )
+
+        def resampled(weights: np.ndarray) -> dict[str, np.ndarray]:
+            return cached(
+                f"photograph-{_key(camera, image, weights, target.width)}",
+                lambda: dict(zip(("image", "mask"), resample(camera, target, image, weights))),
+            )
+
         if settings.edges:
-            _, shown = resample(camera, target, image, shown)
+            shown = resampled(shown)["mask"]
+        made = resampled(mask)
         image, mask = made["image"], made["mask"]
         variance = None if variance is None else variance * _noise_kept(camera, target)
         if part is not None:

@@ -327,7 +327,8 @@ def _larger(photograph: "Photograph", points: np.ndarray) -> float | None:
     size = np.array([camera.width, camera.height])
     place, depth = camera.project(points)
     shown = np.argwhere(photograph.part > 0.5)[:, ::-1] + 0.5
-    if not len(shown):
+    met = ((place >= 0) & (place <= size)).all(axis=1) & (depth > 0)
+    if not len(shown) or not met.any():  # it lies elsewhere
         return None
     if not (depth > 0).all():
         ends = (shown.min(axis=0) > 1).all() and (shown.max(axis=0) < size - 1).all()
