@@ -40,7 +40,7 @@ def folder_of(settings: list[str]) -> str:
     """Run one configuration, given as typed, or go on with one (``resume=DIR``); returns the folder
     of its record. Raises IsasError."""
     continued = [each for each in settings if each.startswith("resume=")]
-    if continued and len(continued) == 1:
+    if len(continued) == 1:
         _resume(settings, continued[0], [each for each in settings if each not in continued])
         return os.path.expanduser(continued[0].partition("=")[2].strip("\"'"))
     if flags := [each for each in settings if each.startswith("-")]:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from processes import begun, isas
 from runs_for_tests import ran, resumed
+from scenes_for_tests import ROUGHNESS, problem
 
 import isas_cli
 from isas_cli import records
@@ -282,6 +283,11 @@ def test_a_changed_scene_and_a_living_process_are_refused(finished, refused):
         assert "spent" in refused(["run", f"resume={finished}"]), "its process has gone"
     finally:
         path.write_text(text)
+
+
+def test_starts_are_told_apart_by_what_they_hold():
+    made = [problem({ROUGHNESS: start}).unknowns.start_hash for start in (0.5, 0.6, 0.5)]
+    assert made[0] == made[2] != made[1]
 
 
 def test_a_process_of_which_nothing_is_known_does_not_count():

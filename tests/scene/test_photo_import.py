@@ -118,6 +118,11 @@ def test_masks_alpha_and_saturation(tmp_path):
     wanted_grey = images.srgb_decode(np.float64(128 / 255))
     np.testing.assert_allclose(first.image[15, 20], wanted_grey, rtol=1e-5)
     assert loaded(tmp_path, saturated=None)[0].mask[:3, 5:].all()
+    # What is too bright for a colour has edges all the same.
+    edged = loaded(tmp_path, edges=True, background=False)[0].edged
+    wanted_edged = wanted.copy()
+    wanted_edged[:3, 5:] = 1
+    np.testing.assert_array_equal(edged, wanted_edged)
     linear = loaded(tmp_path, encoding="linear")[0]
     np.testing.assert_allclose(linear.image[15, 20], 128 / 255, rtol=1e-6)
     np.testing.assert_array_equal(linear.mask, wanted)

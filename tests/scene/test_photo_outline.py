@@ -369,3 +369,4 @@ def test_masks_of_jpeg_are_black_and_white(ball):
     for each in load(ball, background="black", saturated=None):
         beside = each.part[covered() == 0]
         assert (beside <= 0.5).all() and (beside == 0).mean() > 0.9
+        assert (each.part[covered() == 1] == 1).mean() > 0.9

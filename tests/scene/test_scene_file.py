@@ -415,6 +415,8 @@ def test_a_bitmap_whose_format_is_said(folder, refused, said, works):
     command = [*FEW, *PLAIN, "scene.path=own/scene.xml", unknowns(), "budget.iterations=2"]
     if works:
         assert run(*command) == 0
+        params = mi.traverse(scene_file.load("own/scene.xml", None)[0])
+        assert type(params[KEY]) is mi.TensorXf
     else:
         refused(["run", *command], "holds whole numbers", "take the format of this bitmap out")
 
