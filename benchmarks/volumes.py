@@ -34,7 +34,7 @@ SCENES = {
     "lego": (12.0, (1.0, 3.0, 10.0), []),
 }
 SAMPLERS = ("uniform", "relevant", "gradient", "ours", "multiresolution", "progress")
-SETTINGS = ["estimator.batch=16384", "target.spp=256", "evaluation.count=24", "effects=full"]
+SETTINGS = ["estimator.batch=16384", "target.noise=0.01", "evaluation.count=24", "effects=full"]
 SETTINGS += ["frames.views=1", "frames.snapshots=0", "report=false"]
 
 
