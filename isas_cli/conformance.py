@@ -6,7 +6,9 @@
 The first word of ``ISAS_CHOICE`` is the part, further ones are settings of a run; a scene among
 them takes the place of `pottery`. Every part: settings that are refused by their names, a run whose
 errors are numbers, and one that goes on with the same bits. A sampler also: that every pixel can be
-drawn, and that it bends no mean. A loss: that its derivative is its own.
+drawn, that it bends no mean, and that a look depends on nothing that was looked at before. An
+estimator that blurs nothing: that its gradient's mean is path replay's. A loss: that its derivative
+is its own.
 """
 
 from __future__ import annotations
@@ -140,11 +142,42 @@ def test_every_pixel_can_be_drawn_and_probabilities_sum_to_one(problem, part):
 
 @of("sampler")
 def test_it_bends_no_mean(problem, part):
-    """Gradients with its pixels and with uniform ones, along random directions and alone."""
-    own, other = (
-        _gradients(problem, distribution, seed)
-        for seed, distribution in ((1, _looked(problem, part)), (2, _uniform(problem)))
+    """Gradients with its pixels and with uniform ones."""
+    _alike(
+        _gradients(problem, _estimates(problem, _looked(problem, part), 1, REPEATS)),
+        _gradients(problem, _estimates(problem, _uniform(problem), 2, REPEATS)),
     )
+
+
+@of("sampler")
+def test_a_look_depends_on_no_earlier_one(problem, part):
+    """Runs of a race that have the same settings share it, whatever their seeds."""
+    sampler, values, moments = _at_work(problem, part)
+    first, _, again = (
+        np.array(sampler.look(values, seed, number, moments))
+        for seed, number in ((5, 0), (9, 7), (5, 0))
+    )
+    assert np.array_equal(first, again)
+
+
+@of("estimator")
+def test_its_mean_is_that_of_path_replay(problem, part):
+    from isas_cli.losses import L2
+
+    estimator, values = part.on(problem, L2()), problem.unknowns.starts()
+    if estimator.heeds_blurs:
+        pytest.skip("blurs: another loss than path replay's")
+    found = (
+        estimator.estimate(values, _uniform(problem), 1, number, 0.0) for number in range(REPEATS)
+    )
+    _alike(
+        _gradients(problem, found),
+        _gradients(problem, _estimates(problem, _uniform(problem), 2, REPEATS)),
+    )
+
+
+def _alike(own: np.ndarray, other: np.ndarray) -> None:
+    """Whether gradients ``(REPEATS, m)`` have one mean, along random directions and alone."""
     directions = np.random.default_rng(3).normal(size=(own.shape[1], 32))
     directions[:, 0] = 1  # what all entries share
     apart = [rows @ directions for rows in (own, other)]
@@ -155,6 +188,13 @@ def test_it_bends_no_mean(problem, part):
 
 def _looked(problem, sampler):
     """Its distribution at the start values."""
+    sampler, values, moments = _at_work(problem, sampler)
+    weights = sampler.look(values, 5, 0, moments)
+    return sampler.distribution(sampler.blended(None, weights))
+
+
+def _at_work(problem, sampler):
+    """On the problem, with the start values and, where it needs them, Adam's moments."""
     from isas_cli.config.schema import OptimizerConfig
     from isas_cli.engine.optimiser import Stepper
     from isas_cli.losses import L2
@@ -167,9 +207,7 @@ def _looked(problem, sampler):
         for found in _estimates(problem, _uniform(problem), 7, 32):
             stepper.step(found, 0.0)
         moments = stepper.moments(0.5)
-    sampler = sampler.on(problem, L2(), 2048)
-    weights = sampler.look(values, 5, 0, moments)
-    return sampler.distribution(sampler.blended(None, weights))
+    return sampler.on(problem, L2(), 2048), values, moments
 
 
 def _uniform(problem):
@@ -191,15 +229,12 @@ def _estimates(problem, distribution, seed: int, count: int):
     problem.unknowns.write(values)
 
 
-def _gradients(problem, distribution, seed: int) -> np.ndarray:
-    """``(REPEATS, m)``"""
+def _gradients(problem, every) -> np.ndarray:
+    """``every`` gradient, by key, as rows ``(REPEATS, m)``."""
     from isas_cli.unknowns.parameters import flat
 
     keys = problem.unknowns.keys
-    rows = (
-        np.concatenate([np.array(flat(found[key])) for key in keys])
-        for found in _estimates(problem, distribution, seed, REPEATS)
-    )
+    rows = (np.concatenate([np.array(flat(found[key])) for key in keys]) for found in every)
     return np.array(list(rows), np.float64)
 
 

@@ -70,9 +70,8 @@ def _held_out(folder: Path) -> list[Picture]:
     if not rows:
         return []
     exposure, words = cells.exposure(rows, ("target", "result"))
-    scales = {"error": cells.error_scale([row["error"] for row in rows.values() if "error" in row])}
     path = Path(folder) / "plots" / "held_out.png"
-    save(_sheet(rows, ["target", "result", "error"], exposure, scales, words), path)
+    save(_sheet(rows, ["target", "result", "error"], exposure, words), path)
     told = "Views held out: photograph, rendering and absolute error of the pixels that count"
     return [Picture(path, f"{told}. {words}.")]
 
@@ -132,18 +131,8 @@ def _views_sheet(views: Frames, path: Path) -> Picture:
     """One row for each view: target, start, result, error and density."""
     columns = ["target", "start", "result", "error", "density"]
     exposure, words = cells.exposure(views, ("target", "result", "start"))
-    scales = {
-        "error": cells.error_scale([row["error"] for row in views.values() if "error" in row]),
-        "density": cells.density_scale(
-            [row["density"] for row in views.values() if "density" in row]
-        ),
-    }
-    rows = {
-        f"view {int(name)}": row
-        for name, row in sorted(views.items(), key=lambda each: int(each[0]))
-    }
-    canvas = _sheet(rows, columns, exposure, scales, words)
-    save(canvas, path)
+    rows = {f"view {int(name)}": views[name] for name in sorted(views, key=int)}
+    save(_sheet(rows, columns, exposure, words), path)
     return Picture(
         path,
         "Target, start, result, absolute error (of pixels that count) and sampling density. "
@@ -158,8 +147,7 @@ def _textures_sheet(textures: Frames, path: Path) -> Picture:
     if any("truth" in row for row in rows.values()):
         columns = ["truth", *columns, "error"]
     exposure, words = cells.exposure(rows, ("truth", "result", "start"), at_least=1.0)
-    scales = {"error": cells.error_scale([row["error"] for row in rows.values() if "error" in row])}
-    save(_sheet(rows, columns, exposure, scales, words), path)
+    save(_sheet(rows, columns, exposure, words), path)
     return Picture(
         path,
         f"Unknown textures ({', '.join(rows)}): {', '.join(columns)}. {words}. "
@@ -167,17 +155,16 @@ def _textures_sheet(textures: Frames, path: Path) -> Picture:
     )
 
 
-def _sheet(
-    rows: Frames,
-    columns: list[str],
-    exposure: float,
-    scales: dict[str, cells.Scale],
-    words: str,
-) -> Figure:
+def _sheet(rows: Frames, columns: list[str], exposure: float, words: str) -> Figure:
     """Lays the cells out by hand, in inches, so that all have one size whatever the labels are."""
+    scales = {
+        column: scale([row[column] for row in rows.values() if column in row])
+        for column, scale in (("error", cells.error_scale), ("density", cells.density_scale))
+        if column in columns
+    }
     heights = [_CELL * cells.aspect(next(iter(row.values()))) for row in rows.values()]
     width = _LEFT + len(columns) * (_CELL + _GAP)
-    below = _BOTTOM if scales.keys() & set(columns) else 0.1
+    below = _BOTTOM if scales else 0.1
     height = _TOP + sum(heights) + _GAP * len(rows) + below
     canvas = figure(width, height, layout=None)
     canvas.text(_LEFT / width, 1 - 0.12 / height, words, va="top", fontsize=9, color="#444444")
@@ -196,8 +183,7 @@ def _sheet(
             if place == 0:
                 axes.set_ylabel(cells.shortened(title, cell_height), fontsize=9)
     for column, scale in scales.items():
-        if column in columns:
-            left = _LEFT + columns.index(column) * (_CELL + _GAP)
-            box = ((left + 0.1) / width, 0.52 / height, (_CELL - 0.2) / width, 0.12 / height)
-            cells.bar(canvas, canvas.add_axes(box), scale)
+        left = _LEFT + columns.index(column) * (_CELL + _GAP)
+        box = ((left + 0.1) / width, 0.52 / height, (_CELL - 0.2) / width, 0.12 / height)
+        cells.bar(canvas, canvas.add_axes(box), scale)
     return canvas

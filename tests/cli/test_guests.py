@@ -76,6 +76,13 @@ def test_names_are_asked_where_the_choices_lie(folder, monkeypatch):
         compose(translate(["scene=small", "loss=sofd"]))
 
 
+@pytest.mark.parametrize("written", ["{}", "[{}]", "['{}']"])
+def test_a_folder_s_name_may_end_in_a_bracket(folder, written):
+    place = folder.rename(folder.with_name("exp[2]"))
+    with searchpath.asked([f"hydra.searchpath={written.format(place)}"]):
+        assert searchpath.typed() == [str(place)]
+
+
 def test_two_of_one_name_are_refused(folder, capsys):
     (folder / "loss/l2.yaml").write_text("name: l2\n")
     assert main(["scenes", "--config-dir", str(folder)]) == 2
@@ -126,6 +133,26 @@ def test_an_entry_point_that_cannot_be_imported_names_its_package(tmp_path, monk
         guests.points.cache_clear()
 
 
+def test_changed_code_is_another_version(tmp_path, monkeypatch):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/__init__.py").write_text("")
+    (tmp_path / "mine/dark.py").write_text("POWER = 1\n")
+    info = tmp_path / "mine-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[isas.configs]\nmine = mine\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    found = []
+    for power in (1, 2, 1):
+        (tmp_path / "mine/dark.py").write_text(f"POWER = {power}\n")
+        guests.points.cache_clear()
+        guests._digest.cache_clear()
+        found.append(guests.installed()["mine"])
+    monkeypatch.undo()
+    guests.points.cache_clear()
+    assert found[0] == found[2] != found[1] and all(each.startswith("1.0+") for each in found)
+
+
 @pytest.fixture(scope="module")
 def beside(tmp_path_factory):
     """Runs isas in an environment of its own that has the example beside it: → what was printed."""
@@ -164,7 +191,7 @@ def test_the_example_is_found_by_every_command(beside):
     chosen = ["scene=dodoco", "sampler=dark", "loss=huber", *TINY]
     beside("run", *chosen, "hydra.run.dir=run")
     manifest = json.loads((beside.root / "run/manifest.json").read_text())
-    assert manifest["guests"] == {"isas-example": "0.1"}
+    assert manifest["guests"]["isas-example"].startswith("0.1+")
     beside("run", "resume=run", "budget.iterations=3")
     assert records.load(beside.root / "run").summary["iterations"] == 3
     beside("race", "scene=dodoco", *TINY, "samplers=[dark,uniform]", "hydra.run.dir=race")

@@ -11,6 +11,7 @@ import synthetic_runs as synthetic
 from scipy import stats
 
 from isas_cli.report.compare import across, build, facts, write
+from isas_cli.report.compare.series import Series
 
 SECONDS = np.concatenate([[0.0], np.geomspace(0.5, 32, 49)])
 
@@ -96,8 +97,10 @@ def test_twice_as_fast_is_a_speed_up_of_two(tmp_path):
         assert found.loc["ours", f"time_{share:g}"] == pytest.approx(0.5)
     assert found.loc["gradient", "reached"] == 0.75 and found.loc["gradient", "bound"] == "at most"
     # The last level costs all that three seeds spent.
-    assert found.loc["gradient", "time_1"] == pytest.approx(3)
+    assert found.loc["gradient", "time_0.75"] == pytest.approx(4)
+    assert found.loc["gradient", "bound_0.75"] == "at least"
     assert found.loc["gradient", "time_0.5"] == pytest.approx(2)
+    assert found.loc["gradient", "bound_0.5"] == ""
     assert found.loc["ours", "bound"] == found.loc["uniform", "bound"] == ""
     low, high = found.loc["ours", ["speed_up_low", "speed_up_high"]]
     assert low == pytest.approx(2) and high == pytest.approx(2)
@@ -131,6 +134,71 @@ def test_speeds_of_scenes_have_a_geometric_mean(tmp_path):
     }
     recorded(tmp_path, speeds, rates)
     assert table(tmp_path).loc["ours", "speed_up"] == pytest.approx(2)
+
+
+def test_methods_of_one_law_look_alike(rng):
+    """At every level: at the baseline's own end its seeds would reach theirs by definition."""
+
+    def runs() -> dict[str, list[Series]]:
+        return {
+            scene: [
+                Series(seed, law(speed), {"seconds": SECONDS})
+                for seed, speed in enumerate(rng.lognormal(1, 0.3, 5))
+            ]
+            for scene in "abcd"
+        }
+
+    found = [across._reached("image_rmse", "x", {"x": runs(), "y": runs()}) for _ in range(60)]
+    made = across.table(found)
+    for column in made.filter(like="time_"):
+        mean = np.exp(np.log(made.loc[made["method"] == "y", column]).mean())
+        assert 0.92 < mean < 1.15, column
+
+
+def test_methods_that_are_not_on_all_scenes_are_named(tmp_path):
+    speeds = {"uniform": [4.0], "ours": [8.0]}
+    recorded(tmp_path, {"bowl": speeds, "pottery": {**speeds, "gradient": [2.0]}})
+    found = build([tmp_path])
+    assert found.across and any(
+        line.endswith("not in the table of these: gradient") for line in found.warnings
+    )
+
+
+def test_methods_whose_names_differ_by_scene_are_told(tmp_path):
+    speeds = {"uniform": [4.0], "ours": [8.0]}
+    recorded(tmp_path, {"bowl": speeds, "pottery": speeds})
+    for sampler in speeds:
+        own = {"scene.name": "bowl", "budget.seconds": 15.0}
+        where = tmp_path / "more" / sampler
+        synthetic.write(where, SECONDS, law(3), law(3), sampler=sampler, settings=own)
+    found = build([tmp_path])
+    assert found.across == []
+    assert any("settings tell ours, uniform apart" in line for line in found.warnings)
+
+
+def test_of_several_uniforms_the_lowest_is_the_baseline(tmp_path):
+    for factor, speed in ((0.1, 2.0), (2.0, 8.0), (3.0, 4.0)):
+        synthetic.write(
+            *(tmp_path / f"{factor}", SECONDS, law(speed), law(speed)),
+            **{"sampler": "uniform", "settings": {"optimizer.factor": factor}},
+        )
+    found = build([tmp_path])
+    (chosen,) = found.baseline.values()
+    assert chosen.endswith("optimizer.factor=2")
+    (said,) = [line for line in found.warnings if "3 methods are uniform" in line]
+    assert f"the baseline is {chosen}" in said
+
+
+def test_scenes_too_few_for_any_p_are_told(tmp_path):
+    speeds = {"uniform": [4.0], "ours": [8.0]}
+    scenes = ["bowl", "pottery", "earth", "cup", "caustic", "lego"]
+    recorded(tmp_path, dict.fromkeys(scenes[:4], speeds))
+    assert any("no p over all scenes can be below 0.12" in x for x in build([tmp_path]).warnings)
+    recorded(tmp_path, dict.fromkeys(scenes[4:], speeds))
+    found = build([tmp_path])
+    assert not any("no p over" in line for line in found.warnings)
+    (p,) = {p for each in found.across for p in across.pairs(each).values()}
+    assert p == pytest.approx(2 / 2**6)
 
 
 def test_expected_running_time_counts_what_failures_spent():

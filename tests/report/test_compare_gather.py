@@ -356,6 +356,10 @@ def test_another_mitsuba_is_warned_of(tmp_path):
         run(tmp_path / "guests" / str(seed), seed=seed, manifest=guests)
     (line,) = warnings(tmp_path / "guests")
     assert "example 0.1" in line and "example 0.2" in line
+    for seed in (1, 2):
+        run(tmp_path / "isas" / str(seed), seed=seed, manifest={"isas": f"0.{seed}.0"})
+    (line,) = warnings(tmp_path / "isas")
+    assert "isas 0.1.0" in line and "isas 0.2.0" in line
 
 
 def test_starts_are_known_by_what_they_hold(tmp_path):

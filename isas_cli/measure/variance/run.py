@@ -14,6 +14,7 @@ from ...config.schema import Config
 from ...engine.choices import Choices
 from ...engine.display import Display
 from ...engine.experiment import Phases, built, checked
+from ...estimators import two_path
 from ...runtime import backend, interrupt
 from ...runtime.errors import InputError, IsasError
 
@@ -62,9 +63,10 @@ def run(plan: Plan) -> int:
     machine = backend.start(typed.variant, typed.threads)
     made = {label: Choices.of(cfg) for label, cfg in plan.cfgs.items()}
     estimator = next(iter(made.values())).estimator
-    if not estimator.replays:
+    if type(estimator) is not two_path.Settings:
         raise InputError(
-            f"{estimator.chosen}: variances are measured of path replay's gradient: leave it out"
+            f"{estimator.chosen}: variances are measured of path replay's gradient with each "
+            "sampler: take estimator=two_path and a scene in which nothing moves"
         )
     if not plan.asked:
         made = {label: c for label, c in made.items() if c.sampler.needs <= estimator.gives}

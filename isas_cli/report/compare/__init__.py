@@ -6,6 +6,7 @@ back from a table.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -37,6 +38,8 @@ def build(
 ) -> Comparison:
     """The numbers of a comparison; nothing is written. ``known``: more that is to be warned of."""
     methods, chosen, warnings = gather([Path(folder) for folder in folders], baseline)
+    over = across.problems(methods, chosen)
+    warnings += [*_few_seeds(methods), *across.untold(methods, chosen), *_few_scenes(over)]
     return Comparison(
         methods=methods,
         baseline=chosen,
@@ -44,8 +47,8 @@ def build(
         accuracy=accuracy.table(methods, chosen),
         price=price.table(methods),
         summary=summary.table(methods, chosen),
-        warnings=[*known, *warnings, *_few_seeds(methods), *across.untold(methods, chosen)],
-        across=across.problems(methods, chosen),
+        warnings=[*known, *warnings],
+        across=over,
     )
 
 
@@ -72,6 +75,20 @@ def output_of(folders: list[Path], output: Path | None) -> Path:
     if output.exists() and not output.is_dir():
         raise InputError(f"{output} is a file: give a folder with --output DIR")
     return output
+
+
+def _few_scenes(over: list[across.Problems]) -> list[str]:
+    """Where no difference of methods could be told from chance by the test over scenes."""
+    if not over:
+        return []
+    scenes, methods = len(over[0].budgets), len(over[0].times)
+    least = min(1.0, 2 * 0.5**scenes * math.comb(methods, 2))
+    if least <= 0.05:
+        return []
+    return [
+        f"with {scenes} scenes and {methods} methods no p over all scenes can be below "
+        f"{least:.2g}, however far methods are apart: more scenes or fewer methods tell"
+    ]
 
 
 def _few_seeds(methods: list[Method]) -> list[str]:

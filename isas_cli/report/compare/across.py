@@ -1,8 +1,9 @@
 """All scenes together: how much sooner a method is, how often it arrives, and how sure that is.
 
-Levels are what the baseline has after an eighth, a quarter, half and all of its budget, on each
-scene by itself: halvings of the start's error often lie beyond what anyone reaches. A *problem* is
-a scene and a level.
+Levels are what the baseline has after an eighth, a quarter, half and three quarters of its budget,
+on each scene by itself: halvings of the start's error often lie beyond what anyone reaches. What it
+has at the very end half of its own seeds would reach by definition, and another method that is as
+good by luck alone: it would look slower by a quarter. A *problem* is a scene and a level.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from .gather import Method, by_scene, names
 from .series import MEASURES, Series, known
 
 # Of the baseline's budget.
-SHARES = (0.125, 0.25, 0.5, 1.0)
+SHARES = (0.125, 0.25, 0.5, 0.75)
 # Of the start's error: where the baseline is above, as some runs are at first, there is no level to
 # reach, and a ratio of times would be of nothing over nothing.
 _HIGHEST = 0.99
@@ -64,10 +65,21 @@ def problems(methods: list[Method], baseline: dict[str, str]) -> list[Problems]:
 
 
 def untold(methods: list[Method], baseline: dict[str, str]) -> list[str]:
-    """That nothing is said of all scenes together, where methods could be compared over them."""
-    *_, shared, bases = _common(methods, baseline)
-    if len(shared) < 2 or (len(bases) == 1 and bases <= set(shared)):
+    """What is not said of all scenes together, where methods could be compared over them."""
+    grouped, named, shared, bases = _common(methods, baseline)
+    if len(grouped) < 2:
         return []
+    if len(shared) < 2:
+        alike = set.intersection(*({m.sampler for m in own} for own in grouped.values()))
+        told = (
+            "nothing is said of all scenes together: on some, settings tell "
+            f"{', '.join(sorted(alike))} apart: compare folders that hold the same methods"
+        )
+        return [told] if len(alike) > 1 else []
+    if len(bases) == 1 and bases <= set(shared):
+        partly = sorted({name for own in named.values() for name in own.values()} - set(shared))
+        told = f"not on all scenes, so not in the table of these: {', '.join(partly)}"
+        return [told] if partly else []
     given = "; ".join(f"{scene}: {label}" for scene, label in baseline.items())
     return [
         f"nothing is said of all scenes together, whose baselines differ ({given}): --baseline "
@@ -134,11 +146,11 @@ def table(found: list[Problems]) -> pandas.DataFrame:
 
     ``reached``: share of (scene, seed, level) that it reached; ``time_<share>``: expected running
     time to what the baseline has after that share of its budget, over the baseline's own, the
-    geometric mean over scenes; ``speed_up``: geometric mean over all problems of the baseline's
-    expected running time over this one's, ``_low`` and ``_high`` its 95 % interval (scenes, then
-    seeds within each scene and method, are resampled); ``bound``: ``at most`` where this method
-    never solved some problem, ``at least`` where the baseline did not, ``about`` where neither did,
-    empty where both solved all; ``p``: see ``pairs``, against the baseline.
+    geometric mean over scenes, and ``bound_<share>``, of that ratio: ``at least`` where this method
+    never reached it on some scene, ``at most`` where the baseline did not, ``about`` where neither
+    did; ``speed_up``: geometric mean over all problems of the baseline's expected running time over
+    this one's, ``_low`` and ``_high`` its 95 % interval (scenes, then seeds within each scene and
+    method, are resampled), and ``bound``, likewise; ``p``: see ``pairs``, against the baseline.
     """
     rows = []
     for each in found:
@@ -149,10 +161,15 @@ def table(found: list[Problems]) -> pandas.DataFrame:
             row = {"measure": each.measure, "method": name, "scenes": len(each.budgets)}
             arrived = [np.isfinite(t).ravel() for t in each.times[name].values()]
             row["reached"] = float(np.concatenate(arrived).mean())
-            for share, ratio in zip(SHARES, np.exp(np.log(times).mean(axis=0))):
+            for share, ratio, sure in zip(SHARES, np.exp(np.log(times).mean(axis=0)), solved.T):
                 row[f"time_{share:g}"] = float(ratio)
+                row[f"bound_{share:g}"] = _BOUNDS[tuple(sure[::-1])]
             row["speed_up"] = float(np.exp(-np.log(times).mean()))
-            row |= {"speed_up_low": low, "speed_up_high": high, "bound": _BOUNDS[solved]}
+            row |= {
+                "speed_up_low": low,
+                "speed_up_high": high,
+                "bound": _BOUNDS[tuple(solved.all(axis=1))],
+            }
             row["p"] = compared.get(frozenset((name, each.baseline)), float("nan"))
             rows.append(row)
     return pandas.DataFrame(rows)
@@ -167,12 +184,15 @@ _BOUNDS = {
 }
 
 
-def _ratios(of: Problems, name: str, rng=None) -> tuple[np.ndarray, tuple[bool, bool]]:
-    """Expected running times over the baseline's, ``(scenes, levels)``, and whether each of them
-    solved every problem. ``rng``: scenes and seeds are resampled."""
+def _ratios(of: Problems, name: str, rng=None) -> tuple[np.ndarray, np.ndarray]:
+    """Expected running times over the baseline's, ``(scenes, levels)``, and whether it and the
+    baseline reached each level on all scenes, ``(2, levels)``. ``rng``: scenes and seeds are
+    resampled."""
+    levels = len(next(iter(of.times[name].values())))
+    certain = np.ones((2, levels), bool)
     if name == of.baseline:
-        return np.ones((len(of.budgets), len(SHARES))), (True, True)
-    rows, certain, scenes = [], [True, True], list(of.budgets)
+        return np.ones((len(of.budgets), levels)), certain
+    rows, scenes = [], list(of.budgets)
     if rng is not None:
         scenes = [scenes[k] for k in rng.integers(len(scenes), size=len(scenes))]
     for scene in scenes:
@@ -183,10 +203,10 @@ def _ratios(of: Problems, name: str, rng=None) -> tuple[np.ndarray, tuple[bool, 
                 drawn = rng.integers(times.shape[1], size=times.shape[1])
                 times, spent = times[:, drawn], spent[drawn]
             value, solved = expected(times, spent)
-            certain[side] &= bool(solved.all())
+            certain[side] &= solved
             sides.append(value)
         rows.append(sides[0] / sides[1])
-    return np.array(rows), (certain[0], certain[1])
+    return np.array(rows), certain
 
 
 def _interval(of: Problems, name: str) -> tuple[float, float]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import re
 from collections import defaultdict
 from collections.abc import Iterator
@@ -267,7 +269,7 @@ def _methods(scene: str, runs: list[Run], warnings: list[str]) -> list[Method]:
         Method(scene, label, _by_seed(scene, label, members, warnings))
         for label, members in zip(named, groups.values())
     ]
-    warnings += _at_unequal_time(scene, found)
+    warnings += [*_at_unequal_time(scene, found), *_simulated_otherwise(scene, found)]
     return found
 
 
@@ -313,6 +315,25 @@ def _at_unequal_time(scene: str, methods: list[Method]) -> list[str]:
     return warnings
 
 
+def _simulated_otherwise(scene: str, methods: list[Method]) -> list[str]:
+    """Where a method's runs have measured by themselves, and unlike, what they simulate."""
+    told = []
+    for method in methods:
+        plans = {
+            json.dumps([run.manifest.get("plan", {}).get(x) for x in _PLAN]) for run in method.runs
+        }
+        if len(plans) > 1:
+            told.append(
+                f"{scene}, {method.label}: its seeds simulate unlike things ({len(plans)} plans), "
+                "as each measured what pays for itself: race them, or set effects.… for all"
+            )
+    return told
+
+
+# Of a run's plan of effects: what it decides.
+_PLAN = "max_depth", "derivative_depth", "light_samples", "directions", "caustics", "views"
+
+
 def _machine(run: Run) -> str:
     manifest = run.manifest
     begun = {**(manifest.get("machine") or {}), "threads": manifest.get("threads", "?")}
@@ -354,7 +375,14 @@ def _baselines(methods: list[Method], wanted: str | None, warnings: list[str]) -
             )
         if not found:
             missing.append(scene)
-            found = sorted(_named(group, _DEFAULT_BASELINE)) or sorted(m.label for m in group)
+            found = _named(group, _DEFAULT_BASELINE)
+            if len(found) > 1:
+                found = sorted(found, key=lambda label: (_ends(group, label), label))
+                warnings.append(
+                    f"{scene}: {len(found)} methods are {_DEFAULT_BASELINE}: the baseline is "
+                    f"{found[0]}, which ends lowest: --baseline METHOD names another"
+                )
+            found = found or sorted(m.label for m in group)
         chosen[scene] = found[0]
     if wanted and len(missing) == len(chosen):
         known = dict.fromkeys(name for m in methods for name in (m.sampler, m.label))
@@ -362,6 +390,15 @@ def _baselines(methods: list[Method], wanted: str | None, warnings: list[str]) -
     if wanted:
         warnings += [f"{s}: no method {wanted}: compared with {chosen[s]}" for s in missing]
     return chosen
+
+
+def _ends(group: list[Method], label: str) -> float:
+    """The median final error of a method: of its parameters, or else of the images."""
+    (runs,) = (m.runs for m in group if m.label == label)
+    last = [run.history.iloc[-1] for run in runs]
+    known = [row.get("parameter_rmse", math.nan) for row in last]
+    known = known if np.isfinite(known).all() else [row["image_rmse"] for row in last]
+    return float(np.median(known))
 
 
 def _named(group: list[Method], name: str) -> list[str]:

@@ -93,31 +93,24 @@ def _to_baseline(
 
 
 def _phases(runs: list[Run]) -> dict[str, float]:
-    def stage1(run: Run) -> float:
-        return float(run.history["stage1_seconds"].iloc[-1])
-
-    def billed(run: Run) -> float:
-        return float(run.history["seconds"].iloc[-1])
-
-    def probe(run: Run) -> float:
-        return float(run.history["seconds"].iloc[0])  # all that is billed before a run's start
-
-    def share(run: Run) -> float:
-        return stage1(run) / billed(run) if billed(run) > 0 else float("nan")
-
-    def unbilled(run: Run) -> float:
+    rows = []
+    for run in runs:
+        seconds = run.history["seconds"]
+        stage1, billed = run.history["stage1_seconds"].iloc[-1], seconds.iloc[-1]
         phases = (run.summary or {}).get("seconds_unbilled")
-        return sum(phases.values()) if phases else float("nan")
+        rows.append(
+            {
+                "stage1_seconds": stage1,
+                # The first: all that is billed before a run's start.
+                "step_seconds": billed - stage1 - seconds.iloc[0],
+                "unbilled_seconds": sum(phases.values()) if phases else np.nan,
+                "stage1_share": stage1 / billed if billed > 0 else np.nan,
+            }
+        )
+    return {name: _median(rows, lambda row: row[name]) for name in rows[0]}
 
-    return {
-        "stage1_seconds": _median(runs, stage1),
-        "step_seconds": _median(runs, lambda run: billed(run) - stage1(run) - probe(run)),
-        "unbilled_seconds": _median(runs, unbilled),
-        "stage1_share": _median(runs, share),
-    }
 
-
-def _median(runs: list[Run], of: Callable[[Run], float]) -> float:
+def _median(runs: list, of: Callable[..., float]) -> float:
     return float(_estimate([of(run) for run in runs]).value)
 
 

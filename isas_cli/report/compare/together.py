@@ -18,7 +18,8 @@ _HEADS = {
         f"time_{share:g}": (
             f"time to {share:g}",
             f"expected running time to what the baseline has after {share:g} of its budget, over "
-            "the baseline's: geometric mean over scenes",
+            "the baseline's: geometric mean over scenes; ≥: the method never reached it on some, "
+            "≤: the baseline did not",
         )
         for share in SHARES
     },
@@ -61,7 +62,12 @@ def _cell(row: dict, name: str, baseline: str) -> Cell:
         low, high = row["speed_up_low"], row["speed_up_high"]
         known = not math.isnan(low) and row["method"] != baseline
         return Cell(str(value), words, (f"[{number(low)}, {number(high)}]",) if known else ())
-    return Cell(str(value), number(value))
+    sign = "" if name == "p" else _SIGNS[row[name.replace("time", "bound")]]
+    return Cell(str(value), sign + number(value))
+
+
+# By what ``across.table`` has in its columns ``bound_…``.
+_SIGNS = {"": "", "at least": "≥ ", "at most": "≤ ", "about": "≈ "}
 
 
 def charts(comparison: Comparison, styles: dict[str, Style]) -> list[Chart]:
@@ -80,7 +86,7 @@ def charts(comparison: Comparison, styles: dict[str, Style]) -> list[Chart]:
         Chart(
             "arrivals",
             "How many levels are reached, and how soon",
-            "Of all scenes, seeds and levels (what the baseline has after 1/8, 1/4, 1/2 and all of "
+            "Of all scenes, seeds and levels (what the baseline has after 1/8, 1/4, 1/2 and 3/4 of "
             "its budget) the share that a method has reached by then, and stays at.",
             [arrivals],
             own,
