@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from rich.table import Table
+from rich.text import Text
 
 from ..runtime import images
 from ..scene.photos import checks, exif
@@ -41,7 +42,7 @@ def cameras(checked: list[checks.View], taken: Photographs) -> Table:
         names = [camera.name for camera in each]
         several = f"{len(names)}: {names[0]} … {names[-1]}"
         table.add_row(
-            several if len(names) > 1 else names[0],
+            Text(several if len(names) > 1 else names[0]),
             f"{each[0].width}×{each[0].height}",
             _range([camera.fx for camera in each], ".1f"),
             _lens(each),
@@ -104,7 +105,7 @@ def _table(title: str, cells: list[list[str]]) -> Table:
         just = "left" if name == "view" else "right"
         table.add_column(name, justify=just, overflow="fold", no_wrap=whole)
     for row in cells[1:]:
-        table.add_row(*row)
+        table.add_row(*map(Text, row))  # as pictures are called
     return table
 
 

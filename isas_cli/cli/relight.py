@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 from dataclasses import replace
@@ -50,14 +51,21 @@ def main(
         backend.start(typed.variant, typed.threads)
         from ..measure import relighting
         from ..scene import export, relit
+        from ..scene.photos import surroundings, turns
 
         if told := resumption.changed_since(folder, typed):
             print(told, file=sys.stderr)
         own = typed.scene.photos
         cameras, over = _cameras(pictures, own)
+        across, doubts = turns.across(cameras, over)
         rendering = [relit.cut(camera, width) for camera in cameras]
         lights = _lights(light, [camera.name for camera in cameras])
         how = own.up if up is None else up, own.turn if turn is None else turn
+        upwards = None if how[0] == CAMERA else how[0]
+        for file in dict.fromkeys(each for each in lights if each is not None):
+            doubts += surroundings.doubts(file, upwards, cameras, ("--light ", "--up="))
+        for line in doubts:
+            print(line, file=sys.stderr)
         # What the run found of views is of its own: their exposures are fitted anew.
         fitted = light is not None or own.exposure != "fixed"
         for name in ("refine", "lens"):
@@ -74,8 +82,8 @@ def main(
             relit.write(output, camera.name, image)
             where = f"{pictures}: {camera.name}"
             try:
-                turned = camera.name in over
-                found[camera.name] = _score(image, seen, camera, own, where, turned, fitted)
+                ways = camera.name in over, camera.name in across
+                found[camera.name] = _score(image, seen, camera, own, where, ways, fitted)
             except relighting.Nothing as error:
                 left.append(camera.name)
                 print(f"{where}: left out: {error}", file=sys.stderr)
@@ -117,11 +125,11 @@ def _score(
     camera: Camera,
     own: PhotosConfig,
     where: str,
-    turned: bool,
+    ways: tuple[bool, bool],
     fitted: bool,
 ) -> dict:
-    """Of what a ``seen`` camera renders, beside the picture of the ``camera`` that it stands for.
-    Raises InputError."""
+    """Of what a ``seen`` camera renders, beside the picture of the ``camera`` that it stands for;
+    ``ways``: whether that is turned, and whether its mask lies otherwise. Raises InputError."""
     from ..measure import relighting
     from ..scene.photos import importing
 
@@ -129,7 +137,8 @@ def _score(
     linear = None  # of which files the run's encoding says nothing
     if importing.of_light(camera.image) is None:
         linear = importing.linear(camera.image, own.encoding)
-    return relighting.of_picture(image, seen, camera, mask, where, turned, fitted, linear)
+    turned, across = ways[0], None if mask is None else ways[1]
+    return relighting.of_picture(image, seen, camera, mask, where, turned, fitted, linear, across)
 
 
 def _cameras(pictures: Path, own: PhotosConfig) -> tuple[list, set[str]]:
@@ -178,10 +187,15 @@ def _cameras(pictures: Path, own: PhotosConfig) -> tuple[list, set[str]]:
 
 def _is_of(place: Path, own: PhotosConfig) -> bool:
     """Whether a folder, or a file of cameras, is the one that a run's photographs are of."""
+    from ..scene.photos import layouts, reading
+
     if own.path is None:
         return False
     root = paths.of_set(own.path)
     mine = {root, root / (own.cameras or "")}
+    with contextlib.suppress(InputError):  # of a set that is gone
+        _, file = reading.source(own.path, own.cameras)
+        mine |= {file, *(each for each in layouts.around(file) if each.is_relative_to(root))}
     return any(each.exists() and each.samefile(place) for each in mine)
 
 

@@ -86,6 +86,7 @@ def bare(
     if taken is not None:
         for each in found:
             each.asked = each.key in scene.unknowns
+        building.rates(found)
         building.stage(taken, wanted, found)
         check_stages(found)
     if taken is not None and len(taken.parts) > 1:

@@ -8,7 +8,7 @@ import numpy as np
 from ..config.schema import OptimizerConfig
 from ..runtime.schedule import TO_FINAL
 from ..unknowns.parameters import as_numpy
-from ..unknowns.unknowns import Unknowns
+from ..unknowns.unknowns import Unknown, Unknowns
 from .evaluate import OUTLINE
 from .optimiser import FEW, Stepper
 
@@ -19,6 +19,7 @@ _OFF = 0.05
 _STRAIGHT, _STEPS = 0.6, 50
 # Of the images' error at the start, what is as much at the end.
 _SAME = 0.99
+_BRIGHTEST = 0.2  # of the texels that views see, what is said where they are as bright as can be
 
 
 def reached(unknowns: Unknowns, values: dict) -> list[str]:
@@ -26,6 +27,8 @@ def reached(unknowns: Unknowns, values: dict) -> list[str]:
     said = []
     for unknown in unknowns:
         if unknown.start.size > FEW:
+            if unknown.kind.texture is not None and unknown.kind.role == "colour":
+                said += _bright(unknown, unknown.kind.whole(values[unknown.key]))
             continue
         found = unknown.kind.whole(values[unknown.key]).reshape(-1)
         begun = unknown.start.reshape(-1)
@@ -50,6 +53,22 @@ def reached(unknowns: Unknowns, values: dict) -> list[str]:
     return said
 
 
+def _bright(unknown: Unknown, found: np.ndarray) -> list[str]:
+    """Where many texels ``(H, W, C)`` that views see came to the high end of their range."""
+    there = _at(found, unknown.high) & ~_at(unknown.start, unknown.high)
+    if unknown.truth is not None:
+        there &= ~_at(unknown.truth, unknown.high)
+    seen = np.ones(found.shape, bool) if unknown.seen is None else unknown.seen
+    share = (there & seen).any(axis=2).sum() / max(seen.any(axis=2).sum(), 1)
+    if share <= _BRIGHTEST:
+        return []
+    return [
+        f"'{unknown.key}': {share:.0%} of its texels that views see ended at the high end of its "
+        f"range, {unknown.high:.4g}: the light is probably too dark for the images, or in another "
+        "unit than they are"
+    ]
+
+
 def underway(stepper: Stepper) -> list[str]:
     """What is to be said of few numbers that still moved as fast as their rates let them."""
     said, led = [], {each.size for each in stepper.unknowns.together}
@@ -59,9 +78,10 @@ def underway(stepper: Stepper) -> list[str]:
         unknown, reach = stepper.unknowns[key], stepper.reach[key]
         now = as_numpy(stepper.values[key])
         moved = float(np.abs(now - begun).max())
-        # A way that may be shorter the other way round, or that ended at an end, is another matter.
+        # A way that is shorter the other way round, or that ended at an end, is another matter.
+        period = unknown.kind.period
         ended = any(_at(now, x).any() for x in (unknown.low, unknown.high) if np.isfinite(x))
-        if unknown.kind.period or ended or key in led:
+        if (period and moved > period / 2) or ended or key in led:
             continue
         if moved > _STRAIGHT * reach > 0:
             said.append(

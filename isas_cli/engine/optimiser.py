@@ -205,7 +205,7 @@ class Stepper:
 
     def _rate(self, unknown: Unknown, spent: float) -> float:
         """0 while it rests."""
-        usual = (unknown.lr or self.settings.lr) * self.settings.factor
+        usual = (unknown.lr or self.settings.lr * unknown.speed) * self.settings.factor
         return usual * self._fallen(unknown.key, spent) * unknown.moves(spent)
 
     def _fallen(self, key: str, spent: float) -> float:

@@ -122,13 +122,15 @@ def of_picture(
     turned: bool,
     relit: bool,
     linear: bool | None = None,
+    across: bool | None = None,
 ) -> dict[str, float]:
     """``pictures`` of what a ``rendering``'s camera sees, against the picture of the ``camera`` as
     its file has it, whose ``mask`` may be another file; where it is not ``relit`` as it was
     exposed. ``turned``: whether it is turned as its file asks; ``linear``: as ``images.load`` has
-    it. Raises InputError, naming ``where``."""
+    it; ``across``: whether its mask lies otherwise (``turns.across``; None: if their sizes tell).
+    Raises InputError, naming ``where``."""
     picture = images.load(camera.image, finite=False, linear=linear, turned=turned).image
-    both = picture, _mask(camera.image, mask, where, turned)
+    both = picture, _mask(camera.image, mask, where, turned, across)
     seen = (_seen(each, camera, rendering, where) for each in both)
     exposed = image if relit else image * np.float32(camera.exposure)
     return _scored(exposed, *seen, where, relit)
@@ -136,8 +138,8 @@ def of_picture(
 
 def _seen(pixels: np.ndarray, camera: Camera, rendering: Camera, where: str) -> np.ndarray:
     """A picture ``(H, W, 3)`` of a ``camera``, or its mask ``(H, W)``, as a ``rendering``'s camera
-    sees it, where its own pixels are not square. Raises InputError for one of another shape than
-    the camera's, whatever its size."""
+    sees it, where its own has a lens, or pixels that are not square; 0 where that shows nothing.
+    Raises InputError for one of another shape than the camera's, whatever its size."""
     size = pixels.shape[1::-1]
     if turns.factor(size, (camera.width, camera.height)) is None:
         raise InputError(
@@ -180,10 +182,16 @@ def of_name(folder: Path, name: str) -> Path | None:
     return None
 
 
-def _mask(picture: Path, listed: Path | None, where: str, turned: bool = True) -> np.ndarray:
+def _mask(
+    picture: Path,
+    listed: Path | None,
+    where: str,
+    turned: bool = True,
+    across: bool | None = None,
+) -> np.ndarray:
     beside = picture.parent.with_name(f"{picture.parent.name}_mask") / f"{picture.stem}.png"
     if listed is not None or beside.is_file():
-        return images.read_mask(listed or beside, turned)
+        return turns.mask(listed or beside, picture, turned, across)
     alpha = images.read_alpha(picture, turned)
     if alpha is None:
         raise InputError(f"{where}: no mask, nor alpha: what is not the object would count")

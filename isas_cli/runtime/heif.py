@@ -39,6 +39,11 @@ def read(path: Path) -> tuple[np.ndarray, Said]:
     return colours.astype(np.float32) / np.float32(most), _said(found.info)
 
 
+def exif(path: Path) -> bytes:
+    """What the camera says of the picture, empty where it says nothing. Raises InputError."""
+    return _opened(path).info.get("exif") or b""
+
+
 def _said(info: dict) -> Said:
     icc, numbers = info.get("icc_profile"), info.get("nclx_profile")
     if icc:

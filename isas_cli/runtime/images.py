@@ -8,7 +8,9 @@ border at which files are decoded to that and encoded from it. It knows nothing 
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterable
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +25,9 @@ from .files import write_atomically
 from .profiles import Said
 
 _PNG = b"\x89PNG\r\n\x1a\n"
+# How a JPEG begins, by which of its first bytes OpenImageIO knows one with a gain map, and what it
+# does not know, as long.
+_JPEG, _FIRST, _GAIN, _PLAIN = b"\xff\xd8", 2**20, b"hdrgm:Version", b"hdrgm:Ignored"
 _INT32 = range(-(2**31), 2**31)
 _INTEGER_FORMATS = {oiio.UINT8: 255.0, oiio.UINT16: 65535.0}
 _FLOAT_FORMATS = (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
@@ -451,6 +456,21 @@ def _check_png(path: Path) -> None:
         raise InputError(f"{path}: a damaged PNG: {' '.join(str(error).split())}") from error
 
 
+@contextmanager
+def _without_gains(path: Path) -> Iterator[Path]:
+    """The file; of a JPEG with a gain map (Ultra HDR) a copy that says nothing of it: OpenImageIO
+    would brighten the picture by that. What is opened within stays open."""
+    with open(path, "rb") as file:
+        first = file.read(_FIRST)
+        if not first.startswith(_JPEG) or _GAIN not in first:
+            yield path
+            return
+        with tempfile.NamedTemporaryFile(prefix="isas-", suffix=".jpg") as copy:
+            copy.write((first + file.read()).replace(_GAIN, _PLAIN))
+            copy.flush()
+            yield Path(copy.name)
+
+
 def _opened(path: Path) -> oiio.ImageInput:
     """A picture file, open. Raises InputError."""
     if not path.is_file():
@@ -458,7 +478,8 @@ def _opened(path: Path) -> oiio.ImageInput:
     _check_png(path)
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)  # a product with alpha could not be decoded
-    source = oiio.ImageInput.open(str(path), config)
+    with _without_gains(path) as plain:
+        source = oiio.ImageInput.open(str(plain), config)
     if source is None:
         raise InputError(f"{path}: cannot be read as a picture: {_reason(oiio)}")
     return source

@@ -85,12 +85,7 @@ def _rendered(scene: mi.Scene, spp: int, seed: int) -> np.ndarray:
 
 
 def cut(camera: Camera, width: int | None) -> Camera:
-    """The camera that renders: of pictures ``width`` pixels wide. Raises InputError for a lens."""
-    if not camera.lens.straight:
-        raise InputError(
-            f"{camera.name}: its lens is no pinhole: scores are of pictures without distortion; "
-            "undistort them, as COLMAP's image_undistorter does"
-        )
+    """The camera that renders: without a lens, of pictures ``width`` pixels wide."""
     return camera if width is None and camera.ideal else camera.pinhole(width)
 
 

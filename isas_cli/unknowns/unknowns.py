@@ -31,8 +31,9 @@ class Unknown:
     ``seen``: which entries some view sees (bool, same shape), filled in by ``coverage``;
     ``doubled``: the shares of the budget at which its resolution doubles until it is whole;
     ``schedule``, ``final``: of its rate, or None for what ``OptimizerConfig`` says; ``prior``: a
-    factor on the prior's weights; ``asked``: whether the configuration names it: what photographs
-    make unknown by themselves may be seen by no view."""
+    factor on the prior's weights; ``speed``: a factor on the optimiser's rate, where it has none of
+    its own; ``asked``: whether the configuration names it: what photographs make unknown by
+    themselves may be seen by no view."""
 
     kind: Kind
     start: np.ndarray
@@ -47,6 +48,7 @@ class Unknown:
     schedule: str | None = None
     final: float | None = None
     prior: float = 1.0
+    speed: float = 1.0
     asked: bool = True
 
     @property

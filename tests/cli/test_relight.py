@@ -22,8 +22,9 @@ from isas_cli.measure import relighting
 from isas_cli.runtime import backend, images
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene import export, relit
-from isas_cli.scene.photos import building, importing
+from isas_cli.scene.photos import building, importing, turns
 from isas_cli.scene.photos.camera import Camera
+from isas_cli.scene.photos.lens import Lens
 
 PLACES = (0.8, 0.9, 2.2), (-2.0, 0.6, 1.2)
 # Of a sphere whose colour is the only unknown, and begins near the truth.
@@ -129,6 +130,13 @@ def test_each_view_may_have_a_light_of_its_own(run):
     assert main(["relight", str(run / "run"), str(run / "set/transforms.json"), *more]) == 0
     assert images.read(run / "small/view_0.exr").shape == (15, 20, 3)
     assert json.loads((run / "small/scores.json").read_text())["mean"]["psnr_h"] > 30
+
+
+def test_what_a_light_lacks_is_said_once(run, tmp_path, capsys):
+    Image.new("RGB", (16, 16), (255, 255, 200)).save(tmp_path / "probe.png")
+    more = "--light", str(tmp_path / "probe.png"), "--spp", "1", "--output", str(tmp_path / "out")
+    assert main(["relight", str(run / "run"), str(run / "set"), *more]) == 0
+    assert capsys.readouterr().err.count(f"--light {tmp_path / 'probe.png'}: 16×16 pixels") == 1
 
 
 def test_an_environment_turns_about_the_world_s_up(run):
@@ -240,6 +248,62 @@ def test_pixels_that_are_not_square_are_made_so(tmp_path):
     assert found["psnr_h"] > 40
 
 
+@pytest.mark.parametrize("width", [None, 40])
+def test_a_lens_is_taken_out_of_pictures(tmp_path, width):
+    """And what a pinhole sees beside them does not count."""
+    k, size, focal, middle = 0.15, (80, 60), 70.0, np.array([41.0, 29.0])
+
+    def smooth(x, y) -> np.ndarray:
+        waves = np.sin(x / 9), np.cos(y / 8), np.sin((x + y) / 11)
+        return np.stack([0.4 + 0.3 * each for each in waves], axis=2).astype(np.float32)
+
+    y, x = np.indices(size[::-1]) + 0.5
+    images.write_exr(tmp_path / "a.exr", smooth(x, y), [*"RGB"], {})
+    images.write_png(tmp_path / "mask.png", np.full((60, 80, 3), 255, np.uint8))
+    lens = Lens(radial=(k, 0.0, 0.0, 0.0))
+    numbers = *size, focal, focal, *middle, np.eye(4)
+    camera = Camera("a", tmp_path / "a.exr", *numbers, lens=lens)
+    rendering = relit.cut(camera, width)
+    by = 80 // (width or 80)
+    assert rendering.ideal and (rendering.width, rendering.height) == (80 // by, 60 // by)
+    rows, columns = np.indices((60 // by, 80 // by)) + 0.5
+    plane = (np.stack([columns, rows], axis=2) * by - middle) / focal
+    seen = plane * (1 + k * (plane**2).sum(axis=2, keepdims=True)) * focal + middle
+    shown = smooth(*np.moveaxis(seen, 2, 0))
+    beside = ((seen < 0) | (seen > size)).any(axis=2)
+    shown[beside] = 9
+    assert beside.any()
+    told = rendering, camera, tmp_path / "mask.png", "view a", False, False
+    assert relighting.of_picture(shown, *told)["psnr_h"] > 45
+
+
+@pytest.mark.parametrize("orientation", [3, 6])
+def test_masks_lie_as_their_pictures(tmp_path, orientation):
+    """As a run takes them: upright ones of pictures that are read as stored, where their sizes tell
+    of one of the set."""
+    folder, exif = tmp_path / "set", Image.Exif()
+    (folder / "masks").mkdir(parents=True)
+    content = photo_sets.transforms(Files(folder, photo_sets.POSES[:2]))
+    white = np.zeros((30, 40), np.uint8)
+    white[4:20, 3:25] = 255
+    for number, tag in enumerate((8, orientation)):
+        exif[0x112] = tag
+        content["frames"][number]["file_path"] = f"{number}.jpg"
+        Image.new("RGB", (40, 30), (90, 90, 90)).save(folder / f"{number}.jpg", exif=exif)
+        upright = {3: white[::-1, ::-1], 6: np.rot90(white, -1), 8: np.rot90(white, 1)}[tag]
+        Image.fromarray(np.ascontiguousarray(upright)).save(folder / f"masks/{number}.png")
+    photo_sets.write(folder / "transforms.json", content)
+    cameras, over = as_asked(folder)
+    across, told = turns.across(cameras, over)
+    assert (over, told) == (set(), []) and across == {"0.jpg", "1.jpg"}
+    shown = np.zeros((30, 40, 3), np.float32)
+    shown[4:20, 3:25] = images.srgb_decode(np.float32(90 / 255))
+    for each in cameras:
+        ways = False, each.name in across
+        found = relight._score(shown, each, each, PhotosConfig(), "", ways, False)
+        assert found["psnr_h"] > 40
+
+
 @pytest.fixture
 def tall(tmp_path, rng):
     """A picture of 80 × 60, and a mask."""
@@ -312,8 +376,8 @@ def test_the_run_s_own_set_is_found_as_the_run_found_it(tmp_path):
         images.write_png(tmp_path / f"small/view_{number}.png", np.full((15, 20, 3), 90, np.uint8))
         images.write_png(tmp_path / f"cut/view_{number}.png", np.full((15, 20, 1), 255, np.uint8))
     own = dict(cameras="sparse", images="small", masks="cut", scale=0.5, missing="skip")
-    for place in (tmp_path, tmp_path / "sparse"):
-        cameras, _ = as_asked(place, path=str(tmp_path), **own)
+    for place in ("", "sparse", "sparse/0", "sparse/0/cameras.txt"):
+        cameras, _ = as_asked(tmp_path / place, path=str(tmp_path), **own)
         assert [c.image for c in cameras] == [tmp_path / f"small/view_{n}.png" for n in range(2)]
         assert [c.mask for c in cameras] == [tmp_path / f"cut/view_{n}.png" for n in range(2)]
         np.testing.assert_allclose(cameras[0].to_world, photo_sets.POSES[0], atol=1e-9)
@@ -322,6 +386,20 @@ def test_the_run_s_own_set_is_found_as_the_run_found_it(tmp_path):
     assert camera.image.name == "view_0.png"
     (camera,), _ = as_asked(tmp_path, path="another", **own)
     assert camera.image == tmp_path / "view_0.exr" and camera.mask is None
+
+
+def test_a_file_that_the_run_found_by_itself_is_its_own(tmp_path):
+    content = photo_sets.transforms(Files(tmp_path, photo_sets.POSES))
+    photo_sets.write(tmp_path / "other.json", content)
+    (tmp_path / "cut").mkdir()
+    for number in range(3):
+        images.write_png(tmp_path / f"cut/view_{number}.png", np.full((30, 40, 1), 255, np.uint8))
+    own = dict(path=str(tmp_path), masks="cut", without=["view_1.exr"])
+    for place in ("", "transforms.json"):
+        cameras, _ = as_asked(tmp_path / place, **own)
+        assert [c.mask for c in cameras] == [tmp_path / f"cut/view_{n}.png" for n in (0, 2)]
+    cameras, _ = as_asked(tmp_path / "other.json", **own)
+    assert [c.mask for c in cameras] == [None] * 3
 
 
 def test_cameras_without_a_size_are_of_pictures_as_the_run_turns_them(tmp_path):

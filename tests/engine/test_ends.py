@@ -10,7 +10,7 @@ from runs_for_tests import QUIET, ran
 from scenes_for_tests import ROUGHNESS, TEXTURE, dictionary, without_targets
 from xml_for_tests import camera, paths
 
-from isas_cli.config.schema import OptimizerConfig, UnknownConfig
+from isas_cli.config.schema import OptimizerConfig, PoseConfig, UnknownConfig
 from isas_cli.engine import assemble, ends
 from isas_cli.engine.optimiser import Stepper
 from isas_cli.runtime import images
@@ -56,6 +56,28 @@ def test_texels_are_not_counted():
     p = without_targets(dictionary(), {TEXTURE: 0.5})
     black = np.zeros_like(p.unknowns[TEXTURE].start)
     assert ends.reached(p.unknowns, p.unknowns.values_of({TEXTURE: black})) == []
+
+
+@pytest.mark.parametrize("bright, seen, told", [(1, 4, 0), (1, 2, 1), (4, 4, 1), (2, 0, 0)])
+def test_many_texels_as_bright_as_can_be_are_said(bright, seen, told):
+    """Of four rows, of those that views see; in one channel, as of a red object."""
+    p = without_targets(dictionary(), {TEXTURE: 0.5})
+    unknown = p.unknowns[TEXTURE]
+    unknown.seen[:] = False
+    unknown.seen[:seen] = True
+    found = np.full_like(unknown.start, 0.5)
+    found[:bright, :3, 0] = unknown.high
+    lines = ends.reached(p.unknowns, p.unknowns.values_of({TEXTURE: found}))
+    assert len(lines) == told
+    if told:
+        share = 0.75 * min(bright, seen) / seen
+        assert f"'{TEXTURE}': {share:.0%} of its texels that views see" in lines[0]
+    # Neither a truth nor a start that is so bright is news.
+    for name in ("start", "truth"):
+        before = getattr(unknown, name)
+        setattr(unknown, name, found)
+        assert ends.reached(p.unknowns, p.unknowns.values_of({TEXTURE: found})) == []
+        setattr(unknown, name, before)
 
 
 def test_a_run_says_that_it_did_not_leave_its_start(tmp_path, capsys):
@@ -136,6 +158,17 @@ def test_images_that_came_no_nearer_are_said():
 
     assert told(0.06, 0.06) == told(0.06, 0.08) == 1
     assert told(0.06, 0.05) == told(0.0, 0.0) == told(0.0, 0.01) == told(0.06, 0.06, 10) == 0
+
+
+@pytest.mark.parametrize("lr, count", [(0.5, 1), (5.0, 0)])
+def test_a_turn_that_crawls_is_said(lr, count):
+    """Of more than half a period it may have been the shorter way round that was gone."""
+    turn = PoseConfig(kind="rotation", objects=["wall"])
+    p = without_targets(dictionary(), {"turn": UnknownConfig(start=10.0)}, {"turn": turn})
+    stepper = Stepper(p.unknowns, OptimizerConfig(lr=lr, schedule="constant"))
+    for _ in range(60):
+        stepper.step({"turn": type(stepper.values["turn"])(1.0)}, 0.0)
+    assert len(ends.underway(stepper)) == count
 
 
 GREY = f"""<scene version="3.0.0">{paths(2)}{camera()}<emitter type="constant"/>

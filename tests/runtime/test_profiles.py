@@ -1,5 +1,6 @@
 """What files say of their colours, in every way that they have."""
 
+import io
 import struct
 import sys
 import zlib
@@ -54,6 +55,39 @@ def test_a_jpeg_and_one_of_a_power_law(tmp_path):
         curve = images.srgb_decode if power is None else lambda x: x**2.2
         wanted = light(flat / 255, primaries, curve)
         np.testing.assert_allclose(images.read(tmp_path / "a.jpg"), wanted, atol=0.01)
+
+
+GAINS = (
+    b"http://ns.adobe.com/xap/1.0/\0<x:xmpmeta xmlns:x='adobe:ns:meta/'><rdf:RDF "
+    b"xmlns:rdf='http://www.w3.org/1999/02/22-rdf-syntax-ns#'><rdf:Description "
+    b"xmlns:hdrgm='http://ns.adobe.com/hdr-gain-map/1.0/' hdrgm:Version='1.0' "
+    b"hdrgm:GainMapMax='2' hdrgm:HDRCapacityMax='2'/></rdf:RDF></x:xmpmeta>"
+)
+
+
+def test_a_gain_map_brightens_nothing(tmp_path):
+    """Of a telephone's JPEG (Ultra HDR), whose 8 bits are the picture, as without it."""
+    ramp = np.repeat(np.arange(10, 250, 5, dtype=np.uint8)[None], 32, axis=0)
+    turned = Image.Exif()
+    turned[0x112] = 6
+
+    def parts(pixels: np.ndarray, **more) -> list[bytes]:
+        file = io.BytesIO()
+        Image.fromarray(pixels).save(file, "JPEG", quality=95, **more)
+        told = struct.pack(">HH", 0xFFE1, len(GAINS) + 2) + GAINS
+        return [file.getvalue()[:2], told, file.getvalue()[2:]]
+
+    shown = np.stack([ramp, ramp // 2, 255 - ramp], axis=2)
+    own = parts(shown, exif=turned, icc_profile=profile(P3))
+    plain, gained = tmp_path / "plain.jpg", tmp_path / "gained.jpg"
+    plain.write_bytes(own[0] + own[2])
+    gained.write_bytes(b"".join(own + parts(ramp[::4, ::4])))
+    for ask in (images.size, images.orientation, images.counted, images.grey, images.has_alpha):
+        assert ask(gained) == ask(plain), ask
+    found, wanted = images.load(gained), images.load(plain)
+    assert found.doubt is None and found.image.shape == (48, 32, 3)
+    np.testing.assert_array_equal(found.image, wanted.image)
+    np.testing.assert_array_equal(found.brightest, wanted.brightest)
 
 
 @pytest.mark.parametrize("made", ["ours", "LittleCMS", "grey"])

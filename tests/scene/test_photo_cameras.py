@@ -10,8 +10,11 @@ import pytest
 import trimesh
 from photo_sets import CENTRE, FOCAL, POSES, SIZE, Files
 from PIL import Image
+from test_photo_maps import built
 
 from isas_cli.config.photographs import PhotosConfig
+from isas_cli.config.schema import OptimizerConfig
+from isas_cli.engine.optimiser import Stepper
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene.photos import building, photographs, reading
 from isas_cli.scene.photos.camera import Camera
@@ -335,7 +338,23 @@ def test_a_light_begins_in_the_unit_of_the_pictures(tmp_path, times, usual):
     photo_sets.transforms(Files(tmp_path, POSES, pictures))
     taken = photographs.load(PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.5]))
     found = building.unknowns(taken, {}, {})["sky.data"]
-    assert found.start == (1.0 if usual else pytest.approx(0.6 * times))
-    assert found.lr == (None if usual else pytest.approx(0.02 * 0.6 * times))
+    bright = 1.0 if usual else 0.6 * times
+    assert found.start == pytest.approx(bright) and found.lr is None
+    settings = "scene=photos", f"photos.path={tmp_path}", "photos.sphere=[0,0,0,0.5]"
+    unknowns = built([*settings, "photos.texture=4"])[1].unknowns
+    rate = Stepper(unknowns, OptimizerConfig(lr=0.1)).moments(0.0).rate
+    assert rate["sky.data"] == pytest.approx(0.1 * bright)
+    assert rate["object.bsdf.brdf_0.base_color.data"] == pytest.approx(0.1)
     taken.exposures = np.array([[1.0], [128.0]]), 0.1
     assert building._exposure(taken).range == [0.01, 256.0]
+
+
+def test_a_light_begins_as_at_exposure_1(tmp_path):
+    """Of pictures that are 500 times as bright, which their file says."""
+    pictures = [np.full((*SIZE[::-1], 3), 0.3 * 500, np.float32)] * len(POSES)
+    content = photo_sets.transforms(Files(tmp_path, POSES, pictures))
+    for frame in content["frames"]:
+        frame["exposure"] = 500
+    photo_sets.write(tmp_path / "transforms.json", content)
+    taken = photographs.load(PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.5]))
+    assert building.unknowns(taken, {}, {})["sky.data"].start == 1.0

@@ -2,6 +2,7 @@
 
 import json
 import struct
+import tracemalloc
 
 import mitsuba as mi
 import numpy as np
@@ -16,7 +17,7 @@ from isas_cli.config import schema
 from isas_cli.config.compose import compose, translate
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.engine import assemble
-from isas_cli.runtime import backend
+from isas_cli.runtime import backend, memory
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene import export
 from isas_cli.scene.photos import photographs, shape
@@ -119,6 +120,25 @@ def test_edges_between_materials_stay_smooth(tmp_path):
     assert len(found) == 2
     for part in found.values():
         np.testing.assert_allclose(part.normals, part.vertices, atol=0.02)
+
+
+def test_normals_of_many_corners_at_one_place_take_little_memory(monkeypatch):
+    """Of a flat cone, whose tip is smooth."""
+    count = 1000
+    angle, number = np.linspace(0, 2 * np.pi, count, endpoint=False), np.arange(count)
+    rim = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    vertices = np.vstack([[0, 0, 0.3], rim]).astype(np.float32)
+    faces = np.column_stack([0 * number, 1 + number, 1 + (number + 1) % count]).astype(np.uint32)
+    whole = shape._smoothed(vertices, faces, np.zeros((0, 2), np.float32))
+    tip = whole.normals.reshape(-1, 3, 3)[:, 0]
+    np.testing.assert_allclose(tip, [[0, 0, 1]] * count, atol=1e-5)
+    monkeypatch.setattr(memory, "_PART", 4096)
+    tracemalloc.start()
+    again = shape._smoothed(vertices, faces, np.zeros((0, 2), np.float32))
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_allclose(again.normals, whole.normals, atol=1e-6)
+    assert most < 8e6  # of all pairs at once: 72e6
 
 
 @pytest.fixture

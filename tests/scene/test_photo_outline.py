@@ -359,6 +359,27 @@ def test_what_lies_behind_a_soft_mask_is_taken_away():
     np.testing.assert_allclose(found, np.repeat(part[..., None] * 0.1, 3, axis=2), atol=1e-6)
 
 
+@pytest.mark.parametrize("soft", (False, True))
+def test_borders_are_mixed_in_pieces_as_in_the_whole_picture(soft, monkeypatch):
+    rng = np.random.default_rng(0)
+    down, right = np.mgrid[:70, :90]
+    depth = 25 - np.hypot(down - 34, right - 45) + 3 * np.sin(right / 3)
+    part = np.clip(depth / 4 + 0.5, 0, 1).astype(np.float32)
+    image = part[..., None] * (0.6 + 0.1 * rng.random((70, 90, 3)))
+    image = np.float32(image + (1 - part[..., None]) * 0.1 * rng.random((70, 90, 3)))
+    part = part if soft else np.float32(part > 0.5)
+
+    def ended() -> tuple[np.ndarray, ...]:
+        return (outlines.over_black(image, part),) if soft else outlines.softened(image, part)
+
+    whole, given = ended(), part.copy()
+    monkeypatch.setattr(outlines, "_PIECE", 32)
+    pieces = ended()
+    assert (part == given).all() and not np.allclose(whole[0], image * part[..., None])
+    for one, other in zip(whole, pieces, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6)
+
+
 def test_masks_of_jpeg_are_black_and_white(ball):
     """But for its noise: they end the object as finely as the picture does."""
     (ball / "masks").mkdir()

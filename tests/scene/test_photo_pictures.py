@@ -151,6 +151,32 @@ def test_an_upright_mask_is_turned_back_to_a_picture_as_it_is_stored(tmp_path, o
     assert not only.mask[:10, :5].any() and only.mask[10:].all() and only.mask[:, 5:].all()
 
 
+@pytest.mark.parametrize("upright", [True, False])
+@pytest.mark.parametrize("form", ["transforms", "ours"])
+def test_masks_on_edge_tell_which_way_up_the_others_lie(tmp_path, form, upright):
+    """Of a picture upside down no size tells it: as stored, or as turned, as its cameras are."""
+    mask = np.ones((*SIZE[::-1], 3), np.float32)
+    mask[:10, :5] = 0
+    (tmp_path / "masks").mkdir()
+    turned = form == "ours"
+    for number, tag in enumerate((6, 3)):
+        stored, over = (STORED[each] for each in (tag, {6: 8, 3: 3}[tag]))
+        save(tmp_path / f"{number}.jpg", stored(RAMP) if turned else RAMP, tag)
+        lies = mask if upright == turned else over(mask) if upright else stored(mask)
+        save(tmp_path / f"masks/{number}.png", lies)
+    listed(tmp_path, form, ["0.jpg", "1.jpg"])
+    taken = loaded(tmp_path)
+    assert [line for line in taken.warnings if "which way up" in line] == []
+    for each in taken.shown:
+        assert likeness(each.image, RAMP)
+        np.testing.assert_array_equal(each.mask > 0, mask[..., 0] > 0)
+    listed(tmp_path, form, ["1.jpg"])
+    taken = loaded(tmp_path)
+    (told,) = (line for line in taken.warnings if "which way up" in line)
+    assert "1 masks" in told and "masks/1.png, their pictures have (3)" in told
+    assert f"as {'turned' if turned else 'stored'}; if" in told and "\n" not in told
+
+
 def test_a_profile_is_heeded_and_what_cannot_be_is_said_once(tmp_path):
     flat = np.full((*SIZE[::-1], 3), (200, 60, 90), np.uint8)
     for number in range(3):

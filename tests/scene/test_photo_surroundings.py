@@ -1,5 +1,8 @@
 """A light that is given, and the borders of pictures: said before anything is rendered."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import photo_sets
 import pytest
@@ -10,7 +13,7 @@ from test_photo_alike import AROUND, HALF, picture
 
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime import images
-from isas_cli.scene.photos import borders, photographs
+from isas_cli.scene.photos import borders, photographs, surroundings
 
 # From a world whose up is y to one whose up is z, and upside down.
 TURNS = {"y": np.eye(3), "z": [[1, 0, 0], [0, 0, -1], [0, 1, 0]], "-y": np.diag([1, -1, -1])}
@@ -24,9 +27,12 @@ def told(folder, poses=AROUND, turn="y", pictures=None, **settings) -> list[str]
     pictures = pictures or [picture(pose) for pose in poses]
     photo_sets.transforms(Files(folder, [world @ pose for pose in poses], pictures))
     trimesh.creation.box(2 * HALF, world).export(folder / "box.ply")
-    asked = {"path": str(folder), "mesh": str(folder / "box.ply"), "saturated": None}
-    lines = photographs.load(PhotosConfig(**asked | settings)).warnings
+    lines = photographs.load(replace(asked(folder), **settings)).warnings
     return [line for line in lines if "has no texture coordinates" not in line]
+
+
+def asked(folder) -> PhotosConfig:
+    return PhotosConfig(path=str(folder), mesh=str(folder / "box.ply"), saturated=None)
 
 
 def sky(path, wide=32, high=16, most=5.0) -> str:
@@ -69,6 +75,40 @@ def test_cameras_that_stand_upright_about_another_axis(tmp_path, turn):
     assert told(tmp_path, turn=turn, environment=str(tmp_path / "own.exr")) == []
 
 
+def test_the_light_of_other_commands_is_named_as_they_name_it(tmp_path):
+    lit = Path(sky(tmp_path / "probe.exr", 16, 16))
+    told(tmp_path, turn="z")
+    cameras = [each.camera for each in photographs.load(asked(tmp_path)).all]
+    names = "--light ", "--up="
+    shape, up = surroundings.doubts(lit, "y", cameras, names)
+    assert shape.startswith(f"--light {lit}: 16×16 pixels are read as longitude and latitude")
+    assert up.startswith(f"--light {lit}: its up is --up=y, but") and up.endswith("take --up=z")
+    # Of lights that stand to each camera nothing is up.
+    assert surroundings.doubts(lit, None, cameras, names) == [shape]
+
+
+@pytest.mark.parametrize(
+    "light, how", [(0.02, "multiply"), (0.3, None), (1.0, None), (15.0, None), (100.0, "divide")]
+)
+def test_a_light_of_another_unit_than_the_pictures(tmp_path, light, how):
+    """The object is about as bright as 0.4, before white, which does not count."""
+    pixels = np.full((16, 32, 3), light, np.float32)
+    images.write_exr(tmp_path / "sky.exr", pixels, ["R", "G", "B"], {})
+    lines = told(tmp_path, environment=str(tmp_path / "sky.exr"))
+    assert len(lines) == (how is not None)
+    if how is None:
+        return
+    by = max(light * 0.3 / 0.4, 0.4 / light / 0.3)
+    (line,) = lines
+    assert "sky.exr: the pictures show the object" in line and "in another unit" in line
+    assert f"{how} it by about" in line and float(line.split()[-1]) == pytest.approx(by, rel=0.3)
+    # A base colour that is known cannot make up for it.
+    taken = photographs.load(replace(asked(tmp_path), environment=str(tmp_path / "sky.exr")))
+    known = replace(taken.settings, texture="colour.png")
+    assert surroundings.unit(taken.settings, taken.all, taken.surface) == [line]
+    assert surroundings.unit(known, taken.all, taken.surface) == []
+
+
 def rim(shown: np.ndarray) -> np.ndarray:
     found = shown.copy()
     found[:2] = found[-2:] = found[:, :4] = found[:, -3:] = 0
@@ -90,8 +130,7 @@ def test_black_borders_that_the_object_reaches(tmp_path):
     assert told(tmp_path, near, pictures=before) == []
     # An alpha that is whole says nothing of them.
     told(tmp_path, near, pictures=[rim(picture(pose)) for pose in near])
-    mesh = str(tmp_path / "box.ply")
-    taken = photographs.load(PhotosConfig(path=str(tmp_path), mesh=mesh, saturated=None))
+    taken = photographs.load(asked(tmp_path))
     for each in taken.all:
         each.lost["transparent"] = 0
     assert borders.doubts(taken.all, taken.surface) == [line]

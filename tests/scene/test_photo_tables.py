@@ -92,6 +92,16 @@ def test_what_pictures_say_of_themselves(tmp_path):
         assert exif.read(tmp_path / name) is None
 
 
+def test_a_heic_says_it_as_well(tmp_path):
+    heif = pytest.importorskip("pillow_heif")
+    jpeg(tmp_path / "a.jpg", 0.01)
+    picture = Image.open(tmp_path / "a.jpg")
+    for name, told in (("a.heic", picture.info["exif"]), ("none.heic", b"")):
+        heif.from_pillow(Image.new("RGB", (64, 64))).save(tmp_path / name, exif=told or None)
+    assert exif.read(tmp_path / "a.heic") == exif.read(tmp_path / "a.jpg") is not None
+    assert exif.read(tmp_path / "none.heic") is None
+
+
 def test_alpha_that_ends_the_object_is_named(called, tmp_path):
     (tmp_path / "set").mkdir()
     content = photo_sets.transforms(Files(tmp_path / "set", POSES))

@@ -108,31 +108,29 @@ def shown(
 def unlike(photographs: list[Photograph], surface: Surface) -> tuple[float, str, str] | None:
     """How many times as bright the brightest view shows the object as the darkest, and their names;
     None where they are alike, or nothing is sure."""
-    found = apart(photographs, surface)
-    if found is None or found.share < _TOLD:
-        return None
-    low, high = int(found.exposures.argmin()), int(found.exposures.argmax())
-    factor = found.exposures[high] - found.exposures[low]
-    if factor < max(np.log(_APART), _SURE * found.deviation):
-        return None
-    return float(np.exp(factor)), *(photographs[each].camera.name for each in (high, low))
+    return _extremes(photographs, apart(photographs, surface), _APART)
 
 
 def tinted(photographs: list[Photograph], surface: Surface) -> tuple[float, str, str] | None:
     """How many times as red or blue, beside green, the object is in one view as in another, and
     their names; None where that is alike, or nothing is sure."""
     red, green, blue = (shown(photographs, surface, channel) for channel in range(3))
-    casts = [each for each in (_apart(red - green), _apart(blue - green)) if each is not None]
-    worst: tuple[float, str, str] | None = None
-    for found in (each for each in casts if each.share >= _TOLD):
-        low, high = int(found.exposures.argmin()), int(found.exposures.argmax())
-        factor = float(found.exposures[high] - found.exposures[low])
-        if factor >= max(np.log(_TINTED), _SURE * found.deviation) and (
-            worst is None or factor > np.log(worst[0])
-        ):
-            names = (photographs[each].camera.name for each in (high, low))
-            worst = float(np.exp(factor)), *names
-    return worst
+    casts = (_extremes(photographs, _apart(each - green), _TINTED) for each in (red, blue))
+    return max(filter(None, casts), default=None)
+
+
+def _extremes(
+    photographs: list[Photograph], found: Apart | None, least: float
+) -> tuple[float, str, str] | None:
+    """The factor between the brightest and the darkest view, if it is sure and ``least`` or more,
+    and their names."""
+    if found is None or found.share < _TOLD:
+        return None
+    low, high = int(found.exposures.argmin()), int(found.exposures.argmax())
+    factor = found.exposures[high] - found.exposures[low]
+    if factor < max(np.log(least), _SURE * found.deviation):
+        return None
+    return float(np.exp(factor)), *(photographs[each].camera.name for each in (high, low))
 
 
 def moved(photographs: list[Photograph], surface: Surface) -> float | None:

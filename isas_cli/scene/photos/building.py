@@ -9,7 +9,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ...config.schema import OptimizerConfig, PhotosConfig, PoseConfig, UnknownConfig
+from ...config.schema import PhotosConfig, PoseConfig, UnknownConfig
 from ...runtime import images
 from ...runtime.errors import InputError
 from ...scenes import meshes
@@ -34,7 +34,7 @@ _PIXELS, _FROM_ONE, _ACROSS = 0.1, 0.05, 0.3
 # Times as fast where the object takes their focal length up in its size: a pixel moves less then.
 _WITH_SIZE = 3
 # What an unknown environment starts at; where pictures are darker or brighter by more than these,
-# it starts as bright as they are beside the grey that colours start at, at a rate of that size.
+# it starts as bright as they are beside the grey that colours start at.
 _LIGHT, _USUAL, _GREY = 1.0, (1 / 16, 4.0), 0.5
 # Rates: of a hull's vertices, of a shift and a size, as shares of the object's size; of a turn, in
 # degrees. And the share of the budget in which shapes and poses follow the outline alone.
@@ -159,9 +159,15 @@ def _lit(taken: Photographs) -> UnknownConfig:
         shown.append(each.image[counts].mean(axis=1) / np.mean(each.camera.exposure))
     shown = np.concatenate(shown)
     light = float(np.median(shown)) / _GREY if shown.size else _LIGHT
-    if light <= 0 or _USUAL[0] <= light <= _USUAL[1]:
-        return UnknownConfig(start=_LIGHT)
-    return UnknownConfig(start=light, lr=OptimizerConfig().lr * light)
+    usual = light <= 0 or _USUAL[0] <= light <= _USUAL[1]
+    return UnknownConfig(start=_LIGHT if usual else light)
+
+
+def rates(found: list[Unknown]) -> None:
+    """Let a light that photographs made unknown move as fast as it is bright."""
+    for unknown in found:
+        if unknown.key == f"{SKY}.data" and not unknown.asked:
+            unknown.speed = float(unknown.start.max()) / _LIGHT
 
 
 def _exposure(taken: Photographs) -> UnknownConfig:

@@ -21,8 +21,7 @@ from scipy.spatial.transform import Rotation
 from ...runtime.errors import InputError
 from . import layouts, models
 from .base import Asked, Capture, number, read_text, whole
-from .camera import Camera
-from .finding import below, present
+from .finding import present, viewed
 
 # Of a quaternion and a translation: how far images.txt may differ from frames.txt in silence.
 _SAME = 1e-4
@@ -147,7 +146,10 @@ def _read(model: _Model, asked: Asked) -> Capture:
         if frames is not None:
             told, pose = pose, _of_frame(frames, words, where)
             moved += not np.allclose(told, pose, atol=_SAME * max(1, np.abs(pose).max()))
-        camera = present(_camera, where, words, pose, lenses, folders, model)
+        if words[8] not in lenses:
+            raise InputError(f"{where}: camera {words[8]} is not in cameras.txt")
+        name, inner, file = words[9].strip(), lenses[words[8]], model.name("images")
+        camera = present(viewed, name, folders, np.linalg.inv(pose), inner, file, where)
         if camera is None:
             continue
         cameras.append(camera)
@@ -258,26 +260,6 @@ def _of_frame(frames: dict, words: list[str], where: str) -> np.ndarray:
     if sensor is None:
         raise InputError(f"{where}: rigs.txt has no pose of camera {words[8]} in its rig")
     return sensor @ pose
-
-
-def _camera(
-    where: str,
-    words: list[str],
-    to_camera: np.ndarray,
-    lenses: dict,
-    folders: list[Path],
-    model: _Model,
-) -> Camera:
-    if words[8] not in lenses:
-        raise InputError(f"{where}: camera {words[8]} is not in cameras.txt")
-    name = words[9].strip()
-    return Camera(
-        name=name,
-        image=below(folders, name, where),
-        to_world=np.linalg.inv(to_camera),
-        described=model.name("images"),
-        **lenses[words[8]],
-    )
 
 
 def _points(model: _Model) -> dict[str, np.ndarray]:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from PIL import Image
 
+from ...runtime import heif
+
 # Of Exif 2.3: the tag of its own directory, and those in it.
 _EXIF, _TIME, _APERTURE, _SPEED = 0x8769, 0x829A, 0x829D, 0x8827
 
@@ -36,12 +38,17 @@ def read(file: Path) -> Taken | None:
         with warnings.catch_warnings():
             # Of a large picture, which Pillow is wary of, only the header is read.
             warnings.simplefilter("ignore")
-            with Image.open(file) as opened:
-                tags = opened.getexif().get_ifd(_EXIF)
+            if heif.names(file):  # which Pillow does not read by itself
+                said = Image.Exif()
+                said.load(heif.exif(file))
+                tags = said.get_ifd(_EXIF)
+            else:
+                with Image.open(file) as opened:
+                    tags = opened.getexif().get_ifd(_EXIF)
         speed = tags.get(_SPEED, 0)
         found = [tags.get(_TIME, 0), tags.get(_APERTURE, 0)]
         found.append(speed[0] if isinstance(speed, tuple) else speed)
         time, aperture, speed = (float(x) for x in found)
-    except Exception:  # whatever Pillow makes of a format that is not its own, or of broken tags
+    except Exception:  # whatever readers make of a format that is not theirs, or of broken tags
         return None
     return Taken(time, aperture, speed) if min(time, aperture, speed) > 0 else None

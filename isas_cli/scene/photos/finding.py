@@ -10,15 +10,14 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from ...config.photographs import PhotosConfig
 from ...runtime import heif, images, raw
 from ...runtime.errors import InputError
-from .camera import HIDING
-
-if TYPE_CHECKING:
-    from .camera import Camera
+from .camera import HIDING, Camera
 
 PLAIN = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".tiff", ".webp", ".bmp")
 PICTURES = (*PLAIN, *heif.ENDINGS, *raw.ENDINGS)
@@ -235,6 +234,15 @@ def below(folders: Iterable[Path], name: str, where: str) -> Path:
     folders = list(folders)
     own = next((folder for folder in folders if existing(folder, name) is not None), folders[0])
     return picture(own, name, where)
+
+
+def viewed(
+    name: str, folders: list[Path], pose: np.ndarray, inner: dict, file: Path | str, where: str
+) -> Camera:
+    """Of the picture ``below`` folders. ``inner``: its size, focal lengths, principal point and
+    lens; ``file``: that says so."""
+    image = below(folders, name, where)
+    return Camera(name=name, image=image, to_world=pose, described=str(file), **inner)
 
 
 def _below(folder: Path, name: str, first: bool = True) -> Path | None:

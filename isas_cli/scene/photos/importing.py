@@ -31,8 +31,6 @@ BLACK = "black"
 _WHOLE = 0.999
 # Of white, the noise that lossy files leave in a mask's black.
 _NOISE = 0.1
-# What undoes a tag's turn; the others undo themselves.
-_BACK = {6: 8, 8: 6}
 
 
 @dataclass
@@ -61,9 +59,12 @@ class Photograph:
     edged: np.ndarray | None = None
 
 
-def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photograph:
+def load(
+    camera: Camera, settings: PhotosConfig, turned: bool = False, across: bool | None = None
+) -> Photograph:
     """The photograph of a camera, from the cache where resampling it was dear. ``turned``: whether
-    it is turned as its file asks.
+    it is turned as its file asks; ``across``: whether its mask lies otherwise (``turns.across``;
+    None: if their sizes tell).
 
     Raises InputError, naming the file, for one that cannot be read, is of another size than its
     camera or its mask, has no pixel that counts, or one that is no number and does.
@@ -73,7 +74,7 @@ def load(camera: Camera, settings: PhotosConfig, turned: bool = False) -> Photog
     image, bad = picture.image, images.emptied(picture.image)
     camera = turns.resized(camera, image.shape[1::-1], settings)
     alpha, part = images.read_alpha(camera.image, turned), None
-    given = None if camera.mask is None else _given_mask(camera, settings, turned)
+    given = None if camera.mask is None else _given_mask(camera, settings, turned, across)
     if given is not None and not camera.hides and opaque(alpha):
         alpha = None
     ending = None if camera.hides else given  # what may say where the object ends
@@ -225,11 +226,12 @@ def _part(
     )
 
 
-def _given_mask(camera: Camera, settings: PhotosConfig, turned: bool) -> np.ndarray:
-    """Of the camera's size, ``(H, W) float32``, white where pixels count. It is turned as its
-    picture, by its own tag or, if it has none and its size tells, by its picture's; back, where the
-    picture is taken as it is stored. Raises InputError."""
-    given, wanted = images.read_mask(camera.mask, turned), (camera.width, camera.height)
+def _given_mask(
+    camera: Camera, settings: PhotosConfig, turned: bool, across: bool | None
+) -> np.ndarray:
+    """Of the camera's size, ``(H, W) float32``, white where pixels count. Raises InputError."""
+    given = turns.mask(camera.mask, camera.image, turned, across)
+    wanted = camera.width, camera.height
     if camera.mask.suffix.lower() in noise.LOSSY and given.max(initial=0) > 1 - _NOISE:
         # Black and white but for its noise.
         given = np.where(given < _NOISE, np.float32(0), given)
@@ -237,12 +239,6 @@ def _given_mask(camera: Camera, settings: PhotosConfig, turned: bool) -> np.ndar
     if camera.hides:
         given = np.float32(given == 0)
     size = given.shape[1::-1]
-    tag = images.orientation(camera.image)
-    tag = tag if turned else _BACK.get(tag, tag)
-    if tag >= 5 and turns.factor(size, wanted) is None:
-        over = images.upright(given, tag)
-        if turns.factor(over.shape[1::-1], wanted) is not None:
-            given, size = over, over.shape[1::-1]
     if size == wanted:
         return given
     told = "resize it"

@@ -23,8 +23,7 @@ import numpy as np
 from ...runtime.errors import InputError
 from . import layouts, models
 from .base import Asked, Capture, inside, load_json, number, numbers, objects, read_text, whole
-from .camera import Camera
-from .finding import below, present
+from .finding import present, viewed
 from .lens import Lens
 
 _NAMES = ("cameras.sfm", "sfm.sfm", "sfm.json")
@@ -86,7 +85,8 @@ def read(file: Path, asked: Asked) -> Capture:
         if number_ not in inner:
             raise InputError(f"{where}: its intrinsic {number_} is not in the file")
         told = _inner(inner[number_], version, f"{file}: intrinsic {number_}")
-        camera = present(_camera, name, folders, _TURN @ pose if turn else pose, told, where)
+        pose = _TURN @ pose if turn else pose
+        camera = present(viewed, name, folders, pose, told, file, where)
         if camera is not None:
             cameras.append(camera)
     if len(lost) == len(views):
@@ -132,16 +132,6 @@ def _rigid(told: dict, where: str) -> np.ndarray:
     found[:3, :3] = np.reshape(numbers(told.get("rotation"), 9, f"{where}: rotation"), (3, 3))
     found[:3, 3] = numbers(told.get("center"), 3, f"{where}: center")
     return found
-
-
-def _camera(name: str, folders: list[Path], pose: np.ndarray, inner: dict, where: str) -> Camera:
-    return Camera(
-        name=name,
-        image=below(folders, name, where),
-        to_world=pose,
-        described=where.partition(": view")[0],
-        **inner,
-    )
 
 
 def _inner(told: dict, version: tuple[int, ...], where: str) -> dict:

@@ -17,8 +17,7 @@ import numpy as np
 from ...runtime.errors import InputError
 from . import layouts
 from .base import Asked, Capture, claimed, load_xml, lone, matrix, number, read_text, whole, words
-from .camera import Camera
-from .finding import below, ordered, present
+from .finding import ordered, present, viewed
 from .lens import Lens
 
 _TYPES = {"frame": "flat", "fisheye": "fisheye"}
@@ -70,7 +69,8 @@ def read(file: Path, asked: Asked) -> Capture:
                 f"Coordinates, export mesh and cameras anew, or {_WAY_OUT}"
             )
         aligned += 1
-        camera = present(_camera, each, world, sensors, folders, where)
+        pose, inner = _pose(each, world, where), _inner(sensors[each.get("sensor_id")], where)
+        camera = present(viewed, label, folders, pose, inner, file, where)
         if camera is not None:
             cameras.append(camera)
     if not aligned:
@@ -89,23 +89,6 @@ def read(file: Path, asked: Asked) -> Capture:
             f"not read: they are left out; {_WAY_OUT}"
         )
     return Capture(cameras, "Metashape", notes=notes)
-
-
-def _camera(
-    each: ElementTree.Element,
-    world: ElementTree.Element | None,
-    sensors: dict[str, ElementTree.Element],
-    folders: list[Path],
-    where: str,
-) -> Camera:
-    label = each.get("label", "")
-    return Camera(
-        name=label,
-        image=below(folders, label, where),
-        to_world=_pose(each, world, where),
-        described=where.partition(": camera")[0],
-        **_inner(sensors[each.get("sensor_id")], where),
-    )
 
 
 def _active(chunk: ElementTree.Element) -> str | None:

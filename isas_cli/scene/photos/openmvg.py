@@ -15,8 +15,7 @@ import numpy as np
 from ...runtime.errors import InputError
 from . import layouts, models
 from .base import Asked, Capture, inside, load_json, number, numbers, objects, read_text, whole
-from .camera import Camera
-from .finding import below, present
+from .finding import present, viewed
 
 _NAME, _WORD = "sfm_data.json", '"sfm_data_version"'
 # The kinds of camera: as COLMAP's models, and what their numbers stand under.
@@ -64,9 +63,9 @@ def read(file: Path, asked: Asked) -> Capture:
             continue
         if key not in inner:
             raise InputError(f"{where}: its intrinsic {key} is not in the file")
-        pose = inside(entry, f"{where}: its pose", "value")
+        pose = _pose(inside(entry, f"{where}: its pose", "value"), where)
         told = _inner(*inner[key], f"{file}: intrinsic {key}")
-        camera = present(_camera, name, folders, pose, told, where)
+        camera = present(viewed, name, folders, pose, told, file, where)
         if camera is not None:
             cameras.append(camera)
     if len(lost) == len(views):
@@ -75,20 +74,15 @@ def read(file: Path, asked: Asked) -> Capture:
     return Capture(cameras, "OpenMVG", notes=notes)
 
 
-def _camera(name: str, folders: list[Path], told: dict, inner: dict, where: str) -> Camera:
+def _pose(told: dict, where: str) -> np.ndarray:
+    """Camera to world, ``(4, 4)``."""
     rows = told.get("rotation")
     if not isinstance(rows, list) or len(rows) != 3:
         raise InputError(f"{where}: rotation: no 3 rows of 3 numbers")
     pose = np.eye(4)
     pose[:3, :3] = np.array([numbers(row, 3, f"{where}: rotation") for row in rows]).T
     pose[:3, 3] = numbers(told.get("center"), 3, f"{where}: center")
-    return Camera(
-        name=name,
-        image=below(folders, name, where),
-        to_world=pose,
-        described=where.partition(": view")[0],
-        **inner,
-    )
+    return pose
 
 
 def _kinds(entries: list[dict], file: str) -> dict[str, tuple[str, dict]]:

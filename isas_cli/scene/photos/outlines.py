@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -53,6 +55,9 @@ _PHOTOGRAPHED = 0.85  # of a picture, at least, within such a frame; a disk fill
 # Of a hole in a mask: pixels at least, and a share of what is filled; and of the views, in how many
 # one is rare.
 _HOLE, _RARE = (12, 2e-3), 1 / 3
+# Pixels: of the squares in which colours at borders are looked for, and what around them decides:
+# ``_REACH``, a mean's one pixel, and ``_BORDER``.
+_PIECE, _HALO = 256, 8
 _LARGE = 512  # pixels: finer pictures say no more of how deep a place lies inside
 
 
@@ -164,9 +169,21 @@ def softened(image: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarra
     nearly everywhere, the mask counts. Masks end half a pixel too soon or too late, as programs
     round, which an object's size shows.
     """
+    picture, found = image * part[..., None], np.array(part, np.float32)
+    border, known = (np.zeros(part.shape, bool) for _ in range(2))
+    for around, place, inner in _pieces(part > 0.5):
+        made = _mixtures(image[around], part[around])
+        for whole, own in zip((picture, found, border, known), made):
+            whole[place] = own[inner]
+    if np.count_nonzero(known) > _TOLD * np.count_nonzero(border):
+        found[border & ~known] = -1
+    return picture, found
+
+
+def _mixtures(image: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, ...]:
+    """See ``softened``: the picture, how much the object fills, which pixels are at the border, and
+    of which of these something is said."""
     inside = part > 0.5
-    if inside.all() or not inside.any():
-        return image * part[..., None], part
     within, beyond = distance_transform_edt(inside), distance_transform_edt(~inside)
     front, some = _nearest(image, within > _BORDER)
     back, more = _nearest(image, beyond > _BORDER)
@@ -181,19 +198,36 @@ def softened(image: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarra
     known &= (beside < _MIXED**2 * contrast) & (np.abs(mixed - 0.5) < 0.5 + _MIXED)
     found = np.where(known, np.clip(mixed, 0, 1), part).astype(np.float32)
     own = np.clip(image - (1 - found[..., None]) * back, 0, None)
-    picture = np.where(known[..., None], own, image * part[..., None]).astype(np.float32)
-    if np.count_nonzero(known) > _TOLD * np.count_nonzero(border):
-        found[border & ~known] = -1
-    return picture, found
+    return np.where(known[..., None], own, image * part[..., None]), found, border, known
 
 
 def over_black(image: np.ndarray, part: np.ndarray) -> np.ndarray:
     """The picture of an object over black, of which a soft mask says how much it fills of each
     pixel: what is behind it is taken away as it is beside it. As ``softened``."""
-    soft = (part > 0) & (part < 1)
-    back, near = _nearest(image, part <= 0)
-    own = np.clip(image - (1 - part[..., None]) * back, 0, None)
-    return np.where((soft & near)[..., None], own, image * part[..., None]).astype(np.float32)
+    picture = (image * part[..., None]).astype(np.float32)
+    for around, place, inner in _pieces(part <= 0):
+        own, filled = image[around], part[around]
+        back, near = _nearest(own, filled <= 0)
+        soft = (filled > 0) & (filled < 1) & near
+        beside = np.clip(own - (1 - filled[..., None]) * back, 0, None)
+        made = np.where(soft[..., None], beside, own * filled[..., None])
+        picture[place] = made[inner]
+    return picture
+
+
+def _pieces(sides: np.ndarray) -> Iterator[tuple[tuple[slice, slice], ...]]:
+    """Squares of a picture in or near which ``sides (H, W) bool`` changes: with what is around
+    them, alone, and where they are in the first. Large pictures have few."""
+    for corner in itertools.product(*(range(0, side, _PIECE) for side in sides.shape)):
+        around = tuple(slice(max(0, at - _HALO), at + _PIECE + _HALO) for at in corner)
+        own = sides[around]
+        if own.any() and not own.all():
+            inner = [at - both.start for at, both in zip(corner, around)]
+            yield (
+                around,
+                tuple(slice(at, at + _PIECE) for at in corner),
+                tuple(slice(at, at + _PIECE) for at in inner),
+            )
 
 
 def _nearest(image: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -86,6 +86,8 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     capture.cameras = reading.without(capture.cameras, settings.without)
     capture.cameras, told = finding.masked(capture.cameras, root, sources)
     over, more = turns.turned(capture.cameras, capture, settings.orientation)
+    across, unsure = turns.across(capture.cameras, over)
+    more += unsure
     shown, held = reading.split(capture, settings.test)
     parts, described = None, shape.described(settings, capture)
     endless = None if described or settings.start else _endless(capture.cameras)
@@ -116,7 +118,7 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
         capture.notes.append(f"no hull is made of alpha or masks: {endless}")
     _fit(capture.cameras, settings)
     made = [
-        [importing.load(camera, settings, camera.name in over) for camera in part]
+        [importing.load(c, settings, c.name in over, c.name in across) for c in part]
         for part in (shown, held)
     ]
     if hulled:
@@ -132,8 +134,11 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
         told += outlines.larger(found.all, named, found.surface)
     told += borders.doubts(found.all, found.surface)
     if settings.background == importing.BLACK:
-        told += rims.doubts(capture.cameras, over)
-    told += surroundings.doubts(settings, capture.cameras)
+        told += rims.doubts(capture.cameras, over, across)
+    if settings.environment is not None:
+        lit = Path(settings.environment)
+        told += surroundings.doubts(lit, settings.up, capture.cameras)
+        told += surroundings.unit(settings, found.all, found.surface)
     told += alike.doubts(found.all, found.surface, hulled)
     told += precision.doubts(found.all, found.surface)
     return found

@@ -57,11 +57,7 @@ def read(path: str, test=None, cameras: str | None = None, world: str = "mesh") 
     """The cameras in the folder ``path``, or of its file or folder ``cameras``, with those held out
     where ``test`` is ``given``; ``world``: as ``photos.world``. Raises InputError where there are
     none that can be read, for a camera that is none, and for two of one picture."""
-    folder = folder_of(path)
-    if cameras is None:
-        module, file = _found(folder, f"photos.path={path}")
-    else:
-        module, file = _named_file(folder, cameras)
+    folder, (module, file) = folder_of(path), source(path, cameras)
     capture = module.read(file, Asked(folder, test == GIVEN, world, cameras is not None))
     if world != "mesh" and not capture.worlds:
         raise InputError(
@@ -77,6 +73,15 @@ def read(path: str, test=None, cameras: str | None = None, world: str = "mesh") 
         if times > 1:
             raise InputError(f"{file}: {name} is listed {times} times: once a picture")
     return capture
+
+
+def source(path: str, cameras: str | None = None):
+    """The format of the folder ``path``, or of its file or folder ``cameras``, and the file that
+    says so. Raises InputError."""
+    folder = folder_of(path)
+    if cameras is None:
+        return _found(folder, f"photos.path={path}")
+    return _named_file(folder, cameras)
 
 
 def _found(folder: Path, where: str):

@@ -9,6 +9,7 @@ from scipy.ndimage import map_coordinates
 from skimage.measure import find_contours
 
 from ...runtime import images
+from . import turns
 
 if TYPE_CHECKING:
     from .camera import Camera
@@ -25,12 +26,13 @@ _CLEAR, _OFF, _LITTLE = 1.5, 1.5, 0.003
 _MOST, _SAME = 0.7, 1.5
 
 
-def doubts(cameras: list[Camera], over: set[str]) -> list[str]:
+def doubts(cameras: list[Camera], over: set[str], across: set[str]) -> list[str]:
     """What should be said of the masks or alpha of ``cameras``, which end the object; ``over``:
-    names of those whose pictures are turned."""
+    names of those whose pictures are turned; ``across``: see ``turns.across``."""
     ended = [each for each in cameras if not each.hides]
     asked = ended[:: max(1, -(-len(ended) // _ASKED))]
-    found = [each for camera in asked if (each := _of_view(camera, camera.name in over))]
+    found = [_of_view(c, c.name in over, c.name in across) for c in asked]
+    found = [each for each in found if each is not None]
     if not found:
         return []
     offs, sizes = np.transpose(found)
@@ -46,12 +48,12 @@ def doubts(cameras: list[Camera], over: set[str]) -> list[str]:
     ]
 
 
-def _of_view(camera: Camera, turned: bool) -> tuple[float, float] | None:
+def _of_view(camera: Camera, turned: bool, across: bool) -> tuple[float, float] | None:
     """``off`` of a view, and the size of its mask in pixels; None where that cannot be told."""
     given = (
         images.read_alpha(camera.image, turned)
         if camera.mask is None
-        else images.read_mask(camera.mask, turned)
+        else turns.mask(camera.mask, camera.image, turned, across)
     )
     picture = images.load(camera.image, finite=False, turned=turned).image
     if given is None or given.shape != picture.shape[:2]:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ...config.photographs import PhotosConfig
+from ...runtime import memory
 from ...runtime.errors import InputError
 from ...scenes import lathe, meshes
 from ...scenes.meshes import Surface
@@ -248,15 +249,18 @@ def _smoothed(vertices: np.ndarray, faces: np.ndarray, texcoords: np.ndarray) ->
     at = place.ravel()[faces].ravel()  # of each corner
     order, count = np.argsort(at, kind="stable"), np.bincount(at)
     begin = np.cumsum(count) - count
-    # Every corner with every corner at the same place.
-    many = count[at]
-    one = np.repeat(np.arange(at.size), many)
-    other = order[np.arange(one.size) - np.repeat(np.cumsum(many) - many, many) + begin[at][one]]
-    near = np.einsum("pk,pk->p", own[one // 3], own[other // 3]) > np.cos(np.radians(_CREASE))
-    one, other = one[near], other[near] // 3
-    normals = np.stack(
-        [np.bincount(one, weights=area[other, k], minlength=at.size) for k in range(3)], axis=1
-    )
+    # Every corner with every corner at the same place: of a large mesh too many pairs for at once.
+    end = np.cumsum(count[at])
+    first, normals = begin[at] - (end - count[at]), np.zeros((at.size, 3))
+    for part in memory.parts(int(count @ count)):
+        pair = np.arange(part.start, min(part.stop, count @ count))
+        one = np.searchsorted(end, pair, side="right")
+        other = order[pair + first[one]] // 3
+        near = np.einsum("pk,pk->p", own[one // 3], own[other]) > np.cos(np.radians(_CREASE))
+        low, high = one[0], one[-1] + 1
+        for k in range(3):
+            weights = np.where(near, area[other, k], 0)
+            normals[low:high, k] += np.bincount(one - low, weights, high - low)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     laid_out = texcoords[faces] if len(texcoords) else texcoords
     return meshes.from_corners(corners, laid_out, normals.reshape(-1, 3, 3))

@@ -1,13 +1,18 @@
-"""Whether a photograph with an Orientation tag is read as stored or as turned, and at which size.
+"""Whether a photograph with an Orientation tag is read as stored or as turned, and at which size;
+and which way up its mask lies.
 
 COLMAP and what writes `transforms.json` know the pixels as they are stored; OpenCV's `imread`, with
 which `cameras.json` is usually made, turns them. Where the sizes of pictures and cameras tell, they
-say it for all pictures of a set.
+say it for all pictures of a set. So do those of masks without a tag of their own, which programs
+write as they read the pictures.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
 
 from ...config.photographs import PhotosConfig
 from ...runtime import heif, images, raw
@@ -16,6 +21,8 @@ from .base import Capture
 from .camera import Camera
 
 AUTO = "auto"
+# What undoes a tag's turn; the others undo themselves.
+_BACK = {6: 8, 8: 6}
 
 
 def turned(cameras: list[Camera], capture: Capture, asked: str) -> tuple[set[str], list[str]]:
@@ -57,6 +64,52 @@ def _told(camera: Camera) -> bool | None:
         for over in (False, True)
     ]
     return fits[1] if fits[0] != fits[1] else None
+
+
+def across(cameras: list[Camera], over: set[str]) -> tuple[set[str], list[str]]:
+    """Names of the views whose masks lie otherwise than their pictures are read, and what should be
+    said. ``over``: names of those whose pictures are read as turned. Raises InputError for a file
+    that cannot be read."""
+    masked = [c for c in cameras if c.mask is not None and images.orientation(c.image) != 1]
+    told = {c.name: _across(c.mask, c.image, c.name in over) for c in masked}
+    found = {name for name, otherwise in told.items() if otherwise}
+    bare = [c for c in masked if images.orientation(c.mask) == 1]
+    unsure = [c for c in bare if told[c.name] is None]
+    votes = {told[c.name] != (c.name in over) for c in bare if c not in unsure}
+    if len(votes) == 1:
+        (upright,) = votes
+        return found | {c.name for c in unsure if upright != (c.name in over)}, []
+    if not unsure:
+        return found, []
+    first = unsure[0]
+    lie = "turned" if first.name in over else "stored"
+    return found, [
+        f"{len(unsure)} masks have no Orientation tag, first {first.mask}, their pictures have "
+        f"({images.orientation(first.image)}), and no size tells which way up they lie: taken as "
+        f"their pictures are, as {lie}; if that is wrong, turn the masks"
+    ]
+
+
+def _across(mask: Path, picture: Path, turned: bool) -> bool | None:
+    """Whether a mask lies otherwise than its picture is read, ``turned`` or not, if their sizes
+    tell."""
+    if images.orientation(picture) < 5:
+        return None
+    size, wanted = images.size(mask, turned), images.size(picture, turned)
+    fits = [factor(each, wanted) is not None for each in (size, size[::-1])]
+    return fits[1] if fits[0] != fits[1] else None
+
+
+def mask(
+    file: Path, picture: Path, turned: bool = True, otherwise: bool | None = None
+) -> np.ndarray:
+    """A mask, as ``images.read_mask`` has it, that lies as its picture, ``turned`` or not.
+    ``otherwise``: whether the file's lies in the other way (None: if sizes tell). Raises
+    InputError."""
+    found, tag = images.read_mask(file, turned), images.orientation(picture)
+    if otherwise is None:
+        otherwise = _across(file, picture, turned)
+    return images.upright(found, tag if turned else _BACK.get(tag, tag)) if otherwise else found
 
 
 def factor(size: tuple[int, int], wanted: tuple[int, int]) -> float | None:
