@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from ..config.compose import compose, translate
 from ..engine import experiment
@@ -42,7 +43,7 @@ def show(plan: "Plan", console: Console) -> None:
     """The plan and what it rests on, as tables."""
     table = Table("effect", "what is done about it, and why", title="effects of a run")
     for effect, told in plan.statements.items():
-        table.add_row(effect, told)
+        table.add_row(effect, Text(told))
     console.print(table)
     longer = "what the derivatives of longer paths are", "what longer paths are"
     for title, cuts in zip(longer, (plan.derivatives, plan.cuts)):
@@ -76,7 +77,7 @@ def _cuts(title: str, cuts: dict[str, "Cut"]) -> Table:
         key, worst = max(each.gradient.items(), key=lambda pair: pair[1].bound)
         of_gradient = f"{_share(worst)} {key}" if len(each.gradient) > 1 else _share(worst)
         of_image = _share(each.image) if each.image else "–"
-        table.add_row(left, of_image, of_gradient, f"{each.time:.2f}")
+        table.add_row(left, of_image, Text(of_gradient), f"{each.time:.2f}")
     return table
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from rich import box
 from rich.console import Console
 from rich.table import Column, Table
+from rich.text import Text
 
 from ..config.compose import compose, translate
 from ..engine import experiment
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from ..engine.offers import Offer, Offers
 
 _FEW = 4  # numbers of views that are listed
-_WIDE = 180
+_WIDE, _OTHERS = 180, 100  # columns of text: of a row, and of what stands beside its key
 
 
 def main(arguments: list[str]) -> int:
@@ -56,8 +57,10 @@ def _settings(words: list[str]) -> list[str]:
 
 def show(found: "Offers", console: Console) -> None:
     """A row a key."""
-    if not console.is_terminal:
-        console.width = _WIDE  # for files and other programs: a line a row
+    needed = max((len(each.key) for each in found.found), default=0) + _OTHERS
+    if not console.is_terminal or needed > console.width:
+        # For files and other programs a line a row; narrow terminals wrap it.
+        console.width = max(_WIDE, needed)
     # For copying: never cut.
     key = Column("scene.unknowns", no_wrap=True)
     others = "kind", "shape", "range", "estimator", "seen by", "derivative"
@@ -65,18 +68,17 @@ def show(found: "Offers", console: Console) -> None:
     for each in found.found:
         shape = " × ".join(map(str, each.shape))
         if each.refused:
-            table.add_row(each.key, each.kind, shape, "", "", f"none: {each.refused}")
+            told = "", "", f"none: {each.refused}"
         else:
-            seen = _seen(each, found.count)
-            told = _range(each), each.estimator, seen, each.verdict
-            table.add_row(each.key, each.kind, shape, *told)
+            told = _range(each), each.estimator, _seen(each, found.count), each.verdict
+        table.add_row(*map(Text, (each.key, each.kind, shape, *told)))  # as ids are spelt
     console.print(table)
     taken = [each for each in found.found if not each.refused]
     for note in dict.fromkeys(each.note for each in taken if each.note):
         keys = ", ".join(each.key for each in taken if each.note == note)
-        console.print(f"{keys}: {note}", highlight=False)
+        console.print(Text(f"{keys}: {note}"))
     if found.movable:
-        console.print(f"scene.poses can move: {', '.join(found.movable)}", highlight=False)
+        console.print(Text(f"scene.poses can move: {', '.join(found.movable)}"))
 
 
 def _range(offer: "Offer") -> str:

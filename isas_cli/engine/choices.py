@@ -74,7 +74,9 @@ class Choices:
         footprint.check(problem, self.estimator.batch)
         beside = ["a prior"] if self.prior.on(problem.unknowns) is not None else []
         beside += ["estimator.blurred"] if self.estimator.whole else []
-        beside += [f"'{u.key}', found by differences," for u in problem.unknowns if u.kind.aside]
+        differences = (u for u in problem.unknowns if u.kind.aside or not u.kind.carried)
+        beside += [f"'{u.key}', found by differences," for u in differences]
+        beside += ["a loss of windows"] if self.loss.windows else []
         if self.profile and beside:
             raise InputError(
                 f"profile=true takes path replay's step apart, and {beside[0]} is no part of it: "

@@ -52,6 +52,7 @@ class Position:
     # What was spent before the first step: billed seconds, light paths.
     before: tuple[float, int] = (0.0, 0)
     looked: tuple[float, int] = (0.0, 0)  # what the last look took, the rehearsal's before any
+    at: float = 0.0  # progress of the schedule when it was taken
 
 
 @dataclass
@@ -252,11 +253,12 @@ class Loop:
         if p.iteration == 0:  # a probe's part; once more below, when the first look is over
             p.before = self.clock.seconds, p.paths
         # A level begins as a run does, and so does what had too little time before it went on.
-        first = self._finer() or self._weights is None
+        first = self._finer() or self._weights is None or self._turned()
         draws = self.scheduled >= self.estimator.undrawn
         if draws and (first or self.sampler.settings.due(p.iteration)) and self._affordable():
             seconds, paths = self.clock.seconds, p.paths
             with self.clock.billed("stage1"):
+                p.at = self.scheduled
                 self._look(p.iteration, first)
             p.paths += self.sampler.paths_per_look
             if first:
@@ -272,6 +274,14 @@ class Loop:
             self.stepper.step(self._gradients, scheduled)
         p.paths += self.estimator.paths_per_step
         p.iteration += 1
+
+    def _turned(self) -> bool:
+        """Whether other unknowns move than at the last look, of a sampler that looks at what moves
+        alone."""
+        if "moments" not in self.sampler.settings.needs:
+            return False
+        now, then = self.scheduled, self.position.at
+        return any(u.moves(now) != u.moves(then) for u in self.problem.unknowns)
 
     def _affordable(self) -> bool:
         """Whether a look would leave time for what it finds."""
@@ -414,6 +424,7 @@ class Loop:
             "paths": p.paths,
             "before": p.before,
             "looked": p.looked,
+            "at": p.at,
             "counted": self._counted,
             "lost": self.lost,
             "lost_in_steps": self.lost_in_steps,
@@ -435,6 +446,7 @@ class Loop:
         before, looked = ((float(s), int(paths)) for s, paths in (state["before"], state["looked"]))
         self.position = Position(int(state["iteration"]), int(state["paths"]))
         self.position.before, self.position.looked = before, looked
+        self.position.at = float(state.get("at", 0.0))
         self._counted, self.lost = tuple(state["counted"]), state["lost"]
         self.lost_in_steps = state["lost_in_steps"]
         self.unresolved = state["unresolved"]

@@ -93,11 +93,15 @@ def of(scene: SceneConfig) -> Offers:
         raise trial.untraceable(assemble.where_of(scene), error) from error
     for missed in undone.missed(problem):
         offers[missed.key].refused = undone.reason(problem.integrator, [missed])
-    for key, texture in textures.items():
-        try:
-            mesh_checks.check_scene(problem.scene, {key: texture})
-        except InputError as error:
-            offers[key].refused = str(error)
+    try:
+        mesh_checks.check_scene(problem.scene, textures)
+    except InputError:
+        # One by one only where one is refused: all meshes are gone through each time.
+        for key, texture in textures.items():
+            try:
+                mesh_checks.check_scene(problem.scene, {key: texture})
+            except InputError as error:
+                offers[key].refused = str(error)
     return Offers(list(offers.values()), problem.views.count, movable)
 
 

@@ -44,11 +44,13 @@ import numpy as np
 import pandas
 from rich.table import Table
 
+from ..estimators.renderings import draw_kernel
 from ..estimators.two_path import TwoPath
 from ..records import write_text
 from ..rendering.kernels import recorded
 from ..runtime import streams
 from ..runtime.backend import sync
+from ..runtime.clock import Clock
 from ..unknowns.parameters import flat, unflat
 from .loop import Loop
 
@@ -116,16 +118,7 @@ class _Pass:
             "primal": TwoPath(*shared, _up_to_primal),
             "adjoint": TwoPath(*shared, _up_to_adjoint),
         }
-
-        batch = whole.batch
-
-        def draw(views, distribution, seed):
-            view, column, row, probability = distribution.draw(batch, seed)
-            pixel = views.index(view, column, row)
-            dr.eval(view, column, row, pixel, probability)
-            return pixel
-
-        self._draw = recorded(draw, problem, freeze)
+        self._draw = recorded(draw_kernel(whole.batch), problem, freeze)
         # A frozen function evaluates all that its arguments hold, which nothing else does for a
         # scene: new values would be counted where they are first used.
         self._evaluate = recorded(lambda scene, one: one + 1, None)
@@ -144,12 +137,12 @@ class _Pass:
         return steps | {"Adam": counted["Adam"], "update": counted["update"], "host": host}
 
     def _wall(self, iteration: int) -> float:
-        unknowns, stepper = self.loop.problem.unknowns, self.loop.stepper
-        with _watch() as spent:
+        unknowns, stepper, clock = self.loop.problem.unknowns, self.loop.stepper, Clock()
+        with clock.billed("step"):
             unknowns.attach(stepper.values)
             self._estimate(self.loop.estimator, iteration)
             stepper.step(unknowns.gradients(), self.loop.scheduled)
-        return spent[0]
+        return 1e3 * clock.seconds
 
     def _kernels(self, iteration: int) -> dict[str, float]:
         loop, unknowns, stepper = self.loop, self.loop.problem.unknowns, self.loop.stepper
@@ -185,17 +178,6 @@ class _Pass:
 
 
 @contextmanager
-def _watch() -> Iterator[list[float]]:
-    """Wall time in milliseconds, of all work that was queued within."""
-    spent: list[float] = []
-    sync()
-    start = time.perf_counter()
-    yield spent
-    sync()
-    spent.append(1e3 * (time.perf_counter() - start))
-
-
-@contextmanager
 def _count(spent: dict[str, float], name: str) -> Iterator[None]:
     """Milliseconds that the kernels launched within take, one after the other."""
     sync()
@@ -213,12 +195,13 @@ def measure(loop: Loop, freeze: bool) -> Profile:
     without derivatives. Evaluates.
     """
     stepper = loop.stepper
-    (arrays, state), way = stepper.export(), (stepper.begun, dict(stepper.reach))
+    (arrays, state) = stepper.export()
+    way = stepper.begun, dict(stepper.reach), stepper.since
     try:
         steps = _measured(_Pass(loop, freeze))
     finally:
         stepper.restore(arrays, state)
-        stepper.begun, stepper.reach = way
+        stepper.begun, stepper.reach, stepper.since = way
         loop.problem.unknowns.write(stepper.values)
     times = {name: [step[name] for step in steps] for name in steps[0]}
     per_iteration = 1e3 / loop.position.iteration

@@ -104,7 +104,7 @@ def again(loop: Loop, iteration: int) -> Replay:
                 lanes.setdefault(int(lane), what)
         paths = len(lanes)
         chosen = sorted(lanes)[:_MOST]
-        where = _drawn(loop, estimator.batch, iteration)
+        where = _drawn(loop, estimator, iteration)
         places = [Place(*(int(each[lane]) for each in where), lanes[lane]) for lane in chosen]
     return Replay(iteration, entries, paths, places)
 
@@ -117,10 +117,17 @@ def _of_paths(estimator: Gradients) -> TwoPath | None:
     return estimator if own else None
 
 
-def _drawn(loop: Loop, batch: int, iteration: int) -> list[np.ndarray]:
-    """View, column and row of every pixel that the iteration draws."""
+def _drawn(loop: Loop, of: TwoPath, iteration: int) -> list[np.ndarray]:
+    """View, column and row of every pixel that the iteration draws, or of those of its windows."""
+    windows, batch = of.loss.windows, of.batch
+    drawn = batch if windows is None else batch // windows.count
     seed = mi.UInt32(streams.seed(loop.seed, iteration, "draw"))
-    view, column, row, _ = loop.distribution.draw(batch, seed)
+    view, column, row, _ = loop.distribution.draw(drawn, seed)
+    if windows is not None:
+        # Of a single view its number is one entry.
+        view = dr.zeros(mi.UInt32, drawn) + view
+        dr.eval(view, column, row)
+        view, column, row, _ = windows.spread(of.problem.views, view, column, row, drawn)
     # Of a single view its number is one entry.
     view, column, row = (np.broadcast_to(np.array(each), batch) for each in (view, column, row))
     kept = loop.problem.kept

@@ -41,11 +41,11 @@ def fill_in(problem: Problem, seed: int) -> None:
     """Set ``seen`` of every unknown, from the cache where possible.
 
     Of what moves geometry, and of what paths do not carry, all entries count. The others are judged
-    by what path replay differentiates, at the start values; where something moves and the truth is
-    known, also with that at its true place: an entry counts that is seen from either. One that
-    shows itself only on the way between is left out of the errors. Where entries hide each other,
-    as those of volumes do, they are judged with all unknowns at the truth, where that is known and
-    shows any.
+    by what path replay differentiates, at the start values, dark lights lit; where something moves
+    and the truth is known, also with that at its true place: an entry counts that is seen from
+    either. One that shows itself only on the way between is left out of the errors. Where entries
+    hide each other, as those of volumes do, they are judged with all unknowns at the truth, where
+    that is known and shows any.
 
     Raises InputError for an unknown that was asked for and that no view sees: nothing could be
     learnt about it. Where something moves that cannot be told, and all entries of such an unknown
@@ -93,7 +93,7 @@ def replayed(problem: Problem) -> list[Unknown]:
 
 
 def _key(problem: Problem, seed: int) -> str:
-    # What is seen depends on the start: a light that starts at zero shows nothing.
+    # What is seen depends on the start.
     unknowns = [
         (
             u.key,
@@ -106,13 +106,13 @@ def _key(problem: Problem, seed: int) -> str:
     ]
     masked = "" if problem.mask is None else problem.target_hash
     what = problem.content_hash, unknowns, masked, seed, guests.installed()
-    return "coverage-" + digest("coverage", 7, *what, mi.__version__, THRESHOLD, WELL_SEEN)
+    return "coverage-" + digest("coverage", 8, *what, mi.__version__, THRESHOLD, WELL_SEEN)
 
 
 def _judge(problem: Problem, judged: list[Unknown], seed: int) -> dict[str, np.ndarray]:
     """Which entries count as seen, by ``seen<index>`` among ``judged``."""
     unknowns = problem.unknowns
-    starts = {u.key: u.start for u in unknowns}
+    starts = {u.key: _lit(u) for u in unknowns}
     seen = {u.key: np.zeros(u.start.shape, bool) for u in judged}
 
     def look(values: dict[str, np.ndarray], at: list[Unknown]) -> None:
@@ -131,6 +131,14 @@ def _judge(problem: Problem, judged: list[Unknown], seed: int) -> dict[str, np.n
         look(starts | {key: truths[key] for key in unknowns.moving}, others)
     unknowns.write(unknowns.starts())
     return {f"seen{index}": seen[u.key] for index, u in enumerate(judged)}
+
+
+def _lit(unknown: Unknown) -> np.ndarray:
+    """Its start; of a light that is dark everywhere another value, as it shows nothing of what it
+    will light."""
+    start = unknown.start
+    dark = unknown.kind.role == "light" and not start.any()
+    return np.clip(np.ones_like(start), unknown.low, unknown.high) if dark else start
 
 
 def measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[str, np.ndarray]:

@@ -386,7 +386,7 @@ def adapt(
         )
     keys, medium = tuple(keys), None
     if scene is not None and not base.hide_emitters:
-        medium = volume.medium_of(scene, keys)
+        medium = volume.medium_of(scene, keys, scatters=not volume.only_emits(base))
     if "media" in _REPLAYED[type(base).__name__][0] and medium is not None:
         return Medium(base, medium)
     if volume.only_emits(base):

@@ -26,6 +26,8 @@ from ..unknowns.ranges import fed
 _MARGIN, _FEWEST = 1.1, {"scatters": 8.0, "emits": 25.0}
 
 _EXTINCTION = "sigma_t"
+# A sky has a sun where more than this share of its light comes from this share of the sphere.
+_SUNNY, _SUN = 0.2, 1e-3
 
 backend.plugin(f"{__package__}.emission")
 
@@ -35,13 +37,14 @@ def only_emits(integrator: mi.Integrator) -> bool:
     return type(integrator).__name__ == "Emission"
 
 
-def medium_of(scene: mi.Scene, keys: Iterable[str] = ()) -> mi.Medium | None:
-    """The medium, where ``trace`` simulates all that there is: one shape, a convex shell without a
-    surface of its own around one medium, which fills it and whose extinction is alike in all
-    channels, and a sky. ``keys``: of the scene's parameters that are unknown; none may be of the
-    phase function, which is not differentiated. Nor may it be of microflakes: their extinction is
-    another one in each direction, and Mitsuba draws directions otherwise than their density says,
-    so that paths that go by that density show something else."""
+def medium_of(scene: mi.Scene, keys: Iterable[str] = (), scatters: bool = True) -> mi.Medium | None:
+    """The medium, where ``trace``, or ``emitted`` unless it ``scatters``, simulates all that there
+    is: one shape, a convex shell without a surface of its own around one medium, which fills it and
+    whose extinction is alike in all channels, and a sky. ``keys``: of the scene's parameters that
+    are unknown. Where it scatters the sky has no sun, which no light sample would find, and no key
+    is of the phase function, which is not differentiated. Nor may it be of microflakes: their
+    extinction is another one in each direction, and Mitsuba draws directions otherwise than their
+    density says, so that paths that go by that density show something else."""
     shapes = scene.shapes()
     if len(shapes) != 1 or scene.environment() is None or len(scene.emitters()) != 1:
         return None
@@ -56,10 +59,31 @@ def medium_of(scene: mi.Scene, keys: Iterable[str] = ()) -> mi.Medium | None:
         return None
     params = mi.traverse(scene)
     ends = [(holder, word) for key in keys for holder, word, _ in fed(params, key)]
-    if any(isinstance(holder, mi.PhaseFunction) for holder, _ in ends):
+    if scatters and any(isinstance(holder, mi.PhaseFunction) for holder, _ in ends):
         return None
     unknown = any(isinstance(holder, mi.Medium) and word == _EXTINCTION for holder, word in ends)
-    return inside if _grey(inside, unknown) and _fills(inside, shell.bbox()) else None
+    if not _grey(inside, unknown) or not _fills(inside, shell.bbox()):
+        return None
+    return None if scatters and _sunny(scene.environment()) else inside
+
+
+def _sunny(sky: mi.Emitter) -> bool:
+    """Whether it has a sun: a path that leaves meets one so rarely that means of few miss it."""
+    values = mi.traverse(sky)
+    if sky.class_name() == "SunskyEmitter":
+        return values["sun_scale"] > 0
+    if sky.class_name() != "EnvironmentMapEmitter":
+        return False
+    # Without the columns that Mitsuba repeats.
+    radiance = np.array(values["data"], np.float64)[:, 1:-1].mean(axis=2).clip(0)
+    sines = np.sin((np.arange(len(radiance)) + 0.5) / len(radiance) * np.pi)[:, None]
+    order = np.argsort(-radiance, axis=None)
+    areas, light = (
+        np.insert(each.ravel()[order].cumsum(), 0, 0.0)
+        for each in (np.broadcast_to(sines, radiance.shape), radiance * sines)
+    )
+    share = np.interp(_SUN * areas[-1], areas, light)
+    return bool(share > _SUNNY * light[-1])
 
 
 def _fills(medium: mi.Medium, shell: mi.BoundingBox3f) -> bool:

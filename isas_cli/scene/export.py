@@ -114,9 +114,10 @@ def _write(
     ours = _ours(folder)
     _mark(folder, ours)
     found = []
-    for key in dict.fromkeys(name for each in unknowns for name in each.kind.writes):
+    keys = dict.fromkeys(name for each in unknowns for name in each.kind.writes)
+    # Skies first: a sun that was found itself is not turned with its sky.
+    for key in sorted(keys, key=lambda name: not name.endswith(".to_world")):
         found += Place(params, key, made_from, written).put(folder)
-    _paint(loaded, folder / "painted")
     told = [line for first, own in views for line in found_cameras.put(written, own, first)]
     told += _deepen(written, scene)
     # Found files keep their names.
@@ -133,6 +134,8 @@ def _write(
     _keep_ids(path, written)
     _check(path)
     _mark(folder, {*ours, *brought})
+    # What other programs read comes last: of a full disk the scene is there.
+    _paint(loaded, folder / "painted")
     told += gltf.write(loaded, path.with_suffix(".glb"), Said(made_from, written))
     return path, list(dict.fromkeys(told))
 
@@ -227,7 +230,7 @@ def _unknowns(
 ) -> tuple[Unknowns, list[tuple[int, Views]]]:
     """The unknowns in ``loaded``, and the views where these have unknowns of their own, see
     ``_filled``."""
-    # Values are known: no start is needed, nor a file that it came from.
+    # Values are known: no start is needed, nor a file that it came from, nor is any checked.
     anything = {"start": None, "range": [-math.inf, math.inf]}
     wanted = {key: replace(spec, **anything) for key, spec in scene.unknowns.items()}
     of_views, poses, views = None, scene.poses, []
@@ -238,8 +241,9 @@ def _unknowns(
         count = len(taken.shown)
         of_views = building.of_views(taken, Views.of(sizes[:count]))
         views.append((0, of_views["views"]))
+    params = mi.traverse(loaded)
     found = Unknowns(
-        mi.traverse(loaded), parse(mi.traverse(loaded), wanted, False, poses, of_views)
+        mi.traverse(loaded), parse(params, wanted, False, poses, of_views, begins=False)
     )
     if taken is not None and taken.held:
         held = replace(Views.of(sizes[count:]), given=building.given(taken.held))
@@ -251,7 +255,8 @@ def _unknowns(
 
 def _paint(loaded: mi.Scene, folder: Path) -> None:
     """Meshes whose colour is a picture once more, for programs that read OBJ files."""
-    taken = set()
+    taken: set[str] = set()
+    drawn: dict[mi.Texture, str] = {}  # each picture once, however many meshes show it
     for shape in loaded.shapes():
         if not shape.is_mesh() or not shape.has_vertex_texcoords():
             continue
@@ -260,24 +265,27 @@ def _paint(loaded: mi.Scene, folder: Path) -> None:
         for key, (_, _, owner, *_) in paint.properties.items():
             texels = paint[key]
             if isinstance(owner, mi.Texture) and isinstance(texels, mi.TensorXf):
-                pictures[key.rpartition(".")[0]] = texels
+                pictures[key.rpartition(".")[0]] = texels, owner
         colours = [name for name in pictures if f".{name}".endswith(_COLOURS)]
         # A rectangle is a mesh that tells no vertices.
         if not colours or "vertex_positions" not in mesh:
             continue
-        texels = pictures[colours[0]]
+        texels, owner = pictures[colours[0]]
         coordinates = np.array(mesh["vertex_texcoords"]).reshape(-1, 2)
         if f"{colours[0]}.to_uv" in paint:
             turn = np.array(paint[f"{colours[0]}.to_uv"].matrix, np.float64).reshape(3, 3)
             coordinates = coordinates @ turn[:2, :2].T + turn[:2, 2]
-        colour = as_numpy(texels)
-        colour = np.broadcast_to(colour, (*colour.shape[:2], 3))
         points, faces = (
             np.array(mesh[key]).reshape(-1, 3) for key in ("vertex_positions", "faces")
         )
         folder.mkdir(exist_ok=True)
         name = gltf.unlike(re.sub(r"[^\w.-]", "_", shape.id()), taken)
         taken.add(name)
+        colour = drawn.get(owner)
+        if colour is None:
+            colour = as_numpy(texels)
+            colour = np.broadcast_to(colour, (*colour.shape[:2], 3))
+            drawn[owner] = f"{name}.png"
         for file, content in mesh_files.painted(name, points, faces, coordinates, colour).items():
             (folder / file).write_bytes(content)
 

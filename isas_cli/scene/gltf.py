@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -88,6 +89,11 @@ class _Painted:
         every = self.colour, self.rough, self.normals
         return [each for each in every if each is not None and each.pixels is not None]
 
+    @cached_property
+    def shown(self) -> trimesh.visual.material.PBRMaterial:
+        """As trimesh has it, with the pictures once for all shapes."""
+        return _material(self)
+
     @property
     def turns(self) -> list[tuple]:
         return list(dict.fromkeys(each.turn for each in self.pictures))
@@ -140,7 +146,8 @@ class _Palette:
             if material.normals is not None:
                 normals = packed(material.leave, **{"normal map": material.normals.of(3)})
             if turned:  # Mitsuba's second axis is then glTF's, turned round
-                normals = replace(normals, pixels=normals.pixels * [1, -1, 1] + [0, 1, 0])
+                sign, more = np.float32([1, -1, 1]), np.float32([0, 1, 0])
+                normals = replace(normals, pixels=normals.pixels * sign + more)
             name = unlike(material.name, self.named)
             self.named[name] = self._painted[bsdf, turned] = _Painted(
                 name,
@@ -177,7 +184,7 @@ def _mesh(shape: mi.Shape, front: Front, painted: _Painted) -> trimesh.Trimesh:
             matrix = np.reshape(turn, (3, 3))
             turned = surface.texcoords @ matrix[:2, :2].T + matrix[:2, 2]
             attributes[f"TEXCOORD_{number}"] = turned.astype(np.float32)
-    visual = trimesh.visual.TextureVisuals(material=_material(painted))
+    visual = trimesh.visual.TextureVisuals(material=painted.shown)
     return trimesh.Trimesh(
         surface.vertices, surface.faces, vertex_attributes=attributes, visual=visual, process=False
     )

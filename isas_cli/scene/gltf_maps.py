@@ -9,6 +9,7 @@ from functools import cached_property
 
 import mitsuba as mi
 import numpy as np
+from scipy import ndimage
 
 from ..unknowns.parameters import as_numpy
 from .instances import references
@@ -132,7 +133,7 @@ def packed(leave: Leave, **maps: Map) -> Picture:
     drawn = [each for each in maps.values() if each.turn is not None]
     if not drawn:
         factors = np.concatenate([each.texels.ravel() for each in maps.values()])
-        return Picture(_legal(factors, leave, maps))
+        return Picture(_legal(factors.astype(np.float64), leave, maps))
     height, width = (_shared(*(each.texels.shape[axis] for each in drawn)) for axis in (0, 1))
     factors, planes = [], []
     for what, each in maps.items():
@@ -146,8 +147,8 @@ def packed(leave: Leave, **maps: Map) -> Picture:
         else:
             factors.append(ones)
             planes.append(_enlarged(each, height, width))
-    pixels = np.concatenate(planes, axis=2)
-    factors = _legal(np.concatenate(factors), leave, maps)
+    pixels = np.concatenate(planes, axis=2, dtype=np.float32)  # of which 8 bits are kept
+    factors = _legal(np.concatenate(factors, dtype=np.float64), leave, maps)
     return Picture(factors, _legal(pixels, leave, maps), *drawn[0].stands)
 
 
@@ -159,30 +160,14 @@ def _shared(*sizes: int) -> int:
 def _legal(values: np.ndarray, leave: Leave, maps: dict[str, Map]) -> np.ndarray:
     if values.min() < -1e-4 or values.max() > 1 + 1e-4:
         leave(f"what lies outside 0 to 1 in the {' and '.join(maps)}")
-    return np.clip(values.astype(np.float64), 0, 1)
+    return np.clip(values, 0, 1)
 
 
 def _enlarged(map_: Map, height: int, width: int) -> np.ndarray:
     """Its texels between those that it has, ``(height, width, C)``."""
     if map_.texels.shape[:2] == (height, width):
         return map_.texels
-    place = [
-        ((np.arange(many) + 0.5) / many * has - 0.5)
-        for many, has in ((height, map_.texels.shape[0]), (width, map_.texels.shape[1]))
-    ]
-    return _between(_between(map_.texels, place[0], 0, map_), place[1], 1, map_)
-
-
-def _between(texels: np.ndarray, place: np.ndarray, axis: int, map_: Map) -> np.ndarray:
-    """Along an axis, at ``place``, in texels from the first one's middle."""
-    many = texels.shape[axis]
-    if map_.filter == "nearest":
-        return texels.take(np.floor(place + 0.5).astype(int), axis)
-    low = np.floor(place).astype(int)
-    share = (place - low).reshape([-1 if each == axis else 1 for each in range(3)])
-    ends = [_wrapped(low + step, many, map_.wrap) for step in (0, 1)]
-    return texels.take(ends[0], axis) * (1 - share) + texels.take(ends[1], axis) * share
-
-
-def _wrapped(index: np.ndarray, many: int, wrap: str) -> np.ndarray:
-    return index % many if wrap == "repeat" else np.clip(index, 0, many - 1)
+    texels, order = map_.texels.astype(np.float64), int(map_.filter != "nearest")
+    zoom = height / texels.shape[0], width / texels.shape[1], 1
+    mode = "grid-wrap" if map_.wrap == "repeat" else "nearest"
+    return ndimage.zoom(texels, zoom, order=order, mode=mode, grid_mode=True)

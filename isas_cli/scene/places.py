@@ -8,6 +8,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
+from ..records import safe_name
 from ..runtime import images
 from ..runtime.errors import InputError
 from ..unknowns.parameters import as_numpy
@@ -57,18 +58,30 @@ class Place:
         if self.name == "to_world":
             # What it holds already.
             self._without("center", "radius", "p0", "p1", "direction")
-            self.props["to_world"] = mi.ScalarTransform4f(np.array(self.value.matrix).reshape(4, 4))
+            matrix = np.array(self.value.matrix, np.float64).reshape(4, 4)
+            if "sun_direction" in self.props:
+                self._turn_sun(matrix[:3, :3])
+            self.props["to_world"] = mi.ScalarTransform4f(matrix)
             return []
         if isinstance(self.owner, mi.Mesh) and self.plugin not in _CLOUDS:
-            return [self._mesh(folder / f"{self.beside}.ply")]
+            return [self._mesh(folder / f"{safe_name(self.beside)}.ply")]
         if isinstance(self.owner, mi.Shape):
             raise InputError(f"'{self.key}' lies in a file of '{self.plugin}': {TAKE}")
         if isinstance(self.owner, mi.Volume) and self.name == "data":
-            return [self._grid(folder / f"{self.key}.vol")]
+            return [self._grid(folder / f"{safe_name(self.key)}.vol")]
         if isinstance(self.owner, (mi.Emitter, mi.Texture)) and self.name == "data":
-            return [self._picture(folder / f"{self.key}.exr")]
+            return [self._picture(folder / f"{safe_name(self.key)}.exr")]
         self._numbers(as_numpy(self.value).ravel())
         return []
+
+    def _turn_sun(self, turn: np.ndarray) -> None:
+        """A sun, whose direction in the file is the world's, goes with its sky, which turns to
+        ``turn (3, 3)``."""
+        sun = np.array(self.props["sun_direction"], np.float64)
+        if "to_world" in self.props:
+            stood = np.array(self.props["to_world"].matrix, np.float64).reshape(4, 4)
+            sun = np.linalg.solve(stood[:3, :3], sun)
+        self.props["sun_direction"] = mi.ScalarVector3f((turn @ sun).tolist())
 
     def _numbers(self, numbers: np.ndarray) -> None:
         if self.name == "position":

@@ -79,8 +79,9 @@ class Grid(Kind):
         path = Path(spec)
         if path.suffix == ".vdb":
             raise InputError(
-                f"{where}={spec}: OpenVDB has no package that pip installs: write the grid as .npy "
-                "or .vol, in Blender's Python with openvdb's copyToArray"
+                f"{where}={spec}: OpenVDB has no package that pip installs: fill an array a by "
+                "openvdb's copyToArray in Blender's Python, and write it in Mitsuba's order, z "
+                "first: np.save(f, a.transpose(2, 1, 0))"
             )
         if path.suffix not in (".npy", ".vol") or not path.is_file():
             raise InputError(f"{where}={spec}: a .npy or .vol file that exists")

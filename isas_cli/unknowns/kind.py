@@ -177,11 +177,11 @@ class Kind:
 
     def kept(self, low: float, high: float) -> tuple[float, float]:
         """The part of a range in which values stay: a hair from the kind's own ends where these
-        have no derivative. A range that goes beyond them was asked for, and stays."""
+        have no derivative. An end elsewhere, beyond them or before, was asked for, and stays."""
         least, most = self.range[0] + self.bare[0], self.range[1] - self.bare[1]
         return (
-            low if low < self.range[0] else max(low, least),
-            high if high > self.range[1] else min(high, most),
+            low if low != self.range[0] else least,
+            high if high != self.range[1] else most,
         )
 
     def value(self, array: np.ndarray):

@@ -24,6 +24,8 @@ from .parameters import like, owner
 
 _UNITS = {"rotation": "degrees", "translation": "scene units", "scale": "doublings"}
 _MOVABLE = ("vertex_positions", "to_world", "position")
+# By Mitsuba's class: what a mirrored to_world turns inside out at each write, and what has no size.
+_TURNED, _SIZELESS = ("Sphere", "Cylinder"), ("PerspectiveCamera", "ThinLensCamera")
 
 
 @dataclass
@@ -111,6 +113,9 @@ class Pose(Kind):
             raise InputError(f"{where}: the scene has a parameter of this name")
         self.key, self.spec, self.parts, self.settings = key, spec, spec.parts, repr(spec)
         self.ids = _matching(where, spec.objects, params)
+        for id in self.ids:
+            if reason := _refusal(spec.kind, id, params):
+                raise InputError(f"{where}: '{id}': {reason}")
         if self.parts > 1:
             for id in self.ids:
                 _check_parts(where, id, self.parts, params)
@@ -264,6 +269,29 @@ def movable_in(params: mi.SceneParameters) -> list[str]:
     """Ids of all objects that a pose can move."""
     words = [key.rpartition(".") for key in params.keys()]
     return list(dict.fromkeys(id for id, _, word in words if word in _MOVABLE))
+
+
+def _refusal(kind: str, id: str, params: mi.SceneParameters) -> str:
+    """Why Mitsuba does not show the object ``id`` as a pose of this ``kind`` moves it, and what to
+    do; or nothing."""
+    key = f"{id}.to_world"
+    if key not in params:
+        return ""
+    what = owner(params, key).class_name()
+    if what == "SDFGrid" and kind == "rotation":
+        return (
+            "Mitsuba shows a turned sdfgrid with holes: put it into a shapegroup and turn an "
+            "instance of it"
+        )
+    if what in _SIZELESS and kind == "scale":
+        return "Mitsuba scales no camera with a perspective: leave it out"
+    turn = np.array(params[key].matrix, np.float64).reshape(4, 4)[:3, :3]
+    if what in _TURNED and np.linalg.det(turn) < 0:
+        return (
+            f"of a mirrored {what.lower()} Mitsuba flips the normals at each movement: write it "
+            "unmirrored, with flip_normals"
+        )
+    return ""
 
 
 def _check_parts(where: str, id: str, parts: int, params: mi.SceneParameters) -> None:

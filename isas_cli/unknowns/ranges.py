@@ -218,6 +218,13 @@ def bare(params: mi.SceneParameters, key: str) -> tuple[float, float]:
     return max((a for a, _ in ends), default=0.0), max((b for _, b in ends), default=0.0)
 
 
+def lowest(low: float, least: float, start: np.ndarray) -> float:
+    """Above the end ``low`` of a range, what values stay above: ``least``, or a share of a
+    ``start`` that is nearer to that end, if by more than a hair."""
+    apart = float(start.min()) - low
+    return low + _SHARE * apart if _HAIR < apart < least - low else least
+
+
 def around(low: float, high: float, values: np.ndarray) -> str:
     """``[low, high]``, widened to hold ``values``, to three digits."""
     least, most = (_outward(float(x), up) for x, up in ((values.min(), 0), (values.max(), 1)))

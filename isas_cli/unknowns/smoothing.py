@@ -73,10 +73,8 @@ def separate(σ: np.ndarray, count: int, rng: np.random.Generator) -> list[Pair]
     per pair, at D times its price.
     """
     pairs = []
-    for k in range(σ.size):
+    for k, weight in enumerate(np.diag(1 / (σ * math.sqrt(2 * math.pi)))):
         others = σ * rng.standard_normal((count, σ.size))
-        weight = np.zeros(σ.size)
-        weight[k] = 1 / (σ[k] * math.sqrt(2 * math.pi))
         for offset, r in zip(others, _radii(1, count, rng)):
             plus, minus = offset.copy(), offset.copy()
             plus[k], minus[k] = r * σ[k], -r * σ[k]
@@ -89,14 +87,7 @@ def central(steps: np.ndarray) -> list[Pair]:
 
     Not of F: where f is flat so is this, and its truncation error is O(h²) where f is smooth.
     """
-    pairs = []
-    for k, h in enumerate(steps):
-        plus = np.zeros(steps.size)
-        plus[k] = h
-        weight = np.zeros(steps.size)
-        weight[k] = 1 / (2 * h)
-        pairs.append(Pair(plus, -plus, weight))
-    return pairs
+    return [Pair(p, -p, weight) for p, weight in zip(np.diag(steps), np.diag(0.5 / steps))]
 
 
 def blurred(σ: np.ndarray, rng: np.random.Generator) -> np.ndarray:

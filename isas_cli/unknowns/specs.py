@@ -13,7 +13,7 @@ from ..runtime.errors import InputError, nearest
 from . import registry, routes
 from .kind import Kind, Loaded
 from .parameters import as_numpy, is_float, moves_geometry, owner, read
-from .ranges import around
+from .ranges import around, lowest
 from .smoothing import stable
 from .unknowns import Unknown
 
@@ -152,12 +152,14 @@ def parse(
     truth_known: bool,
     poses: dict[str, PoseConfig] | None = None,
     of_views: dict | None = None,
+    begins: bool = True,
 ) -> list[Unknown]:
     """Check the configured unknowns against the scene and read starts and truths.
 
     ``specs``: key → object with ``start``, ``range``, ``lr``, ``blur``, ``levels``
     (``config.UnknownConfig``); ``poses``: those of the configuration, by name; ``of_views``: what
-    of ``Loaded`` is of photographs.
+    of ``Loaded`` is of photographs; ``begins``: whether anything begins at the starts, which are
+    else what the scene happens to hold, and are not checked.
     Raises InputError for an unknown key (nearest and all that a kind offers listed), for one that
     no kind can handle, an illegal range, a start outside it, or when there is no unknown.
     """
@@ -173,11 +175,12 @@ def parse(
     for key, spec in specs.items():
         if key not in offered:
             raise InputError(f"scene.unknowns: {_unfit(params, key, list(offered))}")
-        found.append(_unknown(offered[key](key, loaded), spec, loaded, truth_known))
+        found.append(_unknown(offered[key](key, loaded), spec, loaded, truth_known, begins))
     for kind in registry.kinds():
         kind.check(loaded, list(specs))
     _check_shared([unknown.kind for unknown in found])
-    _check_cones({unknown.key: unknown for unknown in found})
+    if begins:
+        _check_cones({unknown.key: unknown for unknown in found})
     check_stages(found)
     return found
 
@@ -234,15 +237,21 @@ def _unfit(params: mi.SceneParameters, key: str, valid: list[str]) -> str:
             f"'{key}' holds whole numbers, by which nothing is differentiated: take the format of "
             f"this bitmap out of the file; valid: {', '.join(valid)}"
         )
-    if key in params and moves_geometry(params, key):
+    id, _, word = key.rpartition(".")
+    movable = id in registry.movable(params)
+    if key in params and (moves_geometry(params, key) or word == "control_points"):
+        shaped = word == "vertex_positions" and f"{id}.vertices" in valid
+        how = f", or find its shape, '{id}.vertices', by estimator=silhouettes" if shaped else ""
+        what = "the object" if movable else "an instance of a shapegroup with it"
         return (
             f"'{key}' moves geometry, whose visibility path replay does not differentiate; move "
-            f"the object by scene.poses and sampler=plateau; valid: {', '.join(valid)}"
+            f"{what} by scene.poses and sampler=plateau{how}; valid: {', '.join(valid)}"
         )
     own = _held_by(params, key, valid)
     if own:
         return f"'{key}': the key of what '{key.partition('.')[0]}' holds is {' or '.join(own)}"
-    return f"'{key}' is no differentiable parameter; {nearest(key, valid)}"
+    how = f": scene.poses moves '{id}'" if movable and word in ("to_world", "position") else ""
+    return f"'{key}' is no differentiable parameter{how}; {nearest(key, valid)}"
 
 
 def _held_by(params: mi.SceneParameters, key: str, valid: list[str]) -> list[str]:
@@ -259,7 +268,7 @@ def _held_by(params: mi.SceneParameters, key: str, valid: list[str]) -> list[str
     return [f"'{each}'" for each in same if rest and within(owner(params, each))]
 
 
-def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
+def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool, begins: bool) -> Unknown:
     where = f"scene.unknowns['{kind.key}']"
     start = _start(spec.start, kind, loaded, truth_known)
     low, high = _range(spec.range, kind)
@@ -268,9 +277,10 @@ def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
             f"{where}.range: a {kind.name} has length 1 after every step, whatever the range: "
             "leave it out"
         )
-    if not np.all(np.isfinite(start)) or start.min() < low or start.max() > high:
+    inside = np.all(np.isfinite(start)) and start.min() >= low and start.max() <= high
+    if begins and not inside:
         raise InputError(f"{where}.start lies outside its range [{low:g}, {high:g}]")
-    reason = kind.refusal(start)
+    reason = begins and kind.refusal(start)
     if reason:
         raise InputError(f"{where}.start: {reason}")
     start = kind.normal(start)
@@ -300,7 +310,8 @@ def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool) -> Unknown:
     during = (0.0, 1.0) if spec.during is None else tuple(spec.during)
     doubled = _doubled(spec.levels, kind)
     kind.levels = len(doubled) + 1  # before anyone asks what it writes
-    low, high = kind.kept(low, high)
+    least, high = kind.kept(low, high)
+    low = lowest(low, least, start)
     start = np.clip(start, low, high).astype(np.float32)
     return Unknown(
         *(kind, start, truth, low, high, spec.lr, spec.blur),

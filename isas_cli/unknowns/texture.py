@@ -8,6 +8,10 @@ import numpy as np
 
 from .kind import Kind, Loaded, picture
 from .parameters import is_differentiable, owner
+from .ranges import fed
+
+# Of a to_uv of a lesser determinant all coordinates lie on a line.
+_FLAT = 1e-12
 
 
 class Texture(Kind):
@@ -31,14 +35,25 @@ class Texture(Kind):
             turned = np.array(loaded.params[place].matrix, np.float64)
         wraps = _repeats(self.texture, self.present, turned)
         self.axes = ((0, wraps), (1, wraps))
+        holders = (holder for holder, _, _ in fed(loaded.params, key))
+        self._lamp = any(isinstance(each, mi.Emitter) and _area(each) for each in holders)
 
     @property
     def decoded(self) -> bool:
         """As Mitsuba does with the texture's own file, whatever is in it."""
         return not self.raw
 
+    def refusal(self, array: np.ndarray) -> str | None:
+        if array.any() or not self._lamp:
+            return None
+        return "a lamp's picture that is zero everywhere cannot be sampled; above 0 somewhere"
+
     def pictures(self, array: np.ndarray) -> dict[str, np.ndarray]:
         return picture(array)
+
+
+def _area(light: mi.Emitter) -> bool:
+    return mi.has_flag(light.flags(), mi.EmitterFlags.Surface)
 
 
 def _repeats(texture: mi.Texture, texels: np.ndarray, to_uv: np.ndarray) -> bool:
@@ -49,7 +64,7 @@ def _repeats(texture: mi.Texture, texels: np.ndarray, to_uv: np.ndarray) -> bool
     edge's own. True where the edges are alike and it makes no difference. Waits.
     """
     height, width, channels = texels.shape
-    if channels not in (1, 3):
+    if channels not in (1, 3) or abs(np.linalg.det(to_uv)) < _FLAT:
         return True
     rows, columns = (np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width
     u = np.concatenate([np.full(height, -0.25 / width), columns])

@@ -85,6 +85,7 @@ class Vertices(Kind):
         self.scale = max(1.0, float(np.abs(self.present).max()))
         self._faces, self._latest, self._truth = faces, None, None
         self._crossed = b"", np.zeros(0, np.int64)
+        self._elsewhere: list[str] = []
         coordinates = f"{self.id}.vertex_texcoords"
         self._texcoords = (
             np.array(params[coordinates]).reshape(-1, 2) if coordinates in params else np.zeros(0)
@@ -211,14 +212,20 @@ class Vertices(Kind):
                     "faces, or the same in another order: the same are needed (of photographs, "
                     "leave start out to begin at photos.mesh)"
                 )
-            return (read if place is None else read[self.topology.first]).astype(np.float32)
+            found = (read if place is None else read[self.topology.first]).astype(np.float32)
+            if reason := _unlike(found, self.present):
+                self._elsewhere = [
+                    f"start of '{self.key}': {path} {reason} the mesh in the scene: its numbers "
+                    "are places in the world, after to_world"
+                ]
+            return found
         raise InputError(
             f"{where}={path} has {len(read)} vertices, the mesh '{self.id}' "
             f"{len(self.topology.place)} ({self.topology.count} places): the same faces are needed"
         )
 
     def warnings(self) -> list[str]:
-        found = self._turned()
+        found = self._elsewhere + self._turned()
         said = "silhouettes there are ambiguous, and gradients biased"
         found += [f"mesh {self.id}: {flaw}: {said}" for flaw in self.topology.flaws()]
         twice = self._twice() if self.topology.edges.open else 0
@@ -345,6 +352,16 @@ class Vertices(Kind):
         )
         text = whole.export(file_type="obj", write_texture=False)
         return {"ply": welded.export(file_type="ply"), "obj": text.encode()}
+
+
+def _unlike(one: np.ndarray, other: np.ndarray) -> str:
+    """How the box around the points ``one (N, 3)`` is unlike that around the ``other``, in words
+    that go on to it; or nothing."""
+    low, high, least, most = one.min(axis=0), one.max(axis=0), other.min(axis=0), other.max(axis=0)
+    if (low > most).any() or (high < least).any():
+        return "lies beside"
+    larger = np.linalg.norm(high - low) / max(np.linalg.norm(most - least), 1e-30)
+    return "" if 0.5 <= larger <= 2 else f"is {larger:.3g} times as large as"
 
 
 def _meshes(params: mi.SceneParameters) -> list[str]:

@@ -1,5 +1,6 @@
 """`isas unknowns`: what a scene offers, and who sees it."""
 
+import io
 import json
 from pathlib import Path
 
@@ -7,9 +8,12 @@ import numpy as np
 import pytest
 import trimesh
 from processes import isas
+from rich.console import Console
 from xml_for_tests import camera
 
+from isas_cli.cli import unknowns
 from isas_cli.cli.app import main
+from isas_cli.engine.offers import Offer, Offers
 from isas_cli.runtime import images
 from isas_cli.unknowns import verdicts
 
@@ -58,6 +62,19 @@ def test_a_process_of_its_own_prints_a_row_a_key(scene):
     verdict = verdicts.verdict("principled", "base_color")
     assert " ".join(rows[0].split()).endswith(verdict)
     assert "scene.poses can move: " in done.stdout
+
+
+def test_keys_are_printed_as_they_are_spelt(scene):
+    """Brackets are no markup; and a long one leaves the other columns their place."""
+    ids = "Wood [dark]", "mat-[/b]" + "x" * 60
+    offers = [Offer(f"{name}.value", "value", (3,), 0, 1, "", "two_path", [0]) for name in ids]
+    offers[1].refused, offers[0].note = "[red] is none", "see [dark]"
+    for terminal in (True, False):
+        text = io.StringIO()
+        console = Console(file=text, width=80, force_terminal=terminal, color_system=None)
+        unknowns.show(Offers(offers, 1, [ids[0]]), console)
+        for told in (*ids, "kind", "two_path", "none: [red] is none", "see [dark]"):
+            assert told in text.getvalue()
 
 
 def test_the_censuss_verdicts_and_notes_are_told(scene, capsys, monkeypatch):
@@ -144,6 +161,30 @@ def test_the_opacity_of_what_lets_all_light_through_is_none(scene, capfd, refuse
     of_materials()
     assert "air.bsdf.opacity.value" not in listed(capfd, "my.xml")
     refused(run_of("air.bsdf.opacity.value"), "it changes nothing")
+
+
+def test_a_texture_that_shows_one_row_or_column_is_listed(scene, capsys):
+    """As Blender's mapping by an axis of no size has it."""
+    images.write_exr("paint.exr", np.full((4, 4, 3), 0.5, np.float32), [*"RGB"], {})
+    floor = """<shape type="rectangle" id="floor"><bsdf type="diffuse">
+      <texture type="bitmap" name="reflectance"><string name="filename" value="paint.exr"/>
+      <transform name="to_uv"><scale x="0" y="1"/></transform></texture></bsdf></shape>"""
+    things = f'<integrator type="path"/><emitter type="constant"/>{floor}{camera("0,0,3", 8, 6)}'
+    Path("my.xml").write_text(f'<scene version="3.0.0">{things}</scene>')
+    found = listed(capsys, "my.xml")["floor.bsdf.reflectance.data"]
+    assert found["views"] == [0] and not found["refused"]
+
+
+def test_what_glows_does_not_ask_how_it_would_scatter(scene, capsys):
+    medium = """<medium type="homogeneous" name="interior"><float name="sigma_t" value="0.5"/>
+      <rgb name="albedo" value="0.3"/><phase type="hg"><float name="g" value="0.3"/></phase>
+      </medium>"""
+    box = f'<shape type="cube" id="box"><bsdf type="null"/>{medium}</shape>'
+    things = f'<integrator type="emission"/><emitter type="constant"/>{box}{camera("0,0,5", 8, 6)}'
+    Path("my.xml").write_text(f'<scene version="3.0.0">{things}</scene>')
+    found = listed(capsys, "my.xml")
+    assert found["box.interior_medium.sigma_t.value.value"]["views"] == [0]
+    assert found["box.interior_medium.phase_function.g"]["views"] == []
 
 
 def test_what_mitsuba_cannot_trace_is_said_in_one_line(scene, refused):

@@ -66,6 +66,20 @@ def test_it_is_what_a_least_squares_fit_is_left_with(key):
     assert 0.3 * parameter < found.parameter_rmse[key] < 1.3 * parameter
 
 
+def test_noise_where_an_unknown_does_not_show_is_of_no_account():
+    p = problem({TEXTURE: 0.5}, constant_target=None)
+    pixels, found = p.views.total, []
+    hides = Evaluator(p, L2(), pixels, 16, 1).products(p.unknowns.starts()) == 0
+    assert 0.1 < hides.mean() < 0.9
+    for factor in (1, 100):
+        p.variance = np.where(hides, factor * 0.05**2, 0.05**2).astype(np.float32)
+        found.append(Evaluator(p, L2(), pixels, 16, 1).floor)
+    quiet, loud = found
+    assert loud.pixel_rms > 2 * quiet.pixel_rms
+    assert loud.image_rmse == pytest.approx(quiet.image_rmse, rel=0.1)
+    assert loud.parameter_rmse == pytest.approx(quiet.parameter_rmse, rel=0.1)
+
+
 def test_what_is_not_known_has_none():
     assert measured("target.spp=1")[1] is None
     p = problem({TEXTURE: 0.5})

@@ -10,6 +10,7 @@ from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
 from isas_cli.config.schema import BlurConfig, OptimizerConfig
 from isas_cli.engine.optimiser import Stepper
+from isas_cli.filters import Laplacian
 from isas_cli.runtime.budget import Budget
 from isas_cli.runtime.errors import InputError
 from isas_cli.runtime.schedule import factor
@@ -84,6 +85,20 @@ def test_rates_fall_as_each_unknown_says():
         stepper.step(batch, spent)
         rate = stepper.moments(spent).rate
         assert rate[ROUGHNESS] == pytest.approx(rate[TEXTURE] * 0.25**spent)
+
+
+def test_filters_are_told_what_the_rate_has_fallen_to(monkeypatch):
+    p, told = problem({TEXTURE: 0.5}, size=16), []
+    stepper = Stepper(p.unknowns, settings(schedule="exponential", final=0.25), Laplacian())
+    made = stepper.filtered[TEXTURE]
+    gradient, moved = made.gradient, made.moved
+    shared = lambda entries, share: told.append(share) or gradient(entries, share)
+    monkeypatch.setattr(made, "gradient", shared)
+    monkeypatch.setattr(made, "moved", lambda step: told.append(step.share) or moved(step))
+    batch = gradients(p, np.random.default_rng(5))
+    for spent in (0.0, 0.5, 1.0):
+        stepper.step(batch, spent)
+    assert told == pytest.approx([1, 1, 0.5, 0.5, 0.25, 0.25])
 
 
 def test_first_steps_follow_the_published_update():

@@ -254,7 +254,11 @@ def test_the_command_prints_it_and_the_record_stays_the_same(tmp_path, capfd):
 
 @pytest.mark.parametrize(
     "more, told",
-    [("prior=smoothness", "a prior"), ("estimator.blurred=true", "estimator.blurred")],
+    [
+        ("prior=smoothness", "a prior"),
+        ("estimator.blurred=true", "estimator.blurred"),
+        ("loss=structure", "a loss of windows"),
+    ],
 )
 def test_what_a_step_does_besides_is_refused(tmp_path, more, told):
     settings = ["scene=pottery", "size=tiny", "profile=true", f"hydra.run.dir={tmp_path}"]

@@ -9,6 +9,7 @@ from xml_for_tests import camera, paths
 
 from isas_cli import records
 from isas_cli.cli.app import main
+from isas_cli.engine import replay
 from isas_cli.runtime import images
 
 SCENE = f"""<scene version="3.0.0">{paths(3)}{camera(fov=20)}
@@ -63,6 +64,14 @@ def test_paths_are_shown_whose_part_is_left_out(tmp_path, capsys):
     assert "128 paths to blame" in capsys.readouterr().out
     (told,) = [w for w in records.load(tmp_path / "run").summary["warnings"] if "of steps" in w]
     assert told.startswith("512 residuals"), "of both paths of a pixel, in two steps"
+
+
+def test_of_a_loss_of_windows_the_pixels_of_these_are_named(tmp_path):
+    wall = np.full((16, 16, 3), 0.5)
+    wall[:, 8:] = np.nan
+    assert run(tmp_path, wall, "budget.iterations=2", "loss=structure", "loss.side=3") == 0
+    columns = [place.column for place in replay.of(tmp_path / "run", 1).places]
+    assert len(columns) > 3 and min(columns) >= 6
 
 
 def test_a_sound_run_has_nothing_to_show(tmp_path, capsys):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
 import os
 import shutil
@@ -10,17 +11,18 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from processes import begun, isas
-from runs_for_tests import ran, resumed
+from runs_for_tests import process, ran, resumed
 from scenes_for_tests import ROUGHNESS, problem
 
 import isas_cli
 from isas_cli import records
-from isas_cli.cli import app
-from isas_cli.engine import resumption
+from isas_cli.cli import app, landscape, one
+from isas_cli.engine import experiment, resumption
 from isas_cli.records import manifest
 from isas_cli.runtime.errors import InputError
 
@@ -135,6 +137,17 @@ def test_what_cannot_be_continued_is_one_line(finished, refused, tmp_path):
     assert "above 0" in refused(["run", f"resume={finished}", "budget.iterations=-1"])
 
 
+def test_a_recorded_configuration_of_no_run_is_one_line():
+    deep: dict = {}
+    for _ in range(500):
+        deep = {"a": deep}
+    for config in ({"budget": {"seconds": 10**400}}, {"scene": {"arguments": deep}}):
+        run = SimpleNamespace(config=config, manifest={})
+        with pytest.raises(InputError, match="config.yaml does not give a run: ") as error:
+            resumption.configuration(Path("run"), run, {})
+        assert "\n" not in str(error.value)
+
+
 def test_a_larger_budget_goes_on_where_the_run_ended(finished, capsys):
     before = records.load(finished)
     spent = before.summary["seconds_billed"]
@@ -156,10 +169,11 @@ def test_other_versions_than_a_run_began_with_are_told(finished, tmp_path):
     folder = tmp_path / "copy"
     shutil.copytree(finished, folder)
     content = json.loads((folder / "manifest.json").read_text())
-    begun = content | {"resumed": [], "guests": {"example": "0.1"}}
+    begun = content | {"resumed": [], "guests": {"example": "0.1"}, "isas": "0.0.9"}
     (folder / "manifest.json").write_text(json.dumps(begun))
     warnings = resumed(folder, "budget.iterations=30").summary["warnings"]
-    assert any("on with example – (before 0.1)" in each for each in warnings)
+    told = f"on with example – (before 0.1), isas {isas_cli.__version__} (before 0.0.9)"
+    assert any(told in each for each in warnings)
 
 
 def test_a_program_goes_on_with_a_run(finished, tmp_path):
@@ -202,6 +216,34 @@ def test_a_run_goes_on_by_the_variant_that_it_took_by_itself(finished):
     assert cfg.variant == (took if took.startswith("llvm") else "auto")
     other = dataclasses.replace(run, manifest=run.manifest | {"variant": "cuda_ad_rgb"})
     assert resumption.configuration(finished, other, {})[0].variant == "auto"
+
+
+@pytest.mark.parametrize("found, taken", [("cuda_ad_rgb", "auto"), ("llvm_ad_rgb", "llvm_ad_rgb")])
+def test_what_goes_by_the_result_alone_needs_no_card(finished, monkeypatch, found, taken):
+    """`isas export`, `isas relight` and `isas landscape`."""
+    run = records.load(finished)
+    there = dataclasses.replace(run, config=run.config | {"variant": found})
+    monkeypatch.setattr(records, "load", lambda folder: there)
+    assert resumption.result(finished)[0].variant == taken
+
+    def started(cfgs, typed):
+        raise InputError(f"by {typed.variant}")
+
+    monkeypatch.setattr(experiment, "started", started)
+    monkeypatch.setattr(landscape, "_chosen", lambda *_: ["a"])
+    with pytest.raises(InputError, match=f"by {taken}"):
+        landscape.main(finished)
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_done(
+    finished, refused, monkeypatch
+):
+    def readonly(dir):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(one, "tempfile", SimpleNamespace(TemporaryFile=readonly))
+    told = refused(["run", f"resume={finished}", "budget.iterations=90"])
+    assert f"cannot write to the output folder {finished}: Read-only file system; a run" in told
 
 
 def test_a_larger_budget_warns_of_widths_of_blurs_too(tmp_path):
@@ -264,8 +306,8 @@ def test_two_processes_cannot_write_one_record(finished):
 
 
 def test_a_changed_scene_and_a_living_process_are_refused(finished, refused):
-    path = finished / "manifest.json"
-    text = path.read_text()
+    path, ended = finished / "manifest.json", finished / "summary.json"
+    text, summary = path.read_text(), ended.read_text()
     content = json.loads(text)
     try:
         path.write_text(json.dumps({**content, "resumed": [], "scene_hash": "0" * 32}))
@@ -275,14 +317,19 @@ def test_a_changed_scene_and_a_living_process_are_refused(finished, refused):
         error = refused(["run", f"resume={finished}", "budget.iterations=50"])
         assert "its start has changed since" in error
         other = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-        alive = {**content, "resumed": [], **manifest.process(), "pid": other.pid}
+        alive = {**content, "resumed": [], **process(other.pid), "ticks": None}
         path.write_text(json.dumps(alive))
+        assert "spent" in refused(["run", f"resume={finished}"]), "complete, in a notebook's kernel"
+        ended.write_text(json.dumps(json.loads(summary) | {"complete": False}))
+        assert "still being written" in refused(["run", f"resume={finished}"])
+        ended.unlink()
         assert "still being written" in refused(["run", f"resume={finished}"])
         other.kill()
         other.wait()
-        assert "spent" in refused(["run", f"resume={finished}"]), "its process has gone"
+        assert not manifest.alive(alive), "its process has gone"
     finally:
         path.write_text(text)
+        ended.write_text(summary)
 
 
 def test_starts_are_told_apart_by_what_they_hold():

@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from isas_cli.scenes import figures
 from runs_for_tests import QUIET, ran
 from scenes_for_tests import render_targets, without_targets
 from volumes_for_tests import (
@@ -325,6 +326,27 @@ def test_a_medium_beside_others_outside_is_left_to_mitsuba():
     whole = fog(GREY)
     whole["box"]["exterior"] = {"type": "homogeneous", "sigma_t": 0.1, "albedo": 0.5}
     assert volume.medium_of(mi.load_dict(whole)) is None
+
+
+def sky_of(kind: str) -> dict:
+    if kind == "smoke's":
+        return figures.sky(16)
+    if kind == "one texel":  # with most of the light
+        texels = np.full((64, 128, 3), 0.5, np.float32)
+        texels[20, 40] = 2e4
+        return {"type": "envmap", "bitmap": mi.Bitmap(texels)}
+    return {"type": "sunsky", "sun_scale": float(kind == "sunny")}
+
+
+@pytest.mark.parametrize(
+    "kind, sunny", [("one texel", True), ("sunny", True), ("no sun", False), ("smoke's", False)]
+)
+def test_a_sun_is_left_to_paths_that_sample_it(kind, sunny):
+    """But for what only emits, where no path is turned towards it."""
+    for integrator, own in (("prbvolpath", not sunny), ("emission", True)):
+        whole = description(*uneven(), integrator) | {"sky": sky_of(kind)}
+        made = without_targets(whole, {DENSITY: 1.0})
+        assert type(made.integrator) is (Medium if own else Integrator), integrator
 
 
 def test_a_glow_of_several_extinctions_is_refused():

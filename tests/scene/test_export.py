@@ -1,5 +1,6 @@
 """`isas export`: what was found as a file that Mitsuba reads, the user's own if there is one."""
 
+import json
 import re
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 import photo_sets
 import pytest
 import trimesh
-from runs_for_tests import ran
+from runs_for_tests import QUIET, ran
 from xml_for_tests import camera, paths
 
 from isas_cli.cli.app import main
@@ -453,6 +454,64 @@ def test_each_plugin_is_told_in_its_own_words(folder, rng, name):
     assert np.abs(np.array(mi.render(own, spp=16, seed=1)) - before).mean() > 1e-3 * before.mean()
 
 
+# Its up is y.
+SUN = """<emitter type="sunsky" id="sky"><vector name="sun_direction" x="0.4" y="0.8" z="0.3"/>
+  <transform name="to_world"><rotate x="1" angle="-90"/></transform></emitter>"""
+
+
+@pytest.mark.parametrize("towards", [{}, {"sky.sun_direction": [0.0, 0.6, 0.8]}])
+def test_a_sun_is_turned_with_its_sky_unless_it_was_found_itself(folder, towards):
+    parts = {"version": "3.0.0", "how": "path", "camera": camera(width=8), "bsdf": "", "more": ""}
+    (folder / "ball.xml").write_text(BALL.format(light=SUN, **parts))
+    poses = {"turn": PoseConfig(kind="rotation", objects=["sky"], axis=[0.0, 1.0, 0.0])}
+    arrays = {"turn": [-50.0]} | towards
+    arrays = {key: np.array(value, np.float32) for key, value in arrays.items()}
+    path, _ = export.write(scene(folder / "ball.xml", arrays, poses), arrays, folder / "result")
+    own, _ = instances.instantiate(*scene_file.parse(str(folder / "ball.xml")))
+    specs = {key: UnknownConfig(start=0.5) for key in arrays}
+    unknowns = Unknowns(mi.traverse(own), parse(mi.traverse(own), specs, True, poses))
+    unknowns.write(unknowns.values_of(arrays))
+    same(path, own, noisy=True)
+
+
+PLACEHOLDERS = {
+    "a sky that is black": (
+        '<emitter type="envmap" id="sky"><string name="filename" value="black.exr"/></emitter>',
+        {"sky.data": {"start": 0.5}},
+    ),
+    "a beam and a cone": (
+        """<emitter type="spot" id="spot"><float name="beam_width" value="10"/>
+        <float name="cutoff_angle" value="30"/><transform name="to_world">
+        <lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform></emitter>""",
+        {
+            "spot.beam_width": {"start": 8, "range": [0, 12]},
+            "spot.cutoff_angle": {"start": 25, "range": [15, 90]},
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PLACEHOLDERS)
+def test_what_the_scene_had_before_is_no_start_that_is_checked(folder, name):
+    """A run that ended is exported, whatever its targets left to be found."""
+    light, unknowns = PLACEHOLDERS[name]
+    for file, size, value in (("black", (4, 8), 0.0), ("target", (8, 8), 0.3)):
+        pixels = np.full((*size, 3), value, np.float32)
+        images.write_exr(folder / f"{file}.exr", pixels, [*"RGB"], {})
+    wall = f'{paths(3)}{camera(width=8)}{light}<shape type="rectangle" id="wall"/>'
+    (folder / "wall.xml").write_text(f'<scene version="3.0.0">{wall}</scene>')
+    run = ["scene=file", f"scene.path={folder / 'wall.xml'}", "sampler=uniform", *QUIET]
+    run += [f"scene.targets=[{folder / 'target.exr'}]", f"scene.unknowns={json.dumps(unknowns)}"]
+    run += ["estimator.batch=64", "evaluation.pixels=64", "budget.iterations=2"]
+    arrays = ran(folder / "run", *run).parameters()
+    assert main(["export", str(folder / "run")]) == 0
+    params = mi.traverse(mi.load_file(str(folder / "run/result/scene.xml"), optimize=False))
+    for key, array in arrays.items():
+        value = np.array(params[key])
+        value = value[:, 1:-1] if key == "sky.data" else value
+        np.testing.assert_allclose(value.ravel(), array.ravel(), rtol=1e-4)
+
+
 def test_a_length_of_paths_that_was_asked_for_is_in_the_file(folder):
     arrays = {ROUGH: np.array([0.25], np.float32)}
     config = scene(folder / "scene.xml", arrays)
@@ -555,6 +614,34 @@ def test_painted_meshes_of_like_names_stay_apart(folder):
     arrays = {RED: np.full(3, 0.5, np.float32)}
     export.write(scene(folder / "scene.xml", [RED]), arrays, folder / "result")
     assert len(list((folder / "result/painted").glob("cup_1*.obj"))) == 2
+
+
+def test_meshes_that_share_a_picture_share_its_file(folder):
+    paint = '<bsdf type="diffuse" id="all"><texture type="bitmap" name="reflectance">'
+    paint += '<string name="filename" value="other.png"/></texture></bsdf>'
+    shapes = "".join(f'<shape type="cube" id="{id}"><ref id="all"/></shape>' for id in ("a", "b"))
+    (folder / "scene.xml").write_text(SCENE.replace("</scene>", f"{paint}{shapes}</scene>"))
+    export.write(scene(folder / "scene.xml", [RED]), {RED: np.full(3, 0.5)}, folder / "result")
+    painted = folder / "result/painted"
+    assert (painted / "a.png").exists() and not (painted / "b.png").exists()
+    pictures = [
+        np.asarray(trimesh.load(painted / f"{name}.obj", process=False).visual.material.image)
+        for name in ("a", "b")
+    ]
+    assert pictures[0].shape == (4, 6, 3) and np.array_equal(*pictures)
+
+
+def test_ids_may_be_what_no_file_is_called(folder, rng):
+    """As Blender's exporters name things in a collection."""
+    text = SCENE.replace('"figure"', '"World/Cup"').replace('"paint"', '"World/Paint"')
+    (folder / "scene.xml").write_text(text)
+    key = PAINT.replace("paint", "World/Paint")
+    poses = {"up": PoseConfig(kind="translation", objects=["World/Cup"])}
+    arrays = {key: rng.random((4, 6, 3)), "up": np.array([0.0, 0.25, 0.0])}
+    arrays = {name: array.astype(np.float32) for name, array in arrays.items()}
+    path, _ = export.write(scene(folder / "scene.xml", arrays, poses), arrays, folder / "result")
+    assert np.allclose(found(path, {key: (4, 6, 3)})[key], arrays[key], atol=1e-6)
+    assert (folder / "result" / "World%2FCup.ply").is_file()
 
 
 def test_files_of_others_keep_their_names(folder, rng):

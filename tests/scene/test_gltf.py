@@ -14,7 +14,7 @@ from xml_for_tests import camera, paths
 
 from isas_cli.config.schema import SceneConfig, UnknownConfig
 from isas_cli.runtime import images
-from isas_cli.scene import export
+from isas_cli.scene import export, gltf
 from isas_cli.unknowns.parameters import held
 
 pytestmark = pytest.mark.usefixtures("two_threads")
@@ -228,6 +228,13 @@ def test_numbers_are_neither_rounded_nor_lost(folder):
         "KHR_materials_specular": {"specularFactor": 0.0}
     }
     assert told == ["scene.glb leaves out: the environment 'sky', the light 'lamp'"]
+
+
+def test_shapes_that_share_a_material_share_its_pictures(folder, monkeypatch):
+    made, own = [], gltf._material
+    monkeypatch.setattr(gltf, "_material", lambda each: made.append(each.name) or own(each))
+    exported(folder, CABINET)
+    assert "paint" in made and len(made) == len(set(made))
 
 
 def test_what_was_found_is_there(folder, rng):

@@ -1,12 +1,16 @@
 """Views that count differently."""
 
+from dataclasses import replace
+
 import mitsuba as mi
 import numpy as np
 import pytest
 from scenes_for_tests import TEXTURE, problem
 
+from isas_cli.engine.evaluate import Evaluator
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.losses.l2 import L2
+from isas_cli.rendering.integrators import Paths
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene.weights import of_views
@@ -64,3 +68,26 @@ def test_the_gradient_is_the_weighted_mean_of_the_views_own():
     assert np.abs((whole.mean(0) - wanted) / np.maximum(error, 1e-12)).max() < 5
     alike = (single[0].mean(0) + single[1].mean(0)) / 2
     assert np.abs((whole.mean(0) - alike) / np.maximum(error, 1e-12)).max() > 6
+
+
+def measured(p) -> np.ndarray:
+    """The square of the image's error, the loss, and the square of how far paths of two edges are
+    from all."""
+    evaluator, values = Evaluator(p, L2(), p.views.total, 64, 1), p.unknowns.starts()
+    found = evaluator(values)
+    apart = evaluator.apart(replace(p, integrator=p.integrator.cut(Paths(2, 2))), values)
+    return np.array([found["image_rmse"] ** 2, found["loss"], apart**2])
+
+
+def test_what_is_measured_is_the_weighted_mean_of_the_views_own():
+    """Of the same two, to rounding."""
+    p, single = problem({TEXTURE: 0.5}), []
+    for view in (0, 1):
+        # More than none, so that all pixels are rendered, by the same random numbers.
+        mask = np.repeat([view == 0, view == 1], p.views.total // 2) + 1e-9
+        p.set_targets(p.targets, mi.Float(mask.astype(np.float32)), "test")
+        single.append(measured(p))
+    p.set_targets(p.targets, None, "test")
+    p.weigh([3, 1])
+    assert np.allclose(measured(p), 0.75 * single[0] + 0.25 * single[1], rtol=1e-4, atol=0)
+    assert np.abs(single[0] / single[1] - 1).min() > 0.02, "the case shows nothing"

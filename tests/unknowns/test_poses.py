@@ -218,6 +218,44 @@ def test_what_cannot_be_moved_is_refused_in_one_line(settings, words):
     assert "\n" not in str(error.value)
 
 
+def thing(name: str) -> dict:
+    place = mi.ScalarTransform4f()
+    if name == "sdfgrid":
+        field = np.ones((3, 3, 3, 1), np.float32)
+        field[1, 1, 1] = -1
+        return {"type": name, "grid": mi.TensorXf(field)}
+    if name.startswith("mirrored "):
+        return {"type": name.split()[1], "to_world": place.scale([-1, 1, 1])}
+    more = {"aperture_radius": 0.1, "focus_distance": 3.0} if name == "thinlens" else {}
+    return {"type": name, **more} | ({"flip_normals": True} if name == "sphere" else {})
+
+
+@pytest.mark.parametrize(
+    "name, kind, words",
+    [
+        ("sdfgrid", "rotation", "with holes: put it into a shapegroup and turn an instance"),
+        ("sdfgrid", "translation", None),
+        ("mirrored sphere", "translation", "write it unmirrored, with flip_normals"),
+        ("mirrored cylinder", "rotation", "write it unmirrored, with flip_normals"),
+        ("mirrored disk", "rotation", None),
+        ("sphere", "translation", None),
+        ("perspective", "scale", "Mitsuba scales no camera with a perspective"),
+        ("thinlens", "scale", "Mitsuba scales no camera with a perspective"),
+        ("perspective", "rotation", None),
+        ("orthographic", "scale", None),
+    ],
+)
+def test_what_mitsuba_does_not_move_well_is_refused_in_one_line(name, kind, words):
+    params = mi.traverse(mi.load_dict({"type": "scene", "it": thing(name)}, optimize=False))
+    loaded = Loaded(params, {"pose": PoseConfig(kind=kind, objects=["it"])})
+    if words is None:
+        assert Pose("pose", loaded).ids == ["it"]
+        return
+    with pytest.raises(InputError, match=f"scene.poses\\['pose'\\]: 'it': .*{words}") as error:
+        Pose("pose", loaded)
+    assert "\n" not in str(error.value)
+
+
 def test_a_pose_that_is_no_unknown_is_refused():
     with pytest.raises(InputError, match="scene.poses\\['b.place'\\] is not among scene.unknowns"):
         moved({"a.turn": TURN, "b.place": SHIFT}, {"a.turn": 0.0})

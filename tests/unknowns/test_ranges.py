@@ -196,6 +196,20 @@ def test_a_thin_medium_keeps_its_truth(scale, floor):
     assert not made.kind.rewrites
 
 
+@pytest.mark.parametrize(
+    "start, given, low",
+    [(2e-4, None, 2e-7), (2e-4, [0, 1], 2e-7), (3e-4, [1e-5, 1], 1e-5), (0.0, [0, 1], 5e-4)],
+)
+def test_a_small_density_starts_where_it_was_told_to(start, given, low):
+    """Nothing at all is a share of what the file has."""
+    fog = {"type": "homogeneous", "sigma_t": 0.5, "albedo": 0.5}
+    described = {"type": "scene", "box": {"type": "cube", "interior": fog}}
+    params = mi.traverse(mi.load_dict(described, optimize=False))
+    (key,) = (key for key in params.keys() if "sigma_t" in key)
+    (made,) = parse(params, {key: UnknownConfig(start=start, range=given)}, True)
+    assert made.low == pytest.approx(low) and made.start == pytest.approx(max(start, low))
+
+
 def test_a_thin_grid_with_nothing_in_it_stays_above_a_share_of_its_most():
     values = np.zeros((2, 2, 2, 1), np.float32)
     values[0] = 0.02

@@ -70,8 +70,22 @@ def test_what_moves_geometry_stays_refused():
     with pytest.raises(InputError, match="'wall.to_world' moves geometry"):
         parsed(lit("map"), {"wall.to_world": {"start": 0}})
     for key in ("sky.to_world", "bulb.position"):
-        with pytest.raises(InputError, match=f"'{key}' is no differentiable parameter"):
+        told = f"'{key}' is no differentiable parameter: scene.poses moves '{key.split('.')[0]}'; "
+        with pytest.raises(InputError, match=told):
             parsed(lit("map"), {key: {"start": 0}})
+
+
+@pytest.mark.parametrize("kind", ["bsplinecurve", "linearcurve", "cube"])
+def test_what_moves_geometry_says_what_moves_it_instead(tmp_path, kind):
+    thing, key = {"type": kind}, "it.vertex_positions"
+    told = "move the object by .*, or find its shape, 'it.vertices', by estimator=silhouettes"
+    if kind != "cube":
+        points = "".join(f"{x} 0 0 0.1\n" for x in range(5))
+        (tmp_path / "curve.txt").write_text(points)
+        thing, key = thing | {"filename": str(tmp_path / "curve.txt")}, "it.control_points"
+        told = "move an instance of a shapegroup with it by scene.poses"
+    with pytest.raises(InputError, match=f"'{key}' moves geometry.*{told}"):
+        parsed({"type": "scene", "it": thing}, {key: {"start": 0}})
 
 
 def two_floors() -> dict:

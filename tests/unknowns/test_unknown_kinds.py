@@ -18,6 +18,7 @@ from isas_cli.config.schema import UnknownConfig
 from isas_cli.rendering import coverage
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime import images
+from isas_cli.runtime.errors import InputError
 from isas_cli.scene import scene_file
 from isas_cli.unknowns.parameters import flat
 from isas_cli.unknowns.specs import parse
@@ -229,6 +230,36 @@ def test_of_an_environment_map_the_texels_before_the_cameras_are_seen(monkeypatc
     strong, none = changes > 0.05 * changes.max(), changes < 1e-4 * changes.max()
     assert 2 <= strong.sum() < 12 and none.sum() > 12
     assert seen[strong].all() and not seen[none].any()
+
+
+def test_what_a_dark_light_will_light_is_seen():
+    place = mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": 8, "height": 8}
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 3},
+        "sensor": {"type": "perspective", "to_world": place, "film": film},
+        "sky": {"type": "constant"},
+        "ball": {"type": "sphere", "bsdf": {"type": "diffuse"}},
+    }
+    made = without_targets(scene, {"sky.radiance.value": 0.0, "ball.bsdf.reflectance.value": 0.4})
+    coverage.fill_in(made, 1)
+    assert all(unknown.seen.all() for unknown in made.unknowns)
+    assert np.all(render(made.scene) == 0), "and is where it starts"
+
+
+def test_the_picture_of_a_lamp_is_not_black_everywhere():
+    picture = mi.Bitmap(np.ones((4, 4, 3), np.float32))
+    radiance = {"type": "bitmap", "bitmap": picture, "raw": True}
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 3},
+        "sensor": {"type": "perspective"},
+        "lamp": {"type": "rectangle", "emitter": {"type": "area", "radiance": radiance}},
+    }
+    with pytest.raises(InputError, match="a lamp's picture that is zero everywhere"):
+        without_targets(scene, {"lamp.emitter.radiance.data": 0.0})
+    assert without_targets(scene, {"lamp.emitter.radiance.data": 0.5})
 
 
 PLACES = "0,1.2,3", "2.5,1.5,-2", "-3,1,-1"

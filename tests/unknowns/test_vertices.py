@@ -53,6 +53,20 @@ def test_steps_are_spread_by_the_laplacian_and_no_vertex_goes_farther_than_the_r
     np.testing.assert_allclose(moved, -0.01 * spread / np.abs(spread).max(), atol=1e-6)
 
 
+def test_the_laplacian_counts_neighbours_and_has_its_weight_by_the_vertices():
+    kind = problem(views=1, side=8).unknowns[KEY].kind
+    assert kind._mesh.stiffness == pytest.approx(19 * 642 / 10_000)
+    found, faces = kind.topology.laplacian().toarray(), kind.topology.faces
+    # Of a closed mesh as many neighbours as faces.
+    valence = np.bincount(faces.ravel())
+    assert set(valence) == {5, 6} and np.array_equal(np.diag(found), valence)
+    wanted = np.diag(valence.astype(np.float64))
+    for corner in range(3):
+        wanted[faces[:, corner], faces[:, corner - 1]] = -1
+        wanted[faces[:, corner - 1], faces[:, corner]] = -1
+    assert np.array_equal(found, wanted) and not found.sum(axis=1).any()
+
+
 def test_one_path_seen_edge_on_does_not_slow_a_shape():
     """Steps along one direction, with a derivative a thousand times as large at the sixth: the rest
     goes on at more than half of the pace of a run that met none, and growth of all is followed."""
@@ -201,6 +215,21 @@ def test_a_start_from_a_file_has_the_same_faces(tmp_path):
     trimesh.Trimesh(vertices, faces).export(small)
     with pytest.raises(InputError, match="has 42 vertices, the mesh 'figure' 642"):
         kind.start(str(small), "start")
+
+
+@pytest.mark.parametrize(
+    "times, shift, told", [(1, 0.1, None), (1, 30, "lies beside"), (3, 0, "is 3 times as large as")]
+)
+def test_a_start_from_a_file_that_is_elsewhere_is_told(tmp_path, times, shift, told):
+    """As where to_world places the scene's own file."""
+    kind, path = problem(views=1, side=8).unknowns[KEY].kind, tmp_path / "start.ply"
+    middle = kind.present.mean(axis=0)
+    moved = middle + times * (kind.present - middle) + shift
+    path.write_bytes(kind.files(moved.astype(np.float32))["ply"])
+    kind.start(str(path), "start")
+    lines = [line for line in kind.warnings() if line.startswith("start of")]
+    assert len(lines) == (told is not None)
+    assert all(f"{path} {told}" in line and "after to_world" in line for line in lines)
 
 
 def test_the_result_keeps_texture_coordinates(tmp_path):
