@@ -44,4 +44,4 @@ def load(folder: str | Path) -> Run:
     ``summary``, ``parameters()`` and ``frame(name)``. Raises ``runtime.errors.InputError``."""
     from . import records
 
-    return records.load(Path(folder))
+    return records.load(Path(folder).absolute())  # programs go to other folders

@@ -4,8 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir, version
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 
 import isas_cli
+from isas_cli.cli import one
+from isas_cli.cli.run import folder_of
 from isas_cli.runtime.errors import InputError
 
 SMALL = [
@@ -39,6 +45,28 @@ def test_a_record_is_loaded_again(run):
     assert np.array_equal(again.parameters()[KEY], run.parameters()[KEY])
     with pytest.raises(InputError, match="no such run folder"):
         isas_cli.load(Path(run.folder) / "nothing")
+
+
+def test_a_record_stays_where_it_is_when_the_program_goes_elsewhere(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(run.folder.parent)
+    again = isas_cli.load(run.folder.name)
+    monkeypatch.chdir(tmp_path)
+    assert again.folder == run.folder and again.parameters().keys() == run.parameters().keys()
+
+
+def test_a_program_that_uses_hydra_itself_keeps_what_it_has_there(tmp_path, monkeypatch):
+    (tmp_path / "config.yaml").write_text("mine: 1\n")
+    monkeypatch.setattr(one, "run", lambda cfg, folder: 0)
+    monkeypatch.setattr(HydraConfig.instance(), "cfg", None)
+    with initialize_config_dir(str(tmp_path), version_base="1.2"):
+        known = GlobalHydra.instance()
+        HydraConfig.instance().set_config(hydra_compose("config", return_hydra_config=True))
+        before = [known.hydra, HydraConfig.instance().cfg, version.getbase()]
+        assert folder_of(["scene=dodoco", "hydra.run.dir=here"]) == "here"
+        assert GlobalHydra.instance() is known
+        after = [known.hydra, HydraConfig.instance().cfg, version.getbase()]
+        assert [id(each) for each in after] == [id(each) for each in before]
+        assert hydra_compose("config").mine == 1
 
 
 def test_bad_settings_are_errors_of_one_line(tmp_path):

@@ -35,7 +35,7 @@ def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
         raise InputError(f"--spp {spp}: at least 1")
     run = records.load(folder)
     one.check_writable(folder, "a landscape is drawn beside the run: copy it")
-    cfg, _ = resumption.configuration(folder, run, {})
+    cfg = resumption.anywhere(folder, run)
     keys = run.manifest.get("unknowns", {})
     names = [c[len(VALUE_PREFIX) :] for c in run.history.columns if c.startswith(VALUE_PREFIX)]
     names = [name for name in names if _of_unknown(name, keys)]

@@ -78,6 +78,11 @@ def main(arguments: list[str]) -> int:
             if (folder / races.FILE).exists():
                 return races.resume(folder, own, overrides)
             read, _ = read_yaml(folder / FILE, *LISTED)
+            if launcher := next((o for o in overrides if o.startswith("hydra/launcher")), None):
+                raise InputError(
+                    f"{launcher}: one race goes on here: leave it out; several, of scenes or seeds "
+                    "with commas, take a launcher"
+                )
             turn = slice_seconds({"slice": str(read.get("slice", _SLICE_SECONDS)), **own})
             left = unfinished(folder, resumption.parse(overrides))
             if not left:
@@ -218,6 +223,8 @@ def unfinished(folder: Path, changes: dict[str, Any]) -> list[Entry]:
             paths.locate(cfg, read.get("started_in"))
             entry = Entry(label, resumption.changed(cfg, changes), place)
         if entry is not None:
+            if entry.earlier is not None:
+                one.check_writable(place, "a run goes on where it is: copy the race")
             entries.append(entry)
     return entries
 
@@ -298,7 +305,7 @@ def slug(label: str) -> str:
 def _folder(own: dict[str, str], scene: str) -> Path:
     if "hydra.run.dir" in own:
         return folder_of(own["hydra.run.dir"])
-    return Path("runs") / scene / f"race-{datetime.datetime.now():%Y%m%d-%H%M%S}"
+    return Path("runs") / scene / f"race-{datetime.datetime.now():%Y%m%d-%H%M%S-%f}"
 
 
 def folder_of(given: str) -> Path:

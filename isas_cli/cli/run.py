@@ -52,11 +52,15 @@ def folder_of(settings: list[str]) -> str:
 
 def _one(cfg) -> tuple[int, str]:
     """Exit status and folder of a run whose configuration has Hydra's own settings still."""
-    HydraConfig.instance().set_config(cfg)
-    folder = cfg.hydra.run.dir
-    with open_dict(cfg):
-        del cfg["hydra"]
-    return one.run(cfg, folder), folder
+    before = HydraConfig.instance().cfg  # of a program that uses Hydra itself
+    try:
+        HydraConfig.instance().set_config(cfg)
+        folder = cfg.hydra.run.dir
+        with open_dict(cfg):
+            del cfg["hydra"]
+        return one.run(cfg, folder), folder
+    finally:
+        HydraConfig.instance().cfg = before
 
 
 def _resume(arguments: list[str], wanted: str, overrides: list[str]) -> int:
@@ -66,8 +70,11 @@ def _resume(arguments: list[str], wanted: str, overrides: list[str]) -> int:
     if not folder:
         raise InputError("resume is empty: give resume=DIR, a run's folder")
     changes = resumption.parse(overrides)
+    place = Path(folder).expanduser()
+    if place.is_dir():
+        one.check_writable(place, "a run goes on where it is: copy it")
     with one.argv(["isas", "run", *arguments]), interrupt.prompt():
-        return experiment.resume(Path(folder).expanduser(), changes)
+        return experiment.resume(place, changes)
 
 
 def _split(arguments: list[str]) -> tuple[list[str], list[str]]:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import yaml
 from hydra import compose as hydra_compose
-from hydra import initialize_config_dir
+from hydra import initialize_config_dir, version
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import ChoiceSweep
 from hydra.errors import HydraException, OverrideParseException
@@ -213,6 +215,23 @@ def _check_entry(where: str, entry_type: type, entry: dict) -> None:
         raise InputError(f"{where}{field}: {str(error).splitlines()[0]}") from error
 
 
+@contextlib.contextmanager
+def initialized() -> Iterator[None]:
+    """Within, Hydra composes as isas does. What a program that uses it as well had there is put
+    back."""
+    known, base = GlobalHydra.instance(), version.getbase()
+    theirs = known.hydra
+    known.clear()
+    try:
+        with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
+            yield
+    finally:
+        known.hydra = theirs
+        GlobalHydra.set_instance(known)
+        if isinstance(base, version.Version):
+            version.VersionBase.instance().setbase(base)
+
+
 def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
     """The composed configuration. Raises InputError, one line, when it cannot be."""
     schema.register()
@@ -220,7 +239,7 @@ def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
         options(group)  # of which no two may have one name
     overrides = complete(overrides)
     try:
-        with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
+        with initialized():
             cfg = hydra_compose("config", overrides, return_hydra_config=hydra)
             OmegaConf.resolve(cfg.scene)
     except (HydraException, *_REFUSALS, yaml.YAMLError, OSError, ValueError) as error:
@@ -308,7 +327,7 @@ def _explain_key(key: str, overrides: list[str]) -> str:
 def _raw(overrides: list[str]) -> DictConfig | None:
     """Composed without resolving anything, or None where that fails too."""
     try:
-        with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
+        with initialized():
             return hydra_compose("config", overrides)
     except (HydraException, OmegaConfBaseException):
         return None

@@ -115,16 +115,22 @@ def newer(cfg: DictConfig, than: str) -> str | None:
     return None
 
 
-def _within(path: Path, seen: set[Path]) -> list[Path]:
-    """What a scene's XML names beside itself, and files of scenes that are part of it do."""
-    found = []
-    for text in re.findall(
-        r"""(?:value|filename)\s*=\s*["']([^"']+)["']""", path.read_text("utf-8")
-    ):
-        each = path.parent / text
+def _within(path: Path, seen: set[Path], around: tuple[Path, ...] = ()) -> list[Path]:
+    """What a scene's XML names beside itself or in the folders ``around``, those of the scenes that
+    it is part of and of its ``<path>``, and files of scenes that are part of it do."""
+    found, text = [], path.read_text("utf-8")
+    for tag in re.findall(r"<default\s[^>]*>", text):
+        given = dict(re.findall(r"""(name|value)\s*=\s*["']([^"']*)["']""", tag))
+        text = text.replace(f"${given.get('name')}", given.get("value", ""))
+    named = r"""(?:value|filename)\s*=\s*["']([^"']+)["']"""
+    folders = [path.parent, *around]
+    for tag in re.findall(r"<path\s[^>]*>", text):
+        folders += [path.parent / each for each in re.findall(named, tag)]
+    for name in re.findall(named, text):
+        each = next((f / name for f in folders if (f / name).is_file()), path.parent / name)
         found.append(each)
         if each.suffix.lower() == ".xml" and each not in seen and each.is_file():
-            found += _within(each, seen | {each})
+            found += _within(each, seen | {each}, tuple(folders))
     return found
 
 

@@ -21,46 +21,8 @@ SIDE = 256  # texels, where nothing is said
 
 @dataclass
 class PhotosConfig:
-    """Photographs with known cameras (scene=photos; ``photos.path`` is ``scene.photos.path``).
-
-    ``path``: the folder that holds them; ``cameras``: the file or folder in it that says where the
-    cameras are (None: it is looked for); ``world``: of files whose poses are not in the world of
-    the mesh and that say how these differ (``applied_transform``, Polycam's alignment), ``mesh``:
-    that of the mesh, or ``file``: as they stand there; ``mesh``: a file (OBJ, PLY, STL, glTF) in
-    the cameras' world, or instead ``plane``: [x0, y0, x1, y1] of z = 0, or ``sphere``: [x, y, z,
-    radius]; ``environment``: a picture of the light from all sides (None: unknown), whose up is the
-    world's axis ``up`` and which is turned about that by ``turn`` degrees; ``width``: pixels, to
-    which views are shrunk (None: as they are);
-    ``texture``: texels a side of the base colour, or the picture file of one that is known;
-    ``roughness``, ``metallic``: whether that is unknown, too, as one number or, ``map``, as a
-    texture; ``normals``: whether a normal map is, false or ``map``; ``texels``: a side of these
-    maps (None: as many as the base colour has, or 256 where that is known);
-    ``sky``: rows of an unknown environment; ``test``: views held out, [names], n for every n-th, or
-    ``given``: those that the files hold out; ``without``: names of views that are left out as if
-    they were not there; ``exposure``: of the views, besides what their file
-    says, ``fixed``: all alike, or unknown, ``scale``: a factor each, ``channels``: three each;
-    ``refine``: whether the cameras' poses are unknown as well; ``lens``: what of their lenses is,
-    of ``focal``, the length, ``centre``, the principal point, and ``radial`` distortion, and
-    ``lenses``: whether pictures whose files say the same lens have one, ``shared``, or one
-    ``each``; ``saturated``: from which value of an 8- or 16-bit or camera raw file on, of its
-    largest, a pixel does not count, nor, of a floating-point file whose light is cut off, one that
-    has its largest number (None: all count); ``encoding``: of the files, ``auto``: as images are
-    read everywhere, ``srgb`` (no camera raw or floating-point file is) or ``linear``;
-    ``background``: whether pixels count that the object does not fill, or ``black``: they do, and
-    are black in photographs and renderings, where alpha or masks end the object;
-    ``images``, ``masks``: folders where the pictures and masks lie (None: where the
-    cameras' file and custom say; ``masks=none``: there are none); ``missing``: ``refuse`` a picture
-    that does not exist, or ``skip`` its view; ``scale``: of pictures that were resized after
-    calibration, how large they are of the cameras' size, or ``auto``; ``orientation``: whether
-    cameras are of pictures as ``stored`` or as ``turned`` by their Orientation tag (``auto``: as is
-    usual of their file); ``materials``: of a mesh that has several, ``each`` a shape and a colour
-    of its own, or ``one`` for all; ``start``: ``hull``, in place of a mesh the largest object that
-    alpha or masks allow, whose shape is unknown (also where nothing else says what the object is,
-    and these are there); ``voxels``: of the grid that it is cut from, along its longest side;
-    ``edges``: whether shapes and poses that are unknown follow edges in the pictures; ``pose``:
-    whether turn, size and place of the object are unknown (``turn_x``, ``turn_y``, ``turn_z``,
-    ``size``, ``shift``).
-    """
+    """Photographs with known cameras (scene=photos; ``photos.path``, their folder, is
+    ``scene.photos.path``). What each setting is: the table in scenes/README.md."""
 
     path: Optional[str] = None
     cameras: Optional[str] = None

@@ -70,7 +70,9 @@ def asked(arguments: list[str]) -> Iterator[list[str]]:
             value = value if equals else next(words, "")
             places.append(_place(value, flag))
         elif word.startswith(_SETTING):
-            listed = word.removeprefix(_SETTING).strip("[]").split(",")
+            value = word.removeprefix(_SETTING)
+            # A folder's own name may end in one.
+            listed = (value[1:-1] if value[:1] + value[-1:] == "[]" else value).split(",")
             places += [_place(each.strip().strip("'\""), _SETTING[:-1]) for each in listed if each]
         else:
             rest.append(word)

@@ -13,15 +13,8 @@ _MOST_LIGHTS, _MOST_DIRECTIONS = 64, 256
 
 @dataclass(frozen=True)
 class Effects:
-    """``probe``: measure what structure cannot tell. ``max_depth``: edges of the longest path.
-    ``derivative_depth``: of the longest that is differentiated. ``light_samples``: of emitters at
-    the first hit, for the residual and for the derivative. ``directions``: that each of these is
-    picked from. None: as the probe finds best; else all that the scene has, and one sample, picked
-    but where renderings are compared (``plan.decide``). ``roulette``: vertices after which Russian
-    roulette ends paths; None: as the scene has it. ``caustics``: whether surfaces get light
-    straight from mirrors or through clear glass; None: as the probe finds, else they do.
-    ``tolerance``, ``derivative_tolerance``: share of an unknown's gradient, see ``plan``.
-    ``finish``: the last share of the budget with all effects.
+    """As its YAML says. None without a probe: all that the scene has, and one light sample, picked
+    but where renderings are compared (``plan.decide``).
 
     What residuals lack, the result lacks: at the truth they are not zero on average. A derivative
     that lacks something only takes another way to where the residuals are zero. Hence two

@@ -23,11 +23,25 @@ def _number(value) -> str:
     return "–" if value is None or value != value else f"{value:.3g}"
 
 
+class Stderr(Console):
+    """Standard error. Where nobody reads it any more, or its disk is full, it falls silent: what is
+    said there ends no work."""
+
+    def __exit__(self, *raised) -> None:
+        try:
+            super().__exit__(*raised)
+        except OSError:
+            self.quiet = True
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+
+
 class Display:
     """A live line in a terminal, plain lines elsewhere. Writes to standard error."""
 
     def __init__(self, budget: Budget | None) -> None:
-        self.console = Console(stderr=True)
+        self.console = Stderr(stderr=True)
         self.live = self.console.is_terminal and sys.stderr.isatty()
         self.budget = budget
         self._bar_width = 16 if self.console.width >= _ROOMY else 8

@@ -82,7 +82,8 @@ def prepare(folder: Path, changes: dict) -> Continuation:
     the end of its record is finished by a continuation.
     """
     run = records.load(folder)
-    if manifest.alive(run.manifest):
+    # Of a complete one the process may live on, such as a notebook's.
+    if not run.complete and manifest.alive(run.manifest):
         raise InputError(f"{folder} is still being written: its process has not ended")
     cfg, before = configuration(folder, run, changes)
     arrays, state = records.load_checkpoint(folder)
@@ -122,7 +123,7 @@ def result(folder: Path) -> tuple[Config, dict[str, np.ndarray]]:
     InputError."""
     run = records.load(folder)
     arrays = run.parameters()
-    return schema.typed(configuration(folder, run, {})[0]), arrays
+    return schema.typed(anywhere(folder, run)), arrays
 
 
 def changed_since(folder: Path, typed: Config) -> str | None:
@@ -161,6 +162,15 @@ def configuration(folder: Path, run: Run, changes: dict) -> tuple[DictConfig, Bu
     if cfg.variant == "auto" and str(run.manifest.get("variant")).startswith("llvm"):
         cfg.variant = run.manifest["variant"]
     return changed(cfg, changes), before
+
+
+def anywhere(folder: Path, run: Run) -> DictConfig:
+    """The configuration, for what goes by the result alone: the card that it was found on may be
+    missing. Raises InputError."""
+    cfg, _ = configuration(folder, run, {})
+    if cfg.variant.startswith("cuda"):
+        cfg.variant = "auto"
+    return cfg
 
 
 def _read(recorded: dict) -> DictConfig:

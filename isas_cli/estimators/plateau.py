@@ -23,16 +23,8 @@ SCHEMES = {"joint": smoothing.joint, "separate": smoothing.separate}
 
 @dataclass(frozen=True)
 class Settings(Comparing):
-    """Plateau-reduced gradients (PRDPT): of the objective blurred over the unknowns.
-
-    ``gradient``: kernel (∂κP, Eq. 9: plain renderings, the kernel's derivative: ``Plateau``) or
-    renderer (κ∂P, Eq. 8: Mitsuba's derivative at blurred values: ``mitsuba.WholeImages``, with
-    ``silhouettes`` as there). ``smooth``: image (the paper's equation) or loss (its public code);
-    ``scheme``: joint or separate; ``pairs``: of renderings, a step; ``spp``: paths of each drawn
-    pixel in each rendering of a pair; ``common``: the same random numbers for both of a pair;
-    ``residual``: from a pair of renderings too, or from one (the paper's), with ``residual_spp``
-    paths of each drawn pixel.
-    """
+    """Plateau-reduced gradients (PRDPT): of the objective blurred over the unknowns. ``gradient``:
+    kernel (∂κP, Eq. 9: ``Plateau``) or renderer (κ∂P, Eq. 8: ``mitsuba.WholeImages``)."""
 
     name: ClassVar[str] = "plateau"
     gives: ClassVar[frozenset[str]] = frozenset(("blur",))

@@ -44,7 +44,7 @@ class Renderings:
     ):
         self.problem, self.blur = problem, blur
         wrap = partial(recorded, problem=problem, freeze=freeze)
-        self._draw = wrap(_draw_kernel(batch))
+        self._draw = wrap(draw_kernel(batch))
         self.spp, self.half = spp, half
         # Of another renderer, what one call traces is of one picture.
         kernel = _apart if problem.integrator.black_box else _trace_kernel
@@ -119,7 +119,7 @@ class Renderings:
         return self._trace[count, spp](*p.traced, drawn[:3], seed)
 
 
-def _draw_kernel(batch: int):
+def draw_kernel(batch: int):
     def kernel(views, distribution, seed):
         view, column, row, probability = distribution.draw(batch, seed)
         pixel = views.index(view, column, row)

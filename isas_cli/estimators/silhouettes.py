@@ -39,16 +39,10 @@ _SHADOW = "lamp", "shadow_edge", "shadow_residual"
 
 @dataclass(frozen=True)
 class Settings(Estimator):
-    """``ByShape``. ``edges``: samples of silhouettes a step; ``adaptive``: drawn by the residuals
-    around them; ``shadows``: samples of the edges of shadows a step, 0 to leave these out, None
-    for as many as ``edges`` where there are lamps, and 0 under a sky alone, whose shadows are soft:
-    there they bring more noise than they tell (where what stands still can shade what moves, as
-    many again for its shadows); ``reflections``: samples of silhouettes that other surfaces show,
-    in reflections and scattered light (and as many again of meshes that stand still); ``lamps``:
-    points of lamps that shadows are found for; ``paths``: of each sample's pixel, for its residual;
-    ``outline``: the weight of what the outline says by itself, 0 for nothing: by alpha or masks
-    (``Contours``), by edges in the pictures (``PictureEdges``);
-    ``freeze``: record kernels once instead of tracing every iteration."""
+    """``ByShape``. ``shadows``: none under a sky alone, whose shadows are soft: there they bring
+    more noise than they tell (where what stands still can shade what moves, as many again for its
+    shadows); ``reflections``: as many again of meshes that stand still; ``outline``: by alpha or
+    masks (``Contours``), by edges in the pictures (``PictureEdges``)."""
 
     name: ClassVar[str] = "silhouettes"
     # A shape's steps are spread over its mesh: no entry has moments of its own.

@@ -26,12 +26,8 @@ from .estimator import Estimator, Gradients
 
 @dataclass(frozen=True)
 class Settings(Estimator):
-    """``TwoPath``. ``crossed``: both paths of a pixel are differentiated, each with the other's
-    residual, where that pays (``Integrator.crosses``); ``blurred``: the gradient of the objective
-    blurred over the unknowns, as wide as each one's ``blur`` says; ``derivative_sampling``:
-    directions for derivatives by roughness are drawn for these
-    (``rendering.derivative_sampling``); ``freeze``: record kernels once instead of tracing every
-    iteration."""
+    """``TwoPath``. ``crossed``: where that pays (``Integrator.crosses``);
+    ``derivative_sampling``: see the module of that name in ``rendering``."""
 
     name: ClassVar[str] = "two_path"
     gives: ClassVar[frozenset[str]] = frozenset(("forward", "backward", "moments"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -87,7 +86,7 @@ def measure(
         if same == number:
             blur.write(θ)
             for half in (0, 1):
-                seeds = functools.partial(_seed, seed, half)
+                seeds = lambda part: streams.seed(seed, 2 * part + half, "evaluation")
                 halves[half, number] = renderer.range(0, problem.views.total, spp, seeds)
         else:
             halves[:, number] = halves[:, same]
@@ -104,10 +103,6 @@ def measure(
         smoothed = [image.reshape(halves.shape[1:]) for image in images]
         blurred.append(_losses(problem, loss, *smoothed).reshape(shape))
     return Landscape(names, axes, hard, widths, blurred)
-
-
-def _seed(seed: int, half: int, part: int) -> int:
-    return streams.seed(seed, 2 * part + half, "evaluation")
 
 
 def _losses(problem: Problem, loss, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -57,6 +57,8 @@ def alive(manifest: dict[str, Any]) -> bool | None:
         process = psutil.Process(pid)
         if process.status() == psutil.STATUS_ZOMBIE:
             return False
+        if latest.get("ticks") and (ticks := ticks_of(pid)):
+            return ticks == latest["ticks"]
         begun = process.create_time()
     except psutil.NoSuchProcess:
         return False
@@ -65,6 +67,17 @@ def alive(manifest: dict[str, Any]) -> bool | None:
     # A number is given again: a process that began after the run is another. The manifest's time
     # is cut to seconds, and a process's is only known to within a clock tick.
     return begun <= since + 1
+
+
+def ticks_of(pid: int) -> int | None:
+    """When a process began, in clock ticks since the machine did: setting the time of day leaves it
+    as it is. None where that cannot be known."""
+    try:
+        content = Path(f"/proc/{pid}/stat").read_bytes()
+    except OSError:
+        return None
+    # The second field, a name in brackets, may hold anything; this is the twenty-second.
+    return int(content.rpartition(b")")[2].split()[19])
 
 
 class Follower:

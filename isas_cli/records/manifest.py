@@ -36,6 +36,7 @@ def process() -> dict:
         "started": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
         "host": platform.node(),
         "pid": os.getpid(),
+        "ticks": follow.ticks_of(os.getpid()),
     }
 
 
@@ -61,7 +62,7 @@ def versions(entry: dict) -> dict[str, str]:
     """Of what figures depend on, by name, as a manifest or its ``entry`` of a continuation says."""
     known = entry.get("packages") or {}
     told = {name: known.get(name.lower().replace(".", "")) or "?" for name in ("Mitsuba", "Dr.Jit")}
-    return told | (entry.get("guests") or {})
+    return {"isas": entry.get("isas") or "?"} | told | (entry.get("guests") or {})
 
 
 def continuation(

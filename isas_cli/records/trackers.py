@@ -158,13 +158,14 @@ class _TensorBoard(Tracker):
         except OSError as error:
             writer, self._writer = self._writer, None
             reason = error.strerror or error
-            self._warn(
-                f"warning: tracker=tensorboard: {self._folder}: {reason}; no more events, "
-                "the run goes on"
-            )
             with contextlib.suppress(OSError):  # what could not be written still cannot
                 if writer is not None:
                     writer.close()
+            with contextlib.suppress(OSError):  # standard error may be on that disk, too
+                self._warn(
+                    f"warning: tracker=tensorboard: {self._folder}: {reason}; no more events, "
+                    "the run goes on"
+                )
 
 
 def _begun(folder: Path) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import fcntl
 import io
 import json
@@ -48,6 +49,8 @@ _MADE_FILES = (
 # Of a killed run.
 _WRITTEN = "", "frames/", "meshes/", "plots/", "checkpoint/"
 _LEFT_OVER = tuple(f"{where}.*.tmp" for where in _WRITTEN)
+# What disks without locks answer: Lustre with noflock, NFS without a lock daemon.
+_NO_LOCKS = errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP
 _GOOD = "meshes/good_"  # what is doubted, as it was before
 
 
@@ -109,7 +112,8 @@ class RunWriter:
         return writer
 
     def _claim(self) -> None:
-        """Keep other processes out for as long as this one lives; the system ends it with it."""
+        """Keep other processes out for as long as this one lives, where the disk has locks; the
+        system ends it with it."""
         self._lock = open(self.folder / ".lock", "w")
         try:
             fcntl.lockf(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -117,6 +121,9 @@ class RunWriter:
             raise InputError(
                 f"{self.folder} is still being written: its process has not ended"
             ) from error
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                raise
 
     @property
     def rows(self) -> list[dict[str, float]]:

@@ -86,8 +86,7 @@ def start(variant: str = "auto", threads: int = 0) -> Backend:
         where = f"LLVM at {library.path}" if library else f"CUDA on {gpu}"
         raise InputError(f"variant={variant}: Dr.Jit cannot use {where} (its message is above)")
     mi.set_variant(variant)
-    while _waiting:
-        importlib.import_module(_waiting.pop())
+    _import_plugins()
     every = _every_thread()
     if dr.thread_count() != (threads or every):
         dr.set_thread_count(threads or every)
@@ -101,7 +100,7 @@ def start(variant: str = "auto", threads: int = 0) -> Backend:
     )
 
 
-_waiting: list[str] = []  # plugins
+_plugins: dict[str, str | None] = {}  # modules, and the variant that each was imported for
 _device: list[str] = []
 
 
@@ -115,10 +114,22 @@ def plugin(module: str) -> None:
     own, whose class derives from one of Mitsuba's."""
     import mitsuba as mi
 
-    if mi.variant() is None:
-        _waiting.append(module)
-    else:
-        importlib.import_module(module)
+    _plugins.setdefault(module)
+    if mi.variant() is not None:
+        _import_plugins()
+
+
+def _import_plugins() -> None:
+    """Those that the present variant does not have yet. Classes derive from one variant's: for
+    another they are made anew, as Mitsuba does with its own."""
+    import mitsuba as mi
+
+    for name, earlier in list(_plugins.items()):
+        if earlier != mi.variant():
+            module = importlib.import_module(name)
+            if earlier is not None:
+                importlib.reload(module)
+            _plugins[name] = mi.variant()
 
 
 @functools.cache

@@ -149,5 +149,6 @@ def _shrink(most: int, keep: Path) -> None:
         if held <= most:
             return
         if path != keep:
-            path.unlink(missing_ok=True)
-            held -= stat.st_size
+            with contextlib.suppress(OSError):  # where users share it, another's may have to stay
+                path.unlink(missing_ok=True)
+                held -= stat.st_size

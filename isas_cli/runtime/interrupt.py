@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
@@ -13,6 +15,9 @@ import psutil
 
 # The exit status after Ctrl-C, as shells have it: 128 + SIGINT.
 STATUS = 130
+# Within so many seconds a second signal is the first: what stops a whole group of processes may
+# come by itself and be passed on as well.
+once_seconds = 1.0
 
 _asked = False
 
@@ -23,42 +28,80 @@ def graceful(notice: Callable[[], None] = lambda: None) -> Iterator[Callable[[],
 
     A step cut in half would leave parameters and moments of different iterations. ``notice`` is
     called when the flag is first read as set (not by the handler, which may come in the middle of
-    another print); the second signal interrupts at once. SIGTSTP, Ctrl-Z, suspends the process when
-    the function is next called: between steps, where no clock runs.
+    another print); a second signal, ``once_seconds`` later, interrupts at once. SIGTSTP, Ctrl-Z,
+    suspends the process when the function is next called: between steps, where no clock runs; not
+    where SIGCONT came after it.
     """
-    wanted = noticed = held = False
-    jobs: list[psutil.Process] = []
+    noticed = held = False
+    wanted: float | None = None  # since when
 
     def ask(number, frame) -> None:
         global _asked
         nonlocal wanted
-        if wanted:
+        now = time.monotonic()
+        if wanted is None:
+            wanted = now
+        elif now - wanted > once_seconds:
             _asked = True
             raise KeyboardInterrupt
-        wanted = True
-
-    def hold(number, frame) -> None:
-        nonlocal held
-        held = True
 
     def stop() -> bool:
         nonlocal noticed, held
         check()
+        for number in came():
+            if number in (signal.SIGTSTP, signal.SIGCONT):
+                held = number == signal.SIGTSTP
         if held:
             held = False
             # Jobs of a sweep are in groups of their own, which a terminal does not reach.
-            jobs[:] = psutil.Process().children()
+            jobs = psutil.Process().children()
             _send(jobs, signal.SIGTSTP)
-            os.kill(os.getpid(), signal.SIGSTOP)
-        # Again and again: one in the middle of a step suspends itself only after it.
-        _send(jobs, signal.SIGCONT)
-        if wanted and not noticed:
+            # To this thread, which is to do nothing more before all of them stand still.
+            signal.pthread_kill(threading.get_ident(), signal.SIGSTOP)
+            _send(jobs, signal.SIGCONT)
+        if wanted is not None and not noticed:
             noticed = True
             notice()
-        return wanted
+        return wanted is not None
 
-    with _handled({signal.SIGINT: ask, signal.SIGTERM: ask, signal.SIGTSTP: hold}):
+    with _ordered() as came, _handled({signal.SIGINT: ask, signal.SIGTERM: ask}):
         yield stop
+
+
+@contextmanager
+def _ordered() -> Iterator[Callable[[], bytes]]:
+    """Within the context SIGTSTP and SIGCONT do nothing; the yielded function gives the numbers of
+    all signals since its last call, in their order. Handlers of those that come in the middle of a
+    kernel are called in the order of their numbers."""
+    if threading.current_thread() is not threading.main_thread():
+        yield bytes
+        return
+    source, sink = _pipe()
+
+    def came() -> bytes:
+        with suppress(BlockingIOError):
+            return os.read(source, 1 << 16)
+        return b""
+
+    def nothing(number, frame) -> None:
+        pass
+
+    came()  # of an earlier context
+    before = signal.set_wakeup_fd(sink, warn_on_full_buffer=False)
+    try:
+        with _handled({signal.SIGTSTP: nothing, signal.SIGCONT: nothing}):
+            yield came
+    finally:
+        signal.set_wakeup_fd(before)
+
+
+@functools.cache
+def _pipe() -> tuple[int, int]:
+    """Stays open: threads of a sweep may ask for longer than its context lasts."""
+    ends = os.pipe()
+    for end in ends:
+        os.set_blocking(end, False)
+    return ends
 
 
 def _send(jobs: list[psutil.Process], number: int) -> None:

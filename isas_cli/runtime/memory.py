@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import psutil
 
-# Control groups of both kinds: folder, limit, what is used, what of that only caches files.
+# Control groups of both kinds: what the list of this process's own calls them, their folder,
+# limit, what is used, what of that only caches files.
 _GROUPS = (
-    (Path("/sys/fs/cgroup"), "memory.max", "memory.current", "inactive_file"),
+    ("", Path("/sys/fs/cgroup"), "memory.max", "memory.current", "inactive_file"),
     (
-        Path("/sys/fs/cgroup/memory"),
+        *("memory", Path("/sys/fs/cgroup/memory")),
         *("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
     ),
 )
+_OWN = Path("/proc/self/cgroup")
 
 _PART = 1 << 20
 
@@ -31,9 +33,9 @@ def gib(size: float) -> str:
 
 
 def available() -> float:
-    """Bytes that this process may still take: of the machine, or of its control group."""
+    """Bytes that this process may still take: of the machine, or of its control groups."""
     free = [float(psutil.virtual_memory().available)]
-    for folder, limit, used, cached in _GROUPS:
+    for folder, limit, used, cached in _groups():
         try:
             most, taken = (int((folder / name).read_text()) for name in (limit, used))
             stat = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
@@ -42,6 +44,20 @@ def available() -> float:
         except (OSError, ValueError, KeyError):
             pass  # not of this kind, or without a limit
     return min(free)
+
+
+def _groups() -> Iterator[tuple[Path, str, str, str]]:
+    """As ``_GROUPS``: those of this process and all around them, each of which may have a limit."""
+    try:
+        lines = [line.split(":", 2) for line in _OWN.read_text().splitlines()]
+    except OSError:
+        lines = []
+    for kind, root, *names in _GROUPS:
+        own = [PurePosixPath(path) for _, kinds, path in lines if kind in kinds.split(",")]
+        # A container may see its own group as the root, and be told another path.
+        around = {PurePosixPath("/"), *own, *(above for each in own for above in each.parents)}
+        for each in around:
+            yield root / each.relative_to("/"), *names
 
 
 EXHAUSTED = (

@@ -25,13 +25,10 @@ if TYPE_CHECKING:
 class Stage1Settings:
     """How stage 1 looks at the images (ISAS §4.1).
 
-    ``resolution``: cells along the longer side of a view; 0 chooses it so that one look traces
-    about as many paths as one gradient step, at least 32 (``relevant``, ``balanced`` and
-    ``progress``, which look once or rarely, take more). ``spp``: random pixels per cell, one path
-    each. ``probes``: tangents per look. ``denoise``: none, fast, balanced or high (Open Image
-    Denoise). ``average``: share of what earlier looks found that is kept at a new look, in [0, 1):
-    a running mean of the cells' weights, each look's scaled to sum to one. It helps where a look
-    is noisy and the weights change slowly, and lags where they change fast.
+    ``resolution``: cells along the longer side of a view; 0: at least 32. ``denoise``: by Open
+    Image Denoise. ``average``: of a running mean of the cells' weights, each look's scaled to sum
+    to one. It helps where a look is noisy and weights change slowly, and lags where they change
+    fast.
     """
 
     resolution: int = 0

@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -15,6 +16,7 @@ from isas_cli import records
 from isas_cli.cli import race
 from isas_cli.cli.sweeps import races, worker
 from isas_cli.cli.sweeps.job import Report
+from isas_cli.runtime.errors import InputError
 
 TINY = ["size=tiny", "estimator.batch=256", "evaluation.pixels=64", "evaluation.count=20"]
 TINY += ["frames.views=0", "frames.snapshots=0", "target.spp=4", "effects=full", "report=false"]
@@ -150,6 +152,27 @@ def test_ray_holds_a_race_again_whose_worker_is_lost(isas):
 def job(tmp_path, monkeypatch) -> races.Race:
     monkeypatch.chdir(tmp_path)
     return races.planned([*TINY, "scene=dodoco", "budget.iterations=2"], "a")
+
+
+def test_races_that_begin_together_have_folders_of_their_own():
+    assert len({race._folder({}, "dodoco") for _ in range(3)}) == 3
+
+
+def test_a_race_that_cannot_be_written_does_not_go_on(tmp_path, monkeypatch):
+    entry = SimpleNamespace(earlier=True)
+    listed = [{"label": "a", "folder": "a", "settings": []}]
+    (tmp_path / "race.yaml").write_text(yaml.safe_dump({"entries": listed}))
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a/history.csv").touch()
+    monkeypatch.setattr(race.race, "continued", lambda *_: entry)
+    assert race.unfinished(tmp_path, {}) == [entry]
+
+    def readonly(dir):
+        raise OSError("Read-only file system")
+
+    monkeypatch.setattr(race.one, "tempfile", SimpleNamespace(TemporaryFile=readonly))
+    with pytest.raises(InputError, match="Read-only file system; a run goes on where it is"):
+        race.unfinished(tmp_path, {})
 
 
 def test_a_race_of_another_machine_begins_anew(job, monkeypatch):

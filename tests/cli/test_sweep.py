@@ -1,23 +1,30 @@
 """Sweeps: what becomes of jobs that fail, are done already or were interrupted."""
 
+import errno
+import io
 import json
 import pickle
 import re
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import flaky_scene
 import joblib
+import psutil
 import pytest
+import runs_for_tests
 from omegaconf import OmegaConf
 from processes import begun, started, until
 
 from isas_cli import records
-from isas_cli.cli.sweeps import fingerprint, launchers, worker
-from isas_cli.cli.sweeps.job import DONE, OTHER, UNFINISHED, Job, Report
+from isas_cli.cli.sweeps import fingerprint, launchers, outcome, worker
+from isas_cli.cli.sweeps.job import DONE, OTHER, UNFINISHED, Job, Report, supervise
 from isas_cli.cli.sweeps.outcome import Outcome, exit_status
 from isas_cli.config import schema
 from isas_cli.config.compose import compose
+from isas_cli.runtime import guests
 from isas_cli.runtime.errors import InputError
 
 TINY = [
@@ -114,6 +121,11 @@ def test_what_is_done_is_skipped_with_a_word_on_files_that_changed_since(isas, m
     assert job.found() == DONE and job.doubt() == ""
     (job.folder / "manifest.json").write_text(json.dumps(told | {"started": "1999-01-01T00:00:00"}))
     assert "newer than that is scene.path=my.xml" in job.doubt()
+    monkeypatch.setattr(guests, "installed", lambda: {"mine": "0.1+b"})
+    for then, doubt in (("0.1+a", "by another mine"), ("0.1+b", "newer than that")):
+        manifest = told | {"started": "1999-01-01T00:00:00", "guests": {"mine": then}}
+        (job.folder / "manifest.json").write_text(json.dumps(manifest))
+        assert doubt in job.doubt()
     elsewhere = Path("elsewhere")
     elsewhere.mkdir()
     (elsewhere / "my.xml").touch()
@@ -187,6 +199,48 @@ def test_interrupted_and_killed_jobs_go_on_where_they_were(isas):
     assert last.history["seconds"].iloc[-1] >= 3 > first.summary["seconds_billed"]
     assert last.history["iteration"].is_monotonic_increasing
     assert len(last.manifest["resumed"]) == 2
+
+
+def test_a_signal_to_all_processes_lets_jobs_finish_their_records(isas):
+    """As `scancel` and `systemctl stop` send it: a job gets it, and what its parent passes on."""
+    settings = [o for o in TINY if not o.startswith(("budget", "scene.builder"))]
+    sweep = ["run", *settings, "budget.seconds=60", "-m", "seed=1"]
+    process, (folder,) = begun(Path(), *sweep, rows=0)
+    for each in (process, *psutil.Process(process.pid).children()):
+        each.send_signal(signal.SIGTERM)
+    _, err = process.communicate()
+    assert process.returncode == 130 and [*table(err).values()] == ["interrupted"]
+    run = records.load(folder)
+    assert run.complete and run.summary["status"] == "interrupted"
+    assert (folder / "report.html").is_file()
+
+
+def test_what_another_sweep_s_process_writes_is_left_to_it(tmp_path, monkeypatch):
+    """Both begun at once; the lock refuses the second."""
+    job = Job("a", [], tmp_path / "run", compose(TINY))
+    other = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+
+    def refused(job, *unused):
+        runs_for_tests.begin(job.folder, runs_for_tests.process(other.pid))
+        return Report(2, "is still being written")
+
+    monkeypatch.setattr(worker, "run", refused)
+    end = supervise(job, [], None, True, lambda: False)
+    lives = job.written
+    other.kill()
+    other.wait()
+    assert (end.status, end.error) == ("failed", "is still being written")
+    assert lives and not job.written and not (job.folder / "summary.json").exists()
+
+
+def test_a_sweep_goes_on_where_nothing_that_it_says_arrives(monkeypatch):
+    class Full(io.StringIO):
+        def write(self, text):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(sys, "stderr", Full())
+    outcome.say("a line")
+    outcome.show([Outcome("a", Path("a"), "failed", 2, "why")])
 
 
 def test_a_changed_setting_makes_another_folder(tmp_path):

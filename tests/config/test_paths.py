@@ -110,6 +110,23 @@ def test_a_set_that_comes_along_has_its_own_masks(home):
     assert cfg.scene.photos.masks == "mask"
 
 
+def test_files_of_parts_are_looked_for_where_the_scene_looks(tmp_path):
+    """Beside the main file, as Blender's add-on has it, by defaults and in its own folders."""
+    names = ("textures/a.png", "other/b.png", "library/c.png")
+    for name in (*names, "parts/x.xml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"")
+    main, part = tmp_path / "main.xml", tmp_path / "parts/x.xml"
+    main.write_text("<scene><include filename='parts/x.xml'/><path value='library'/></scene>")
+    part.write_text(
+        "<scene><default name='dir' value='other'/>"
+        "<string name='filename' value='textures/a.png'/>"
+        "<string value='$dir/b.png' name='filename'/>"
+        "<string name='filename' value='c.png'/></scene>"
+    )
+    assert {tmp_path / name for name in names} <= set(paths._within(main, {main}))
+
+
 def test_files_of_files_are_asked_when_they_were_changed(tmp_path):
     main, part, picture = (tmp_path / name for name in ("a.xml", "b.xml", "c.png"))
     main.write_text("<scene><include filename='b.xml'/></scene>")

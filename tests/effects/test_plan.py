@@ -35,6 +35,8 @@ from isas_cli.unknowns import cameras
 
 WALL = "wall.bsdf.reflectance.value"
 ONE = {"light_samples": [1, 1], "directions": 1}  # which then are not measured
+# As they are before conftest.py lets probes take as long as they take.
+ALLOWED = {name: getattr(planning, name) for name in ("_SHARE", "_MOST")}
 
 
 def decided(p, seconds=None, estimator="two_path", crossed=True, **settings):
@@ -238,6 +240,18 @@ def test_a_timed_run_is_probed_once(monkeypatch, tmp_path):
         p, Effects(), configured("estimator", "two_path"), L2(), 60.0, first.record()
     )
     assert again.paths == first.paths and again.seconds == first.seconds
+
+
+def test_a_probe_is_allowed_its_share_of_the_budget(monkeypatch):
+    for name, value in ALLOWED.items():
+        monkeypatch.setattr(planning, name, value)
+    p, asked = problem({TEXTURE: 0.5}, depth=4), []
+    monkeypatch.setattr(
+        planning, "_probed", lambda p, settings, loss, allowed, *_: asked.append(allowed) or _[-1]
+    )
+    for seconds in (9.0, 40.0, 100.0):
+        decided(p, seconds)
+    assert asked == pytest.approx([2.0, 3.0])
 
 
 def test_a_probe_leaves_out_what_would_take_longer_than_its_share(monkeypatch, tmp_path):

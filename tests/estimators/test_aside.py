@@ -89,6 +89,25 @@ def test_the_gradient_is_that_of_the_loss(material, key, h):
         assert told.always_visible < 0.25 * abs(true.mean()), f"{each}: {told}, {true.mean()}"
 
 
+def test_gradients_of_a_mask_and_of_its_complement_add_up():
+    """To rounding, for the same random numbers."""
+    p = problem({"type": "roughplastic", "alpha": 0.2}, {"alpha": 0.2})
+    uniform, values = PixelDistribution.uniform(Tiles.over(p.views)), p.unknowns.starts()
+
+    def found(mask: np.ndarray | None) -> float:
+        """Times the sum of the weights."""
+        p.set_targets(p.targets, None if mask is None else mi.Float(mask), "test")
+        gradients = TwoPath(p, L2(), BATCH).estimate(values, uniform, 1, 3, 0.0)
+        weight = p.views.total if mask is None else mask.sum()
+        return float(np.ravel(gradients["ball.bsdf.alpha"])[0]) * weight
+
+    mask = np.random.default_rng(2).random(p.views.total).astype(np.float32)
+    whole, one, other = map(found, (None, mask, 1 - mask))
+    p.unknowns.write(values)
+    assert whole == pytest.approx(one + other, rel=2e-3)
+    assert one != 0 != other
+
+
 def test_what_can_be_told_by_no_one_is_refused():
     scene = mi.load_dict(
         {

@@ -72,6 +72,18 @@ def test_what_only_a_shadow_shows(lamp):
     assert abs(missing.mean()) < 0.1 * abs(exact["right"].mean())
 
 
+def test_views_share_the_samples_of_edges():
+    """With a second camera that stands where the first does the gradient is the same."""
+    scene = shadow("point")
+    one = problem(views=1, **scene)
+    both = problem(views=2, **scene, sensor_001=dict(scene["sensor_000"]))
+    both.set_targets(dr.tile(one.targets, 2), None, "test")
+    exact = differences(one, ["right", "scale"])
+    found = estimates(both, COUNT, shadows=1 << 16, lamps=64)
+    for name, each in exact.items():
+        assert agrees(found[name], each), name
+
+
 def test_what_a_near_clip_plane_cuts_away_hides_no_shadow():
     scene = shadow("point")
     scene |= {"sky": {"type": "constant", "radiance": 0.0}}

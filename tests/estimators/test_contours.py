@@ -8,10 +8,13 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import shapes_for_tests as shapes
+from isas_cli.scenes import kirby
+from scenes_for_tests import without_targets
 from shapes_for_tests import KEY, STEP, agrees, directions, egg, problem
-from test_silhouettes import hidden
+from test_silhouettes import WALL, hidden
 
 from isas_cli import losses
+from isas_cli.config.schema import UnknownConfig
 from isas_cli.estimators.silhouettes import Settings
 from isas_cli.rendering import contours, rays
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
@@ -138,6 +141,18 @@ def test_shapes_follow_it_alone_before_anything_else_moves():
         assert np.isfinite(np.array(found)).all() and np.any(np.array(found))
         paths.append(estimator.paths_per_step)
     assert paths[0] == 4096 * 5 < paths[1]
+
+
+@pytest.mark.parametrize("begin", [{"figure": 0.3}, {"figure": 0.3, "wall": 0.1}])
+def test_they_do_until_the_first_of_the_others_begins(begin):
+    unknowns = {KEY: UnknownConfig(start="sphere")}
+    for id, share in begin.items():
+        unknowns[f"{id}.bsdf.reflectance.value"] = UnknownConfig(start=0.5, during=[share, 1.0])
+    p = without_targets(kirby.build(1, 8, 1) | {"wall": WALL}, unknowns)
+    p.set_targets(dr.zeros(mi.Float, 3 * p.views.total), None, "test")
+    p.part = own(mi.Float, np.ones(p.views.total, np.float32))
+    stages = Settings(batch=64, edges=64).on(p, losses.L2()).stages
+    assert stages == (0.0, min(begin.values()))
 
 
 def test_views_count_by_their_weights():

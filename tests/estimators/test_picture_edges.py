@@ -9,6 +9,8 @@ import pytest
 from isas_cli.scenes import kirby
 from shapes_for_tests import KEY, problem, screened
 
+from isas_cli import losses
+from isas_cli.estimators.silhouettes import Settings
 from isas_cli.rendering import picture_edges
 from isas_cli.rendering.outline import at, crossed, draw
 from isas_cli.rendering.picture_edges import PictureEdges, distances
@@ -125,6 +127,19 @@ def test_against_differences_of_what_it_measures(drawn):
         error = found.std(ddof=1) / np.sqrt(len(found))
         print(f"{found.mean() / exact:.3f} ± {error / abs(exact):.3f} of the differences")
         assert abs(found.mean() - exact) < 4 * error + 0.05 * abs(exact)
+
+
+def test_the_reach_falls_while_edges_alone_are_followed(drawn):
+    """So that what is far is drawn in first, and another edge is left out then."""
+    estimator = Settings(batch=64, edges=64, shadows=0).on(drawn, losses.L2())
+    (border,) = (each for _, _, each in estimator.borders if isinstance(each, PictureEdges))
+    estimator.undrawn, values, found = 0.5, drawn.unknowns.starts(), []
+    for spent in (0.0, 0.25, 0.4999):
+        estimator.estimate(values, None, 1, 0, spent)
+        found.append(float(border._reach[0][0]) + 0.5)
+    drawn.unknowns.write(values)
+    far, near = picture_edges._FAR, picture_edges._NEAR
+    assert near < far and found == pytest.approx([far, np.sqrt(far * near), near], rel=1e-3)
 
 
 def test_what_a_near_clip_plane_cuts_away_hides_no_edges():

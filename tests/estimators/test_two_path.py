@@ -17,6 +17,7 @@ from isas_cli import losses
 from isas_cli.config.schema import BlurConfig
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
+from isas_cli.unknowns import smoothing
 from isas_cli.unknowns.parameters import flat
 
 BATCH = 512
@@ -132,3 +133,18 @@ def test_a_blurred_gradient_is_the_mean_over_the_blur():
     print(np.mean(found), exact, middle, error)
     assert abs(np.mean(found) - exact) < 4 * error
     assert abs(np.mean(found) - middle) > 4 * error, "the case shows nothing"
+
+
+def test_beyond_an_end_of_its_range_a_blurred_gradient_is_none(monkeypatch):
+    """Of what is clamped there; at the end itself it is that of the same image."""
+    p = problem({ROUGHNESS: 0.5})
+    p.unknowns[ROUGHNESS].blur = BlurConfig(start=0.1, end=0.1)
+    estimator = TwoPath(p, losses.L2(), BATCH, blurred=True)
+    uniform, values = PixelDistribution.uniform(Tiles.over(p.views)), p.unknowns.starts()
+    found = []
+    for offset in (0.5, 0.6):
+        monkeypatch.setattr(smoothing, "blurred", lambda σ, rng, by=offset: np.full(σ.size, by))
+        gradient = estimator.estimate(values, uniform, 1, 0, 0.0)[ROUGHNESS]
+        found.append(float(np.array(flat(gradient))[0]))
+    p.unknowns.write(values)
+    assert p.unknowns[ROUGHNESS].high == 1 and found[0] != 0 and found[1] == 0

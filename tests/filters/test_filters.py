@@ -57,6 +57,18 @@ def test_a_restart_is_a_start(name):
     assert np.array_equal(stepped(stepper, 1, 3)[TEXTURE], begun[TEXTURE])
 
 
+@pytest.mark.parametrize("name", ("bilateral", "laplacian"))
+def test_where_nothing_has_a_gradient_all_rests(name):
+    p = problem({TEXTURE: 0.5}, size=16)
+    stepper = Stepper(p.unknowns, OptimizerConfig(mask_updates=True), FILTERS[name]())
+    stepped(stepper, 1, 1)
+    before, value = stepper.export()[0], stepper.values[TEXTURE]
+    stepper.step({TEXTURE: unflat(value, mi.Float(np.zeros(16 * 16 * 3, np.float32)))}, 0.0)
+    after = stepper.export()[0]
+    for array in before:
+        assert np.array_equal(before[array], after[array]), array
+
+
 @pytest.mark.parametrize("name", FILTERS)
 def test_what_is_not_finite_reaches_no_neighbour_and_no_number_is_filtered(name):
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}, size=16)

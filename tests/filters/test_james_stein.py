@@ -94,6 +94,30 @@ def test_the_noise_of_a_mean_is_estimated_without_bias():
     assert np.mean(said) == pytest.approx(np.mean(means), rel=0.05)
 
 
+def test_detail_as_large_as_its_noise_is_shrunk_as_james_and_stein_do():
+    """A checkerboard of the size of what noise of variance 1 leaves in d̄: ρ is the mean of theirs
+    over what windows of nine entries hold."""
+    rng, β = np.random.default_rng(7), 0.9
+    kernel = smooth(np.eye(1, 1600, 20 * 40 + 20).reshape(SHAPE))
+    of_step = 1 - 2 * kernel.max() + np.sum(kernel**2)
+    size = np.sqrt(of_step * (1 - β) / (1 + β))  # the variance of a mean that forgets by β
+    board = size * (np.indices(SHAPE).sum(axis=0) % 2 * 2.0 - 1)
+    on = JamesStein(WIDTH, window=1, memory=β).on(Layout(SHAPE, AXES), (0.9, 0.999), True)
+    kept = []
+    for _ in range(4):
+        on.forget()
+        for _ in range(60):
+            gradient = board + rng.normal(size=SHAPE)
+            found = on.gradient(mi.Float(gradient.ravel().astype(np.float32)), 1.0)
+        middle = smooth(gradient)
+        detail, above = gradient - middle, np.array(found).reshape(SHAPE) - middle
+        kept.append(np.vdot(above, detail) / np.vdot(detail, detail))
+    squares = rng.noncentral_chisquare(9, 9, 100_000)
+    wanted = np.mean(np.maximum(0, 1 - (9 - 2) / squares))
+    print(np.mean(kept), wanted)
+    assert np.mean(kept) == pytest.approx(wanted, abs=0.05)
+
+
 @pytest.mark.parametrize("wraps", (True, False))
 def test_windows_reflect_and_wrap_as_convolutions_do(wraps):
     kernel = [0.1, 0.2, 0.4, 0.2, 0.1]

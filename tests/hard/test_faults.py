@@ -1,5 +1,7 @@
 """What may happen to a run from outside: after it the record reads, and it goes on or says why."""
 
+import errno
+import io
 import os
 import random
 import resource
@@ -20,6 +22,7 @@ from runs_for_tests import QUIET, ran
 import isas_cli
 from isas_cli import records
 from isas_cli.engine import footprint
+from isas_cli.engine.display import Display
 from isas_cli.runtime import clock, images, memory
 from isas_cli.runtime.errors import InputError
 
@@ -47,11 +50,15 @@ def test_killed_at_any_moment(kills, tmp_path):
     begun = time.monotonic()
     assert started(tmp_path / "whole", *settings).wait() == 0
     whole, stopped, resumed = time.monotonic() - begun, 0, 0
-    for number in range(kills):
+    for number in range(kills + 1):
         folder = tmp_path / f"killed{number}"
-        process = started(folder, *settings)
-        # Most of a run's life here is its beginning.
-        time.sleep(whole * rng.uniform(0.5, 1.0))
+        if number < kills:
+            process = started(folder, *settings)
+            # Most of a run's life here is its beginning.
+            time.sleep(whole * rng.uniform(0.5, 1.0))
+        else:  # once where there surely is something to go on from
+            words = ["run", *settings, "threads=1", f"hydra.run.dir={folder}"]
+            process, _ = processes.begun(tmp_path, *words, rows=2, below=folder.name)
         process.send_signal(signal.SIGKILL)
         stopped += process.wait() == -signal.SIGKILL
         if not (folder / "checkpoint").exists():
@@ -72,8 +79,8 @@ def test_killed_at_any_moment(kills, tmp_path):
         else:
             assert "budget is spent" in again.stderr
             assert rows(folder) == before
-    print(f"{stopped} of {kills} killed in time, {resumed} went on")
-    assert stopped > kills / 4
+    print(f"{stopped} of {kills + 1} killed in time, {resumed} went on")
+    assert stopped > kills / 4 and resumed
 
 
 def test_a_full_disk_ends_a_run_in_one_line_and_loses_no_row(tmp_path):
@@ -90,6 +97,43 @@ def test_a_full_disk_ends_a_run_in_one_line_and_loses_no_row(tmp_path):
     assert "cannot be written" in done.stderr.splitlines()[-1]
     left = records.load(tmp_path / "run").history
     assert len(left) >= 3 and np.isfinite(left["parameter_rmse"]).all()
+
+
+@pytest.mark.parametrize("where", ["a pipe", "/dev/full"])
+def test_a_run_goes_on_where_nothing_that_it_says_arrives(where, tmp_path):
+    """Its reader has gone, as when ssh drops, or the log's disk is full."""
+    if where == "a pipe":
+        source, sink = os.pipe()
+        os.close(source)
+    else:
+        sink = os.open(where, os.O_WRONLY)
+    words = ["run", *TINY, "budget.iterations=3", "threads=1", f"hydra.run.dir={tmp_path / 'run'}"]
+    done = subprocess.run([*processes.ISAS, *words], stdout=subprocess.PIPE, stderr=sink)
+    os.close(sink)
+    assert done.returncode == 0
+    run = records.load(tmp_path / "run")
+    assert run.complete and run.summary["status"] == "done"
+
+
+class Full(io.StringIO):
+    """A terminal, or a log, that takes nothing."""
+
+    def write(self, text):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def isatty(self):
+        return True
+
+
+def test_a_live_line_that_cannot_be_drawn_ends_nothing(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys, "stderr", Full())
+    with Display(None) as display:
+        assert display.live
+        display.phase("targets")
+        display.advanced(0.5, "half", "half")
+        display.say("a line")
+    assert display.console.quiet
 
 
 def test_a_damaged_kernel_cache_costs_time_only(tmp_path):
@@ -188,10 +232,27 @@ def test_a_picture_that_claims_to_be_huge_is_refused(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="control groups")
-def test_a_control_group_limits_what_is_free(tmp_path, monkeypatch):
-    for name, text in (("limit", "3000000"), ("used", "1000000"), ("memory.stat", "cached 500000")):
-        (tmp_path / name).write_text(text + "\n")
-    monkeypatch.setattr(memory, "_GROUPS", [(tmp_path, "limit", "used", "cached")])
-    assert memory.available() == 2_500_000
-    (tmp_path / "limit").write_text("max\n")
+@pytest.mark.parametrize("kind, other", [("memory", ""), ("", "memory")])
+def test_a_control_group_limits_what_is_free(kind, other, tmp_path, monkeypatch):
+    """The process's own or any around it: those of Slurm's and systemd's jobs lie far within."""
+
+    def limited(group: str, limit: str) -> None:
+        (tmp_path / group).mkdir(parents=True, exist_ok=True)
+        for name, text in (("limit", limit), ("used", "1000000"), ("memory.stat", "cached 500000")):
+            (tmp_path / group / name).write_text(text + "\n")
+
+    own = tmp_path / "own"
+    own.write_text(f"2:cpu,cpuacct:/other\n1:{kind}:/slurm/job_1/step_0\n0:{other}:/other\n")
+    monkeypatch.setattr(memory, "_GROUPS", [(kind, tmp_path, "limit", "used", "cached")])
+    monkeypatch.setattr(memory, "_OWN", own)
+    limited("other", "2000000")
+    limited("slurm/job_1/step_0", "max")
     assert memory.available() > 2_500_000
+    limited("slurm/job_1", "3000000")
+    assert memory.available() == 2_500_000
+    limited("slurm/job_1/step_0", "2900000")
+    assert memory.available() == 2_400_000
+    limited(".", "1500000")
+    assert memory.available() == 1_000_000
+    own.unlink()
+    assert memory.available() == 1_000_000

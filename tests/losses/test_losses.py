@@ -23,6 +23,18 @@ def test_derivative_matches_central_differences(name, rng):
     assert np.allclose(derivative, (up - down) / (2 * step), rtol=2e-2, atol=2e-2)
 
 
+@pytest.mark.parametrize("name", ("l2", "relative_l2"))
+def test_curvature_is_the_difference_of_the_derivative(name, rng):
+    loss, step = LOSSES[name], 1e-2
+    target = rng.uniform(0, 4, (3, 200))
+    up, down = (
+        np.array(loss.derivative(mi.Color3f(target + s), mi.Color3f(target)), np.float64)
+        for s in (step, -step)
+    )
+    curvature = np.array(loss.curvature(mi.Color3f(target)))
+    assert np.allclose(curvature, (up - down) / (2 * step), rtol=1e-2)
+
+
 @pytest.mark.parametrize("name", LOSSES)
 def test_linear_says_whether_the_derivative_is_linear(name, rng):
     """For a linear derivative the mean of derivatives is the derivative at the mean."""

@@ -5,14 +5,16 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import psutil
 import pytest
 from rich.console import Console
 from runs_for_tests import begin, followed, gone, process, row, run
 
 from isas_cli.cli import watch_view
-from isas_cli.records import files, follow
+from isas_cli.records import files, follow, manifest
 
 
 def shown(renderable, width: int = 100, height: int = 40) -> str:
@@ -31,6 +33,15 @@ def test_a_process_is_told_from_another_that_has_its_number():
     assert follow.alive({"started": "2001-01-01T00:00:00+00:00"}) is None
     assert follow.alive({**process(gone()), "resumed": [process()]}) is True
     assert follow.alive({**process(), "resumed": [process(), process(gone())]}) is False
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc")
+def test_a_clock_that_is_set_makes_no_other_process(monkeypatch):
+    entry = manifest.process()
+    monkeypatch.setattr(psutil.Process, "create_time", lambda self: time.time() + 3600)
+    assert follow.alive(entry) is True
+    assert follow.alive(entry | {"ticks": entry["ticks"] + 1}) is False
+    assert follow.alive(entry | {"ticks": None}) is False, "by the time of day, as there is no more"
 
 
 def test_a_process_that_has_ended_but_was_not_waited_for_is_gone():

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -206,6 +208,17 @@ def test_a_damaged_file_is_one_line_that_names_it(tmp_path, name):
     assert "\n" not in str(error.value)
 
 
+def test_what_is_nested_too_deeply_or_too_large_is_damaged(tmp_path):
+    texts = ("manifest.json", "[" * 100_000), ("config.yaml", "[" * 2000)
+    for name, text in (*texts, ("history.csv", f"iteration\n{2**70}\n")):
+        folder = tmp_path / name.partition(".")[0]
+        records.RunWriter(folder).manifest({})
+        (folder / name).write_text(text)
+        with pytest.raises(InputError, match=f"{name}: cannot be read") as error:
+            records.load(folder)
+        assert "\n" not in str(error.value)
+
+
 def test_a_damaged_checkpoint_is_one_line_that_names_it(tmp_path):
     records.RunWriter(tmp_path).checkpoint({"x": np.ones(9)}, {})
     path = tmp_path / "checkpoint" / "state.npz"
@@ -231,6 +244,19 @@ def test_a_folder_that_holds_a_run_is_refused_unless_it_may_be_overwritten(tmp_p
     records.RunWriter(tmp_path, overwrite=True)
     left = [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()]
     assert sorted(left) == [".lock", *mine]
+
+
+@pytest.mark.parametrize("number", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP])
+def test_a_disk_without_locks_holds_runs(tmp_path, monkeypatch, number):
+    def none(*unused):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("fcntl.lockf", none)
+    records.RunWriter(tmp_path).evaluation(ROW)
+    assert len(records.RunWriter.reopen(tmp_path, 3).rows) == 1
+    number = errno.EIO
+    with pytest.raises(InputError, match="cannot be written"):
+        records.RunWriter.reopen(tmp_path, 3)
 
 
 def test_a_folder_that_cannot_be_written_is_one_line_with_the_way_out(tmp_path):

@@ -147,7 +147,12 @@ def test_a_run_that_goes_on_appends_and_hides_what_it_writes_anew(tmp_path):
 
 def test_a_full_disk_silences_the_tracker_and_spares_the_run(tmp_path):
     said = []
-    tracker = trackers.open("tensorboard", tmp_path, CONFIG, warn=said.append)
+
+    def warn(text: str) -> None:
+        said.append(text)
+        raise OSError("standard error is on that disk, too")
+
+    tracker = trackers.open("tensorboard", tmp_path, CONFIG, warn=warn)
     with full_disk(4000):
         for iteration in range(50):
             tracker.evaluation(row(iteration, float(iteration)))

@@ -1,6 +1,7 @@
 """The cache of targets: of bounded size, and never what a run depends on."""
 
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,6 +32,23 @@ def test_what_was_not_used_for_longest_goes_first(folder, monkeypatch):
     stored("d", 5000.0)
     assert sorted(path.stem for path in folder.glob("*.npz")) == ["a", "c", "d"]
     assert cache.size() <= cache.limit()
+
+
+def test_what_cannot_go_leaves_it_to_the_next(folder, monkeypatch):
+    """Another user's, where a cache is shared."""
+    monkeypatch.setenv("ISAS_CACHE_GIB", str(250e3 / 2**30))
+    for number, key in enumerate(("theirs", "b", "c")):
+        stored(key, 1000.0 + number)
+    unlink = Path.unlink
+
+    def guarded(path, *more, **named):
+        if path.stem == "theirs":
+            raise PermissionError
+        unlink(path, *more, **named)
+
+    monkeypatch.setattr(Path, "unlink", guarded)
+    stored("d", 5000.0)
+    assert sorted(path.stem for path in folder.glob("*.npz")) == ["c", "d", "theirs"]
 
 
 def test_what_does_not_fit_is_kept_until_the_next(folder, monkeypatch):

@@ -41,6 +41,34 @@ def test_a_suspended_run_is_not_billed():
     assert 0 < billed < time.perf_counter() - begun - 2
 
 
+def test_a_run_that_is_to_go_on_before_its_step_ends_is_not_suspended():
+    """Both signals come within one call that lets no handler in, as a kernel does."""
+    code = _LOOP.replace("time.sleep(0.2)", "sum(range(3 * 10**7))")
+    loop = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert loop.stdout.readline() == "begun\n"
+    for number in (signal.SIGTSTP, signal.SIGCONT):
+        time.sleep(0.1)
+        loop.send_signal(number)
+    time.sleep(2)
+    loop.send_signal(signal.SIGINT)
+    try:
+        assert float(loop.communicate(timeout=30)[0]) > 0
+    finally:
+        loop.kill()
+
+
+def test_a_signal_that_comes_twice_at_once_is_one(monkeypatch):
+    """To all processes of a job, and passed on by their parent."""
+    monkeypatch.setattr(interrupt, "_asked", False)
+    with interrupt.graceful() as stop:
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)
+        assert stop()
+        monkeypatch.setattr(interrupt, "once_seconds", 0.0)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
 _PARENT = """
 import subprocess, sys, time
 from isas_cli.runtime import interrupt

@@ -113,6 +113,15 @@ def test_level_0_alone_is_the_base(kind):
     assert np.allclose(looked(p, Multiresolution(base=base, levels=0)), looked(p, base), rtol=1e-6)
 
 
+@pytest.mark.parametrize("factor, shares", [(4.0, [1, 16, 256]), (0.25, [1, 1, 1])])
+def test_each_level_has_four_times_the_factor_of_the_mass_of_the_finer_one(factor, shares):
+    p, base = problem(UNKNOWNS), Gradient(stage1=STAGE1)
+    found = looked(p, Multiresolution(base=base, levels=2, factor=factor))
+    cells = Cells.over(p.film_sizes, STAGE1.resolution)
+    wanted = np.array(pyramid(mi.Float(looked(p, base)), cells, [float(s) for s in shares]))
+    assert np.allclose(found, wanted, rtol=1e-5)
+
+
 def test_base_gets_its_moments():
     p = problem(UNKNOWNS)
     sampler = Multiresolution(base=Preconditioned(stage1=STAGE1), levels=0)

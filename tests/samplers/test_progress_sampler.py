@@ -10,6 +10,7 @@ from scipy.optimize import minimize
 
 from isas_cli import losses
 from isas_cli.config.schema import OptimizerConfig
+from isas_cli.engine.evaluate import Evaluator
 from isas_cli.engine.optimiser import Stepper
 from isas_cli.rendering import rays
 from isas_cli.runtime.errors import InputError
@@ -62,6 +63,26 @@ def test_one_unknown_is_drawn_by_least_variance_per_time():
     assert distance(found, least_variance) < 0.06
     assert distance(by_mean, least_variance) > 0.1, "a mean of |J| would do as well"
     assert distance(np.ones(found.size), least_variance) > 0.4, "the case shows nothing"
+
+
+def test_curvature_is_the_second_difference_of_the_loss():
+    """Of a number that the images are linear in; cells are of 2 × 2 pixels."""
+    key = "sky.radiance.value"
+    p = problem({key: 0.5}, resolution=(24, 16))
+    sampler = prepared(p, 12, 32)
+    assert np.allclose(np.array(sampler.cells.scale_x), 2)
+    assert np.allclose(np.array(sampler.cells.scale_y), 2)
+    first_look(p, sampler)
+    evaluator, step = Evaluator(p, losses.L2(), p.views.total, 64, 1), 0.2
+    low, middle, high = (
+        evaluator(p.unknowns.values_of({key: p.unknowns[key].start + np.float32(s)}))["loss"]
+        for s in (-step, 0, step)
+    )
+    p.unknowns.write(p.unknowns.starts())
+    wanted = (low - 2 * middle + high) / step**2
+    found = float(dr.sum(_survey(sampler)[0][key])[0])
+    print(found / wanted)
+    assert found == pytest.approx(wanted, rel=0.3)
 
 
 def test_one_unknown_ignores_how_much_mass_an_unknown_should_get():

@@ -4,11 +4,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from brute_force import PerPath
+from brute_force import PerPath, cell_means
 from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
 from isas_cli import losses
 from isas_cli.samplers.balanced import Balanced
+from isas_cli.samplers.gradient import Gradient
 from isas_cli.samplers.relevant import Relevant
 from isas_cli.samplers.sampler import Stage1Settings
 from isas_cli.samplers.stage1.cell_moments import Stage1, random_signs
@@ -42,6 +43,18 @@ def test_residual_moment_counts_the_noise_of_the_paths():
     stage1 = Stage1(p, losses.L2(), Cells.over(p.film_sizes, 4), 64)
     _, second = stage1.residual(p.unknowns.truths(), 1, 0)
     assert float(dr.max(dr.max(second))[0]) > 1e-4
+
+
+def test_gradient_looks_at_sizes_of_residuals_and_not_at_their_squares():
+    p = problem({ROUGHNESS: 0.5})
+    settings = Stage1Settings(resolution=4, spp=4, denoise="none")
+    sampler, starts = Gradient(stage1=settings).on(p, losses.L2(), 512), p.unknowns.starts()
+    (found,) = (np.array(each) for each in sampler.measured(starts, 3, 7))
+    single = PerPath(p, losses.L2(), sampler.cells, 4).residuals(3, 7)
+    size, square = (cell_means(each, 4) for each in (np.abs(single), single**2))
+    p.unknowns.write(starts)
+    assert np.allclose(found, size, rtol=1e-3)
+    assert not np.allclose(found, square, rtol=0.1)
 
 
 def test_relevant_leaves_out_the_sky_only():

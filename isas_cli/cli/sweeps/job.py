@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,13 +12,13 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from ...config import paths
-from ...records import files, load_checkpoint
+from ...records import files, load_checkpoint, manifest
 from ...records.reader import read_json
-from ...runtime import interrupt, memory
+from ...runtime import guests, interrupt, memory
 from ...runtime.errors import InputError, IsasError, NumericalError
 from .. import one
 from . import fingerprint
-from .outcome import Outcome, outcome, read_summary
+from .outcome import Outcome, outcome, read_summary, say
 
 # What a folder holds before the job begins.
 NOTHING, DONE, FAILED, UNFINISHED, OTHER = "nothing", "done", "failed", "unfinished", "other"
@@ -88,8 +87,17 @@ class Job:
         except InputError:
             return {}
 
+    @property
+    def written(self) -> bool:
+        """Whether a process that lives writes the run that is there."""
+        return manifest.alive(self._manifest())
+
     def doubt(self) -> str:
         """What speaks against taking the run that is there for done, as words to be appended."""
+        then, now = self._manifest().get("guests") or {}, guests.installed()
+        other = [name for name in now if then.get(name, now[name]) != now[name]]
+        if other:
+            return f"; but by another {', '.join(other)}: overwrite=true does it again"
         newer = paths.newer(self.cfg, self._manifest().get("started", ""))
         return f"; but newer than that is {newer}: overwrite=true does it again" if newer else ""
 
@@ -118,7 +126,7 @@ class Job:
             except InputError as error:
                 if _has_checkpoint(self.folder):  # nothing that was computed is thrown away
                     raise
-                print(f"not resumed, begun anew: {error}", file=sys.stderr)
+                say(f"not resumed, begun anew: {error}")
         if found == OTHER and not cfg.overwrite:
             other = (
                 f"whose {self.elsewhere} is another file" if self.elsewhere else "of other settings"
@@ -207,9 +215,10 @@ def supervise(
         one.remove_empty(job.folder)
     else:
         status = "failed"
-        # What is unfinished and was refused stays so: as a failure it would be begun anew.
+        # What is unfinished and was refused stays so: as a failure it would be begun anew. What
+        # another sweep's process writes is that one's.
         begun = job.stamp() != before
-        if found not in (DONE, OTHER, UNFINISHED) or begun:
+        if (found not in (DONE, OTHER, UNFINISHED) or begun) and not job.written:
             job.record_failure(report, begun)
     return outcome(job.label, job.folder, status, report.status, report.error)
 

@@ -15,7 +15,7 @@ from ...runtime import interrupt
 from ...runtime.errors import InputError
 from .job import DONE, Job, Report, supervise
 from .launchers import Launcher
-from .outcome import Outcome, outcome, shown
+from .outcome import Outcome, outcome, say, shown
 
 
 def planned(overrides: list[str], label: str, number: int) -> Job:
@@ -112,7 +112,8 @@ class Sweep:
         """Of a job whose worker was lost; recorded."""
         text = " ".join(str(error).split("\n")[0].split())
         report = Report(1, f"its worker was lost: {type(error).__name__}: {text}", killed=True)
-        job.record_failure(report, begun=job.stamp() != self.stamps[job.folder])
+        if not job.written:
+            job.record_failure(report, begun=job.stamp() != self.stamps[job.folder])
         return outcome(job.label, job.folder, "failed", 1, report.error)
 
 
@@ -127,7 +128,3 @@ def _refuse_shared(jobs: Sequence[Job]) -> None:
                 f"'{other.label}' and '{job.label}' would share the folder {shown(job.folder)}: "
                 "tell them apart by their name, such as name='threads${threads}'"
             )
-
-
-def say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from ...engine.display import Stderr
 from ...runtime import interrupt
 
 # Columns where there is no terminal: the folders must stay whole.
@@ -82,9 +83,9 @@ def exit_status(outcomes: list[Outcome]) -> int:
 def show(outcomes: list[Outcome], figures: bool = True) -> None:
     """The table, and below it why jobs failed, on standard error. ``figures``: errors and seconds,
     which single runs have."""
-    console = Console(stderr=True)
+    console = Stderr(stderr=True)
     if not console.is_terminal:
-        console = Console(stderr=True, width=_WIDTH)
+        console = Stderr(stderr=True, width=_WIDTH)
     table = Table(box=None, pad_edge=False)
     table.add_column("job", overflow="fold")
     table.add_column("status", no_wrap=True)
@@ -100,7 +101,13 @@ def show(outcomes: list[Outcome], figures: bool = True) -> None:
     console.print(table, highlight=False)
     for o in outcomes:
         if o.error:
-            print(f"isas: {o.label}: {o.error}", file=sys.stderr)
+            say(f"isas: {o.label}: {o.error}")
+
+
+def say(text: str) -> None:
+    """A line on standard error, where it can be written: the sweep goes on."""
+    with contextlib.suppress(OSError):
+        print(text, file=sys.stderr, flush=True)
 
 
 def shown(folder: Path) -> str:

@@ -181,7 +181,7 @@ def planned(
 
 def main(own: dict[str, str], several: list[tuple[str, list[str]]]) -> int:
     """Hold ``several`` races, see `expanded`, and compare over all. Returns the exit status."""
-    root = Path("runs") / f"races-{datetime.datetime.now():%Y%m%d-%H%M%S}"
+    root = Path("runs") / f"races-{datetime.datetime.now():%Y%m%d-%H%M%S-%f}"
     if "hydra.run.dir" in own:
         root = race.folder_of(own["hydra.run.dir"])
     launcher = [each for each in several[0][1] if each.startswith(_LAUNCHER)]

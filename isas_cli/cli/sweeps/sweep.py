@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import hydra
-from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -23,7 +22,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from ...config import dropped, schema
-from ...config.compose import complete, compose, explain
+from ...config.compose import complete, compose, explain, initialized
 from ...runtime import interrupt
 from ...runtime.errors import InputError, nearest
 from .. import one
@@ -92,7 +91,7 @@ def _sweep(typed: list[str]) -> int:
 
 
 def parsed(overrides: list[str]) -> list[Override]:
-    with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
+    with initialized():
         parser = OverridesParser.create(GlobalHydra.instance().config_loader())
         return parser.parse_overrides(overrides)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import faulthandler
+import math
 import os
 import pickle
 import signal
@@ -17,6 +18,7 @@ import threading
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import wait
 
+from ...runtime import interrupt
 from .job import Job, Report, attempt
 
 _POLL_SECONDS = 0.2
@@ -84,6 +86,8 @@ def main(sink: int) -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     for number in (signal.SIGUSR1, signal.SIGUSR2):  # of a cluster, to the parent: time is up
         signal.signal(number, signal.SIG_IGN)
+    # A second signal is the parent's of one that all got; where at once is meant, it kills.
+    interrupt.once_seconds = math.inf
     job, command, threads, quiet = pickle.load(sys.stdin.buffer)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if quiet:

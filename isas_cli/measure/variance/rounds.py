@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import drjit as dr
@@ -14,7 +12,7 @@ from ...config.schema import OptimizerConfig
 from ...engine.optimiser import Stepper
 from ...estimators.two_path import TwoPath
 from ...rendering.pixels import PixelDistribution
-from ...runtime.backend import sync
+from ...runtime.clock import Clock
 from ...samplers.sampler import Moments, OnImages, Sampler
 from ...samplers.uniform import Uniform
 from ...scene.problem import Problem
@@ -164,13 +162,17 @@ class Bench:
 
     def _round(self, contestant: Contestant, number: int, repeats: range, stop) -> bool:
         if contestant.sampler:
-            with _watch(contestant.looks):
+            clock = Clock()
+            with clock.billed("look"):
                 self._look(contestant, self._before(contestant.sampler.settings) + number)
+            contestant.looks.append(clock.seconds)
         for repeat in repeats:
             if stop():
                 return False
-            with _watch(contestant.estimates):
+            clock = Clock()
+            with clock.billed("estimate"):
                 gradients = self._gradients(contestant.distribution, repeat)
+            contestant.estimates.append(clock.seconds)
             contestant.tally.add(self._host(gradients))
         # Without derivatives: they would break passes of others through this scene.
         self.problem.unknowns.write(self.values)
@@ -196,13 +198,3 @@ class Bench:
     @staticmethod
     def _host(gradients: dict) -> dict[str, np.ndarray]:
         return {key: np.array(flat(value)) for key, value in gradients.items()}
-
-
-@contextmanager
-def _watch(account: list[float]) -> Iterator[None]:
-    """Seconds of all work that is queued within."""
-    sync()
-    start = time.perf_counter()
-    yield
-    sync()
-    account.append(time.perf_counter() - start)
