@@ -119,7 +119,7 @@ TASKS = {
         schedule="exponential",
         final=0.02,
         # No finite differences: 150 unknowns, 300 renderings a step.
-        methods=("plateau", "plateau_drawn", "mitsuba"),
+        methods=("plateau", "plateau_drawn", "plateau_renderer", "mitsuba"),
     ),
     "global_illumination": Task(
         20,
@@ -133,7 +133,10 @@ TASKS = {
         search=MORE_SEARCH,
         # Rates and schedule were thought over with the first twenty in view.
         first=21,
-        methods=("plateau", "plateau_drawn", "plateau_joint", "mitsuba", "finite_differences"),
+        methods=(
+            *("plateau", "plateau_drawn", "plateau_joint", "plateau_renderer"),
+            *("mitsuba", "finite_differences"),
+        ),
     ),
 }
 
@@ -235,9 +238,10 @@ def best(found: pandas.DataFrame) -> dict[str, float]:
     return dict(judged.groupby("method")["factor"].first())
 
 
-def searched(task: str, root: Path, seconds: float) -> dict[str, float]:
-    """Each method's best factor."""
-    methods = TASKS[task].methods
+def searched(
+    task: str, root: Path, seconds: float, methods: tuple[str, ...]
+) -> tuple[dict[str, float], pandas.DataFrame]:
+    """Each method's best factor, and the runs that say so."""
     factors = {m: FEW_STEPS if m in RENDERED else FACTORS for m in methods}
 
     def raced(name: str, wanted: list) -> pandas.DataFrame:
@@ -255,26 +259,32 @@ def searched(task: str, root: Path, seconds: float) -> dict[str, float]:
         )
         chosen |= best(more)
         found = pandas.concat([found, more], ignore_index=True)
-    found.to_csv(RESULTS / f"plateau_{task}_rates.csv", index=False, float_format="%.4g")
-    return chosen
+    return chosen, found
 
 
 def compared(task: str, root: Path, chosen: argparse.Namespace) -> pandas.DataFrame:
     """Both races of a task and what is kept of them."""
     seconds = chosen.seconds or TASKS[task].seconds
-    methods = TASKS[task].methods
+    methods, added = TASKS[task].methods, chosen.add
     few, variants = min(chosen.starts, FEW), set(VARIANTS) - set(TASKS[task].whole)
     starts = {m: few if task == "sort" or m in variants else chosen.starts for m in methods}
-    if chosen.again:
-        rate = pandas.read_csv(RESULTS / f"plateau_{task}.csv").set_index("method")["factor"]
-    else:
-        rate = searched(task, root, seconds)
+    rate = {}
+    if chosen.again or added:
+        table = pandas.read_csv(RESULTS / f"plateau_{task}.csv")
+        rate = dict(table.set_index("method")["factor"])
+    if added or not chosen.again:
+        best_of, found = searched(task, root, seconds, (added,) if added else methods)
+        rate |= best_of
+        _plateau_table.save(task, "rates", found, added)
+    if added:
+        # Beside what it is compared with from the same starts.
+        methods, starts = ("plateau", added), dict.fromkeys(("plateau", added), few)
     for nth in range(chosen.starts):
         trial = TASKS[task].first + nth
         wanted = [(m, rate[m], trial) for m in methods if nth < starts[m]]
         if wanted:
             race(root / task / "starts" / str(trial), task, wanted, seconds)
-    return _plateau_table.write(task, root / task / "starts")
+    return _plateau_table.write(task, root / task / "starts", added)
 
 
 def main() -> None:
@@ -282,6 +292,7 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=20)
     parser.add_argument("--seconds", type=float, help="budget of each run, instead of the task's")
     parser.add_argument("--again", action="store_true", help="at the rates of the table, no search")
+    parser.add_argument("--add", choices=VARIANTS, help="this alone, to the tables as they are")
     parser.add_argument("--folder", type=Path, help="where the runs go (default: a new folder)")
     chosen = _plateau_table.asked(parser, TASKS)
     root = chosen.folder or Path(tempfile.mkdtemp(prefix="isas-plateau-"))

@@ -166,11 +166,23 @@ def table(task: str, found: pandas.DataFrame) -> pandas.DataFrame:
     return pandas.DataFrame(rows)
 
 
-def write(task: str, folder: Path) -> pandas.DataFrame:
-    """The task's three files, and those of all tasks. Returns the row per method."""
+def save(task: str, what: str, rows: pandas.DataFrame, added: str | None) -> None:
+    """Writes plateau_<task>_<what>.csv, or, of the method ``added``, its rows into it."""
+    path = RESULTS / f"plateau_{task}{what and f'_{what}'}.csv"
+    if added is not None:
+        before = pandas.read_csv(path)
+        rows = rows[rows["method"] == added]
+        rows = pandas.concat([before[before["method"] != added], rows])
+        rows = rows.sort_values("method", key=lambda own: own.map(ORDER.index), kind="stable")
+    rows.to_csv(path, index=False, float_format="%.4g")
+
+
+def write(task: str, folder: Path, added: str | None = None) -> pandas.DataFrame:
+    """The task's three files, and those of all tasks; see ``save``. Returns the row per method of
+    the races in ``folder``."""
     found, curves = finished(folder)
     found["time"], found["pace"] = times(found, curves), paces(found)
-    found.to_csv(RESULTS / f"plateau_{task}_runs.csv", index=False, float_format="%.4g")
+    save(task, "runs", found, added)
     wide = pandas.DataFrame(curves, columns=[f"{share:.2f}" for share in GRID])
     wide.insert(0, "method", found["method"])
     rows = []
@@ -178,11 +190,9 @@ def write(task: str, folder: Path) -> pandas.DataFrame:
         middle = wide.groupby("method", sort=False).quantile(level).reset_index()
         middle.insert(1, "quartile", level)
         rows.append(middle)
-    pandas.concat(rows).to_csv(
-        RESULTS / f"plateau_{task}_curves.csv", index=False, float_format="%.4g"
-    )
+    save(task, "curves", pandas.concat(rows), added)
     made = table(task, found)
-    made.to_csv(RESULTS / f"plateau_{task}.csv", index=False, float_format="%.4g")
+    save(task, "", made, added)
     draw([t for t in TASKS if (RESULTS / f"plateau_{t}.csv").exists()])
     return made
 

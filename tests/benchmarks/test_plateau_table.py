@@ -136,7 +136,8 @@ def test_the_search_goes_on_where_an_end_is_best(monkeypatch, tmp_path):
     monkeypatch.setattr(_plateau, "race", race)
     monkeypatch.setattr(tables, "finished", finished)
     monkeypatch.setattr(_plateau, "RESULTS", tmp_path)
-    assert _plateau.searched("sort", tmp_path, 1.0) == best
+    chosen, found = _plateau.searched("sort", tmp_path, 1.0, tuple(best))
+    assert chosen == best and set(found["method"]) == set(best)
     factors = {
         name: {m: [f for n, f, t in wanted if (n, t) == (m, _plateau.SEARCH[0])] for m in best}
         for name, wanted in raced.items()
@@ -210,9 +211,11 @@ def test_methods_are_judged_on_starts_that_their_rates_were_not_chosen_on(
             judged[method].append(trial)
 
     monkeypatch.setattr(_plateau, "race", race)
-    monkeypatch.setattr(_plateau, "searched", lambda *_: dict.fromkeys(methods, 1.0))
-    monkeypatch.setattr(tables, "write", lambda *_: None)
-    _plateau.compared(task, tmp_path, argparse.Namespace(starts=20, seconds=None, again=False))
+    monkeypatch.setattr(_plateau, "searched", lambda *_: (dict.fromkeys(methods, 1.0), None))
+    for name in ("write", "save"):
+        monkeypatch.setattr(tables, name, lambda *_: None)
+    asked = argparse.Namespace(starts=20, seconds=None, again=False, add=None)
+    _plateau.compared(task, tmp_path, asked)
     first = _plateau.TASKS[task].first
     for method, trials in judged.items():
         few = task == "sort" or method in _plateau.VARIANTS
@@ -230,8 +233,34 @@ def test_a_race_anew_takes_the_rates_of_the_table(monkeypatch, tmp_path):
     monkeypatch.setattr(_plateau, "RESULTS", tmp_path)
     monkeypatch.setattr(_plateau, "race", lambda folder, _, wanted, seconds: raced.append(wanted))
     monkeypatch.setattr(tables, "write", lambda *_: None)
-    _plateau.compared("cup", tmp_path, argparse.Namespace(starts=1, seconds=None, again=True))
+    asked = argparse.Namespace(starts=1, seconds=None, again=True, add=None)
+    _plateau.compared("cup", tmp_path, asked)
     assert raced == [[(method, rate, 1) for method, rate in rates.items()]]
+
+
+def test_a_method_alone_is_added_to_the_tables(monkeypatch, tmp_path):
+    """Its own rate is searched; it is judged beside `plateau` at that one's rate."""
+    own = "plateau_renderer"
+    table = pandas.DataFrame({"method": ["plateau", own, "mitsuba"], "factor": [3.0, 9.0, 1.0]})
+    for name in ("", "_rates"):
+        table.to_csv(tmp_path / f"plateau_cup{name}.csv", index=False)
+    raced = []
+    monkeypatch.setattr(_plateau, "RESULTS", tmp_path)
+    monkeypatch.setattr(tables, "RESULTS", tmp_path)
+    monkeypatch.setattr(_plateau, "race", lambda folder, _, wanted, seconds: raced.append(wanted))
+    monkeypatch.setattr(tables, "write", lambda *_: None)
+    found = pandas.DataFrame({"method": ["plateau", own], "factor": [5.0, 30.0]})
+    searched = []
+    monkeypatch.setattr(
+        _plateau, "searched", lambda *given: searched.append(given[3]) or ({own: 30.0}, found)
+    )
+    asked = argparse.Namespace(starts=20, seconds=None, again=False, add=own)
+    _plateau.compared("cup", tmp_path, asked)
+    first = _plateau.TASKS["cup"].first
+    assert searched == [(own,)]
+    assert raced == [[("plateau", 3.0, first + n), (own, 30.0, first + n)] for n in range(5)]
+    kept = pandas.read_csv(tmp_path / "plateau_cup_rates.csv")
+    assert dict(zip(kept["method"], kept["factor"])) == {"plateau": 3.0, own: 30.0, "mitsuba": 1.0}
 
 
 @pytest.mark.parametrize("task", _plateau.TASKS)

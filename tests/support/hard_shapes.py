@@ -111,7 +111,7 @@ CASES = [
     _shape(
         *("two in a pixel", "both silhouettes of a plate within one pixel", 0.3),
         *(THIN, THIN[0] + [0.3, 0, 0]),
-        warns="folded",
+        warns="folded|lies beside the mesh",
     ),
     _shape(
         *("a shape's rate of 100", "steps a hundred times the size of the shape", 1e3),
