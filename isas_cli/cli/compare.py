@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -14,6 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Column, Table
 
+from ..engine.display import say
 from ..report import compare
 from ..report.compare.tables import NOT_REACHED
 
@@ -31,9 +31,9 @@ def main(
     """
     target = compare.output_of(folders, output)
     comparison = compare.build(folders, baseline, warnings)
-    for warning in comparison.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
     page = compare.write(comparison, target)
+    for warning in comparison.warnings:
+        say(f"warning: {warning}")
     console = Console()
     for scene, label in comparison.baseline.items():
         console.print(short_table(comparison, scene, label))

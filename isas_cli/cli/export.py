@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 from ..engine import resumption
+from ..engine.display import say
 from ..runtime import backend, interrupt
 
 
@@ -18,7 +18,7 @@ def main(folder: Path, output: Path | None) -> int:
         from ..scene import export
 
         if told := resumption.changed_since(folder, typed):
-            print(told, file=sys.stderr)
+            say(told)
         path, told = export.write(typed.scene, arrays, output or folder / "result")
     glb = path.with_suffix(".glb")
     print(f"result: {path}", *[f"glTF: {glb}"] * glb.exists(), *told, sep="\n")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +15,7 @@ from rich.table import Table
 from ..config import paths
 from ..config.photographs import CAMERA, UPS, PhotosConfig
 from ..engine import resumption
+from ..engine.display import say
 from ..records.files import write_json
 from ..runtime import backend, images, interrupt
 from ..runtime.errors import InputError
@@ -54,7 +54,7 @@ def main(
         from ..scene.photos import surroundings, turns
 
         if told := resumption.changed_since(folder, typed):
-            print(told, file=sys.stderr)
+            say(told)
         own = typed.scene.photos
         cameras, over = _cameras(pictures, own)
         across, doubts = turns.across(cameras, over)
@@ -64,8 +64,9 @@ def main(
         upwards = None if how[0] == CAMERA else how[0]
         for file in dict.fromkeys(each for each in lights if each is not None):
             doubts += surroundings.doubts(file, upwards, cameras, ("--light ", "--up="))
+            upwards = None  # said once for all
         for line in doubts:
-            print(line, file=sys.stderr)
+            say(line)
         # What the run found of views is of its own: their exposures are fitted anew.
         fitted = light is not None or own.exposure != "fixed"
         for name in ("refine", "lens"):
@@ -73,7 +74,7 @@ def main(
                 told = (
                     f"photos.{name}: cameras are as their file has them, not as the run found them"
                 )
-                print(told, file=sys.stderr)
+                say(told)
         scene = export.result(typed.scene, arrays)
         output = output or folder / "relit"
         made = zip(cameras, rendering, relit.views(scene, rendering, lights, *how, spp))
@@ -86,7 +87,7 @@ def main(
                 found[camera.name] = _score(image, seen, camera, own, where, ways, fitted)
             except relighting.Nothing as error:
                 left.append(camera.name)
-                print(f"{where}: left out: {error}", file=sys.stderr)
+                say(f"{where}: left out: {error}")
             if found:
                 told = {"views": found, "mean": relighting.mean(found), "left_out": left}
                 write_json(output / SCORES, told | {"light": light and str(light)})
@@ -179,7 +180,7 @@ def _cameras(pictures: Path, own: PhotosConfig) -> tuple[list, set[str]]:
     cameras, told = finding.masked(found.cameras, root, sources)
     over, more = turns.turned(cameras, found, settings.orientation)
     for line in (*found.notes, *photographs.left_out(sources), *told, *more):
-        print(line, file=sys.stderr)
+        say(line)
     settings = replace(settings, scale=settings.scale or "auto")
     sizes = [images.size(camera.image, camera.name in over) for camera in cameras]
     return [turns.resized(c, size, settings) for c, size in zip(cameras, sizes)], over

@@ -127,11 +127,19 @@ def _within(path: Path, seen: set[Path], around: tuple[Path, ...] = ()) -> list[
     for tag in re.findall(r"<path\s[^>]*>", text):
         folders += [path.parent / each for each in re.findall(named, tag)]
     for name in re.findall(named, text):
-        each = next((f / name for f in folders if (f / name).is_file()), path.parent / name)
+        each = next((f / name for f in folders if _is_file(f / name)), path.parent / name)
         found.append(each)
-        if each.suffix.lower() == ".xml" and each not in seen and each.is_file():
+        if each.suffix.lower() == ".xml" and each not in seen and _is_file(each):
             found += _within(each, seen | {each}, tuple(folders))
     return found
+
+
+def _is_file(path: Path) -> bool:
+    """Numbers are values, too, and may be longer than any name."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
 
 
 def _each(named, found: Callable[[str], str]):

@@ -291,9 +291,10 @@ def _lost(
     exactly than whether it is above ``enough``; seconds spent. See ``coverage.missed``."""
     kinds = [u for u in problem.unknowns if u.kind.carried]
     judged = [u for u in kinds if not u.kind.moves_geometry]
-    starts, seen = ({u.key: getattr(u, name) for u in judged} for name in ("start", "seen"))
+    starts, seen = ({u.key: getattr(u, name) for u in judged} for name in ("lit", "seen"))
     cut, found = _cut_to(problem, paths), ({}, 0.0)
     if judged:
+        problem.unknowns.write(problem.unknowns.starts(lit=True))
         found = coverage.missed(cut, starts, seen, enough, seconds)
     problem.unknowns.write(problem.unknowns.starts())
     return found

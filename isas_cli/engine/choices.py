@@ -74,8 +74,8 @@ class Choices:
         footprint.check(problem, self.estimator.batch)
         beside = ["a prior"] if self.prior.on(problem.unknowns) is not None else []
         beside += ["estimator.blurred"] if self.estimator.whole else []
-        differences = (u for u in problem.unknowns if u.kind.aside or not u.kind.carried)
-        beside += [f"'{u.key}', found by differences," for u in differences]
+        other = (u for u in problem.unknowns if u.kind.aside or not u.kind.carried)
+        beside += [f"'{u.key}', whose derivative paths do not carry," for u in other]
         beside += ["a loss of windows"] if self.loss.windows else []
         if self.profile and beside:
             raise InputError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 
@@ -35,6 +36,12 @@ class Stderr(Console):
 
     def on_broken_pipe(self) -> None:
         self.quiet = True
+
+
+def say(text: str) -> None:
+    """A line on standard error, where it can be written: work goes on."""
+    with contextlib.suppress(OSError):
+        print(text, file=sys.stderr, flush=True)
 
 
 class Display:

@@ -253,13 +253,15 @@ class Loop:
         if p.iteration == 0:  # a probe's part; once more below, when the first look is over
             p.before = self.clock.seconds, p.paths
         # A level begins as a run does, and so does what had too little time before it went on.
-        first = self._finer() or self._weights is None or self._turned()
+        first = self._finer() or self._weights is None
+        turned = self._turned()
+        due = first or turned or self.sampler.settings.due(p.iteration)
         draws = self.scheduled >= self.estimator.undrawn
-        if draws and (first or self.sampler.settings.due(p.iteration)) and self._affordable():
+        if draws and due and self._affordable():
             seconds, paths = self.clock.seconds, p.paths
             with self.clock.billed("stage1"):
                 p.at = self.scheduled
-                self._look(p.iteration, first)
+                self._look(p.iteration, first, turned)
             p.paths += self.sampler.paths_per_look
             if first:
                 p.paths += self.sampler.paths_before
@@ -278,7 +280,7 @@ class Loop:
     def _turned(self) -> bool:
         """Whether other unknowns move than at the last look, of a sampler that looks at what moves
         alone."""
-        if "moments" not in self.sampler.settings.needs:
+        if not self.sampler.settings.staged:
             return False
         now, then = self.scheduled, self.position.at
         return any(u.moves(now) != u.moves(then) for u in self.problem.unknowns)
@@ -298,14 +300,16 @@ class Loop:
             self.stepper.refine(level)
         return True
 
-    def _look(self, iteration: int, first: bool = False) -> None:
-        """``first``: of a run or level, as if nothing had been before it."""
+    def _look(self, iteration: int, first: bool = False, turned: bool = False) -> None:
+        """``first``: of a run or level, as if nothing had been before it; ``turned``: what earlier
+        looks found was of other unknowns."""
         moments = None
         if "moments" in self.sampler.settings.needs and self.stepper.taken and not first:
             moments = self.stepper.moments(self.scheduled)
         where = self.stepper.values, self.seed, iteration
         found = self.sampler.look(*where, moments, self.scheduled)
-        self._weights = self.sampler.blended(None if first else self._weights, found)
+        before = None if first or turned else self._weights
+        self._weights = self.sampler.blended(before, found)
         self._spread(self._weights)
 
     @property

@@ -65,7 +65,7 @@ def of(scene: SceneConfig) -> Offers:
                 offers[key] = Offer(key, kind.name, refused=str(error))
                 continue
             offers[key] = _offer(made, loaded.outside is not None)
-            if made.texture is not None:  # asked below, one by one
+            if made.texture is not None:  # asked below
                 textures[key], made.texture = made.texture, None
             if key in params:
                 what = verdicts.place(params, key)

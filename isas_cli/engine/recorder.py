@@ -217,12 +217,14 @@ class Recorder:
                     make()
         self._summary(self._status, complete=not given_up())
         self.tracker.close()
-        if not self.typed.report:
-            return self.folder
-        from ..report import write
+        page = self.folder
+        if self.typed.report:
+            from ..report import write
 
-        self.display.phase("report")
-        return write(self.folder)
+            self.display.phase("report")
+            page = write(self.folder)
+        self.writer.release()
+        return page
 
     def _measure(self) -> None:
         from . import profiling

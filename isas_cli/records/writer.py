@@ -27,7 +27,7 @@ from .files import (
     write_json,
     write_text,
 )
-from .reader import read_rows
+from .reader import read_json, read_rows
 
 RECORD_FILES = ("manifest.json", "config.yaml", "history.csv", "summary.json")
 # How names of pictures and meshes begin: others in such folders may be a user's own.
@@ -124,6 +124,22 @@ class RunWriter:
         except OSError as error:
             if error.errno not in _NO_LOCKS:
                 raise
+            self._check_alone()
+
+    def _check_alone(self) -> None:
+        """By the record alone. Raises InputError."""
+        from . import manifest
+
+        try:
+            known = read_json(self.folder / "manifest.json")
+        except InputError:  # none yet
+            return
+        if manifest.alive(known):
+            raise InputError(f"{self.folder} is still being written: its process has not ended")
+
+    def release(self) -> None:
+        """Others may write the folder: of a notebook the process lives on."""
+        self._lock.close()
 
     @property
     def rows(self) -> list[dict[str, float]]:

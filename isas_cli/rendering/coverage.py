@@ -112,7 +112,7 @@ def _key(problem: Problem, seed: int) -> str:
 def _judge(problem: Problem, judged: list[Unknown], seed: int) -> dict[str, np.ndarray]:
     """Which entries count as seen, by ``seen<index>`` among ``judged``."""
     unknowns = problem.unknowns
-    starts = {u.key: _lit(u) for u in unknowns}
+    starts = {u.key: u.lit for u in unknowns}
     seen = {u.key: np.zeros(u.start.shape, bool) for u in judged}
 
     def look(values: dict[str, np.ndarray], at: list[Unknown]) -> None:
@@ -131,14 +131,6 @@ def _judge(problem: Problem, judged: list[Unknown], seed: int) -> dict[str, np.n
         look(starts | {key: truths[key] for key in unknowns.moving}, others)
     unknowns.write(unknowns.starts())
     return {f"seen{index}": seen[u.key] for index, u in enumerate(judged)}
-
-
-def _lit(unknown: Unknown) -> np.ndarray:
-    """Its start; of a light that is dark everywhere another value, as it shows nothing of what it
-    will light."""
-    start = unknown.start
-    dark = unknown.kind.role == "light" and not start.any()
-    return np.clip(np.ones_like(start), unknown.low, unknown.high) if dark else start
 
 
 def measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[str, np.ndarray]:

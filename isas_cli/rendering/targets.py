@@ -39,7 +39,9 @@ def render(
     """
     wanted = target.wanted
     how = ["spp", target.spp] if wanted is None else ["noise", wanted]
-    what = problem.content_hash, *problem.unknowns.replaced()
+    # What isas simulates in its place hangs on more than Mitsuba's integrator.
+    simulated = type(problem.integrator).__name__
+    what = problem.content_hash, simulated, *problem.unknowns.replaced()
     key = digest("target", _FORMAT, *what, how, target.seed, mi.__version__)
 
     def compute() -> dict[str, np.ndarray]:

@@ -8,9 +8,11 @@ border at which files are decoded to that and encoded from it. It knows nothing 
 from __future__ import annotations
 
 import datetime
+import functools
+import os
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -181,10 +183,24 @@ def made_by(path: str | Path) -> str:
 
 
 def _header(path: str | Path) -> oiio.ImageSpec:
-    source = _opened(Path(path))
+    path = Path(path)
+    version = (stat.st_mtime_ns, stat.st_size) if (stat := _stat(path)) else ()
+    return _known_header(path, *version)
+
+
+@functools.lru_cache(4096)
+def _known_header(path: Path, *version: int) -> oiio.ImageSpec:
+    """Of one version of a file, which many ask for, and which is dear where it has a gain map."""
+    source = _opened(path)
     spec = _spec(source)
     source.close()
     return spec
+
+
+def _stat(path: Path) -> os.stat_result | None:
+    with suppress(OSError):
+        return path.stat()
+    return None
 
 
 def read_alpha(path: str | Path, turned: bool = True) -> np.ndarray | None:
@@ -478,8 +494,11 @@ def _opened(path: Path) -> oiio.ImageInput:
     _check_png(path)
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)  # a product with alpha could not be decoded
-    with _without_gains(path) as plain:
-        source = oiio.ImageInput.open(str(plain), config)
+    try:
+        with _without_gains(path) as plain:
+            source = oiio.ImageInput.open(str(plain), config)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     if source is None:
         raise InputError(f"{path}: cannot be read as a picture: {_reason(oiio)}")
     return source

@@ -18,6 +18,8 @@ STATUS = 130
 # Within so many seconds a second signal is the first: what stops a whole group of processes may
 # come by itself and be passed on as well.
 once_seconds = 1.0
+# Times that jobs which may stand still are sent on.
+_AGAIN = 10
 
 _asked = False
 
@@ -32,7 +34,7 @@ def graceful(notice: Callable[[], None] = lambda: None) -> Iterator[Callable[[],
     suspends the process when the function is next called: between steps, where no clock runs; not
     where SIGCONT came after it.
     """
-    noticed = held = False
+    noticed, held, again = False, False, 0
     wanted: float | None = None  # since when
 
     def ask(number, frame) -> None:
@@ -46,7 +48,7 @@ def graceful(notice: Callable[[], None] = lambda: None) -> Iterator[Callable[[],
             raise KeyboardInterrupt
 
     def stop() -> bool:
-        nonlocal noticed, held
+        nonlocal noticed, held, again
         check()
         for number in came():
             if number in (signal.SIGTSTP, signal.SIGCONT):
@@ -56,9 +58,13 @@ def graceful(notice: Callable[[], None] = lambda: None) -> Iterator[Callable[[],
             # Jobs of a sweep are in groups of their own, which a terminal does not reach.
             jobs = psutil.Process().children()
             _send(jobs, signal.SIGTSTP)
-            # To this thread, which is to do nothing more before all of them stand still.
-            signal.pthread_kill(threading.get_ident(), signal.SIGSTOP)
-            _send(jobs, signal.SIGCONT)
+            if signal.SIGCONT not in came():
+                # To this thread, which is to do nothing more before all of them stand still.
+                signal.pthread_kill(threading.get_ident(), signal.SIGSTOP)
+            again = _AGAIN
+        if again:  # one may have read the first of both, and not stand still yet
+            again -= 1
+            _send(psutil.Process().children(), signal.SIGCONT)
         if wanted is not None and not noticed:
             noticed = True
             notice()

@@ -80,9 +80,9 @@ class Masses(Looking):
         return exact * dr.select(share[1] > 0, share[0] / share[1], 0)
 
     def _survey(self, seed: int, shapes: dict) -> tuple[dict, mi.Float]:
-        """h by key, flat, and c per cell, at the start values in these shapes."""
+        """h by key, flat, and c per cell, at the start values in these shapes, dark lights lit."""
         unknowns, passes = self.problem.unknowns, self.settings.passes
-        starts = unknowns.starts(shapes)
+        starts = unknowns.starts(shapes, lit=True)
         unknowns.write(starts)
         cost = sum(self._cost(seed, i) for i in range(passes)) / passes + self.settings.overhead
         weight = self._stage1.curvature(seed, _SURVEY) * self.problem.share
@@ -196,7 +196,7 @@ class Progress(Sampler):
     uses = Sampler.uses - {"probes"}
     needs = frozenset(("forward", "backward", "moments"))
     works = Masses
-    forgoes = True
+    forgoes = staged = True
 
     def on(self, problem, loss, batch, freeze=True, blurred=None) -> OnImages:
         if problem.integrator.has_forward:

@@ -116,6 +116,11 @@ def check_scene(scene: mi.Scene, textures: dict[str, mi.Texture]) -> list[str]:
     for shape in every:
         values = mi.traverse(shape)
         name = shape.id()
+        if shape.class_name() == "SDFGrid" and _askew(values["to_world"]):
+            warnings.append(
+                f"shape {name}: Mitsuba shows a turned sdfgrid with holes: put it into a "
+                "shapegroup as it is, and turn an instance of that"
+            )
         if "vertex_positions" not in values:
             # A sphere, a rectangle, …: made by Mitsuba. Of a group's, others hold it.
             painted = _textures_of(values, textures) if shape.class_name() in _BARE else ()
@@ -150,6 +155,12 @@ def check_scene(scene: mi.Scene, textures: dict[str, mi.Texture]) -> list[str]:
             charts[key][name] = (texcoords @ matrix[:2, :2].T + matrix[:2, 2])[faces]
             places[name] = vertices, faces
     return warnings + [text for keys, own in _alike(charts) for text in _shared(own, places, keys)]
+
+
+def _askew(place: mi.Transform4f) -> bool:
+    """Whether an axis of its own is none of the world's."""
+    turn = np.abs(np.array(place.matrix, np.float64).reshape(4, 4)[:3, :3])
+    return bool((np.count_nonzero(turn > 1e-5 * turn.max(), axis=1) > 1).any())
 
 
 def _alike(charts: dict[str, dict]) -> list[tuple[list[str], dict[str, np.ndarray]]]:

@@ -220,8 +220,8 @@ def bare(params: mi.SceneParameters, key: str) -> tuple[float, float]:
 
 def lowest(low: float, least: float, start: np.ndarray) -> float:
     """Above the end ``low`` of a range, what values stay above: ``least``, or a share of a
-    ``start`` that is nearer to that end, if by more than a hair."""
-    apart = float(start.min()) - low
+    ``start`` all of which is nearer to that end, if by more than a hair."""
+    apart = float(start.max()) - low
     return low + _SHARE * apart if _HAIR < apart < least - low else least
 
 

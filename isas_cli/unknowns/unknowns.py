@@ -65,6 +65,14 @@ class Unknown:
         """Whether its blur, levels or stages follow the budget."""
         return self.blur is not None or bool(self.doubled) or self.during != (0.0, 1.0)
 
+    @property
+    def lit(self) -> np.ndarray:
+        """The start; of a light that is dark everywhere another value, where it is asked what any
+        unknown shows: such a light shows nothing of what it will light."""
+        if self.kind.role != "light" or self.start.any():
+            return self.start
+        return np.clip(np.ones_like(self.start), self.low, self.high)
+
     def moves(self, spent: float) -> bool:
         """Whether it is optimised at this share of the budget."""
         # Odd: it has begun once more than it has rested. An end at 1 never comes.
@@ -219,11 +227,14 @@ class Unknowns:
                 )
         return self.values_of(arrays)
 
-    def starts(self, shapes: dict | None = None) -> dict:
-        """``shapes``: by key, of those that are to be coarser."""
+    def starts(self, shapes: dict | None = None, lit: bool = False) -> dict:
+        """``shapes``: by key, of those that are to be coarser; ``lit``: see ``Unknown.lit``."""
         coarse = shapes or {}
         return self.values_of(
-            {u.key: u.kind.coarse(u.start, coarse.get(u.key, u.start.shape)) for u in self.items}
+            {
+                u.key: u.kind.coarse(u.lit if lit else u.start, coarse.get(u.key, u.start.shape))
+                for u in self.items
+            }
         )
 
     def truths(self) -> dict | None:

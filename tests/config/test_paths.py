@@ -122,7 +122,8 @@ def test_files_of_parts_are_looked_for_where_the_scene_looks(tmp_path):
         "<scene><default name='dir' value='other'/>"
         "<string name='filename' value='textures/a.png'/>"
         "<string value='$dir/b.png' name='filename'/>"
-        "<string name='filename' value='c.png'/></scene>"
+        "<string name='filename' value='c.png'/>"
+        f"<spectrum name='radiance' value='{'400:0.25, ' * 40}'/></scene>"
     )
     assert {tmp_path / name for name in names} <= set(paths._within(main, {main}))
 

@@ -119,12 +119,14 @@ def test_a_first_look_is_left_out_where_it_costs_a_quarter_of_the_budget(times, 
 def test_what_begins_to_move_is_looked_at(sampler, looks):
     """By a sampler whose weights are those of what moves."""
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.6})
-    p.unknowns[ROUGHNESS].during = (0.5, 1.0)
+    p.unknowns[TEXTURE].during, p.unknowns[ROUGHNESS].during = (0.0, 0.5), (0.5, 1.0)
     own = sampler(refresh=1000, stage1=STAGE1).on(p, losses.L2(), 256)
-    look, when = own.look, []
-    own.look = lambda *given: when.append(given[2]) or look(*given)
+    look, when = own.look, {}
+    own.look = lambda *given: when.update({given[2]: given[3]}) or look(*given)
     run(loop(p, own, Budget(iterations=20)))
     assert [i for i in when if i < 1000] == looks
+    if 10 in looks:  # and what rests from then on gets no mass
+        assert when[10].rate[TEXTURE] == 0 and when[10].rate[ROUGHNESS] > 0
 
 
 def test_a_first_look_that_takes_long_is_left_out_of_a_short_time(monkeypatch):

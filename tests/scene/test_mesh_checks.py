@@ -343,3 +343,15 @@ def test_a_distance_field_has_no_texture_coordinates():
     (key,) = (key for key in params.keys() if key.endswith("reflectance.data"))
     with pytest.raises(InputError, match="shape field: has no texture coordinates"):
         check_scene(scene, {key: owner(params, key)})
+
+
+@pytest.mark.parametrize("angle, told", [(0, False), (90, False), (45, True)])
+def test_a_distance_field_that_stands_askew_is_told(angle, told):
+    distances = np.ones((2, 2, 2, 1), np.float32)
+    distances[0, 0, 0] = -1
+    field = {"type": "sdfgrid", "grid": mi.TensorXf(distances)}
+    place = mi.ScalarTransform4f().rotate([0, 0, 1], angle)
+    described = {"type": "scene", "figure": {**field, "to_world": place}}
+    warnings = check_scene(mi.load_dict(described, optimize=False), {})
+    assert [w for w in warnings if "turned sdfgrid with holes" in w] == warnings
+    assert bool(warnings) == told

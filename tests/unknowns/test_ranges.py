@@ -210,6 +210,12 @@ def test_a_small_density_starts_where_it_was_told_to(start, given, low):
     assert made.low == pytest.approx(low) and made.start == pytest.approx(max(start, low))
 
 
+def test_one_small_entry_takes_no_floor_from_the_others():
+    start = np.array([1e-5, 0.5], np.float32)
+    assert ranges.lowest(0.0, 1e-3, start) == 1e-3
+    assert ranges.lowest(0.0, 1e-3, start[:1]) == pytest.approx(1e-8)
+
+
 def test_a_thin_grid_with_nothing_in_it_stays_above_a_share_of_its_most():
     values = np.zeros((2, 2, 2, 1), np.float32)
     values[0] = 0.02

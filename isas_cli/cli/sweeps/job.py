@@ -12,13 +12,14 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from ...config import paths
+from ...engine.display import say
 from ...records import files, load_checkpoint, manifest
 from ...records.reader import read_json
 from ...runtime import guests, interrupt, memory
 from ...runtime.errors import InputError, IsasError, NumericalError
 from .. import one
 from . import fingerprint
-from .outcome import Outcome, outcome, read_summary, say
+from .outcome import Outcome, outcome, read_summary
 
 # What a folder holds before the job begins.
 NOTHING, DONE, FAILED, UNFINISHED, OTHER = "nothing", "done", "failed", "unfinished", "other"
@@ -218,7 +219,8 @@ def supervise(
         # What is unfinished and was refused stays so: as a failure it would be begun anew. What
         # another sweep's process writes is that one's.
         begun = job.stamp() != before
-        if (found not in (DONE, OTHER, UNFINISHED) or begun) and not job.written:
+        others = job.written or (report.status == InputError.status and job.found() == DONE)
+        if (found not in (DONE, OTHER, UNFINISHED) or begun) and not others:
             job.record_failure(report, begun)
     return outcome(job.label, job.folder, status, report.status, report.error)
 

@@ -11,11 +11,12 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf, open_dict
 
 from ...config.compose import compose
+from ...engine.display import say
 from ...runtime import interrupt
 from ...runtime.errors import InputError
 from .job import DONE, Job, Report, supervise
 from .launchers import Launcher
-from .outcome import Outcome, outcome, say, shown
+from .outcome import Outcome, outcome, shown
 
 
 def planned(overrides: list[str], label: str, number: int) -> Job:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.markup import escape
 from rich.table import Table
 
-from ...engine.display import Stderr
+from ...engine.display import Stderr, say
 from ...runtime import interrupt
 
 # Columns where there is no terminal: the folders must stay whole.
@@ -102,12 +100,6 @@ def show(outcomes: list[Outcome], figures: bool = True) -> None:
     for o in outcomes:
         if o.error:
             say(f"isas: {o.label}: {o.error}")
-
-
-def say(text: str) -> None:
-    """A line on standard error, where it can be written: the sweep goes on."""
-    with contextlib.suppress(OSError):
-        print(text, file=sys.stderr, flush=True)
 
 
 def shown(folder: Path) -> str:

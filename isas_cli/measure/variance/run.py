@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
 
 from ...config.schema import Config
 from ...engine.choices import Choices
-from ...engine.display import Display
+from ...engine.display import Display, Stderr
 from ...engine.experiment import Phases, built, checked
 from ...estimators import two_path
 from ...runtime import backend, interrupt
@@ -257,7 +256,7 @@ class _Record:
         self.display.stop()
         console = self.display.console
         if not console.is_terminal:
-            console = Console(stderr=True, width=_WIDTH)
+            console = Stderr(stderr=True, width=_WIDTH)
         console.print(shown(self.table, self._title), highlight=False)
         for row in self.table:
             if row["sampler"] == BEST:

@@ -237,11 +237,17 @@ def below(folders: Iterable[Path], name: str, where: str) -> Path:
 
 
 def viewed(
-    name: str, folders: list[Path], pose: np.ndarray, inner: dict, file: Path | str, where: str
+    name: str,
+    folders: list[Path],
+    pose: np.ndarray | Callable[[], np.ndarray],
+    inner: dict | Callable[[], dict],
+    file: Path | str,
+    where: str,
 ) -> Camera:
     """Of the picture ``below`` folders. ``inner``: its size, focal lengths, principal point and
-    lens; ``file``: that says so."""
+    lens; ``file``: that says so. What is called is not asked of a missing picture."""
     image = below(folders, name, where)
+    pose, inner = (each() if callable(each) else each for each in (pose, inner))
     return Camera(name=name, image=image, to_world=pose, described=str(file), **inner)
 
 

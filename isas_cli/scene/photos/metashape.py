@@ -9,6 +9,7 @@ Metashape exports meshes.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -69,7 +70,8 @@ def read(file: Path, asked: Asked) -> Capture:
                 f"Coordinates, export mesh and cameras anew, or {_WAY_OUT}"
             )
         aligned += 1
-        pose, inner = _pose(each, world, where), _inner(sensors[each.get("sensor_id")], where)
+        pose = partial(_pose, each, world, where)
+        inner = partial(_inner, sensors[each.get("sensor_id")], where)
         camera = present(viewed, label, folders, pose, inner, file, where)
         if camera is not None:
             cameras.append(camera)

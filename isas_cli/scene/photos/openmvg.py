@@ -8,6 +8,7 @@ first. Lenses are OpenCV's. What kind a camera is stands with the first of its k
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -63,8 +64,8 @@ def read(file: Path, asked: Asked) -> Capture:
             continue
         if key not in inner:
             raise InputError(f"{where}: its intrinsic {key} is not in the file")
-        pose = _pose(inside(entry, f"{where}: its pose", "value"), where)
-        told = _inner(*inner[key], f"{file}: intrinsic {key}")
+        pose = partial(_pose, inside(entry, f"{where}: its pose", "value"), where)
+        told = partial(_inner, *inner[key], f"{file}: intrinsic {key}")
         camera = present(viewed, name, folders, pose, told, file, where)
         if camera is not None:
             cameras.append(camera)

@@ -24,8 +24,8 @@ _OFF, _PIXELS = 0.2, 2
 _FEWEST, _UP, _OTHER, _ROLL, _AROUND = 3, 0.5, 0.3, 0.2, 0.7
 _OURS = "isas "  # what writes the lights that a run has found, in the axes that it had
 # How bright an object is shown, the median, as a share of the light's mean: between these it may
-# be, black or white and lit from the camera's side; and about so much it usually is.
-_SHOWN, _USUAL = (0.02, 1.5), 0.3
+# be, black, or white and before a sun that is most of the light; and about so much it usually is.
+_SHOWN, _USUAL = (0.02, 4.0), 0.3
 
 
 def doubts(
