@@ -11,7 +11,7 @@ STAMP := $(VENV)/.installed
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check --quiet
 # Neighbouring tests share problems, so each worker gets a run of them.
 WORKERS := -n auto --dist worksteal
-BENCHMARKS := $(filter-out benchmarks/_% benchmarks/black_box.py benchmarks/choosing.py benchmarks/crossed.py benchmarks/derivatives.py benchmarks/effects.py benchmarks/exports.py benchmarks/filters.py benchmarks/gpu.py benchmarks/pages.py benchmarks/pbdr.py benchmarks/reproduce.py benchmarks/shapes.py benchmarks/soak.py benchmarks/sooner.py benchmarks/steps_or_paths.py benchmarks/unseen.py benchmarks/volumes.py,$(sort $(wildcard benchmarks/*.py)))
+BENCHMARKS := $(filter-out benchmarks/_% benchmarks/animations.py benchmarks/black_box.py benchmarks/choosing.py benchmarks/crossed.py benchmarks/derivatives.py benchmarks/effects.py benchmarks/exports.py benchmarks/filters.py benchmarks/glowing_grid.py benchmarks/gpu.py benchmarks/pages.py benchmarks/pbdr.py benchmarks/reproduce.py benchmarks/shapes.py benchmarks/soak.py benchmarks/sooner.py benchmarks/steps_or_paths.py benchmarks/unseen.py benchmarks/volumes.py,$(sort $(wildcard benchmarks/*.py)))
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile

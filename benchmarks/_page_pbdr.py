@@ -33,6 +33,9 @@ def facts(results: Path) -> dict:
         "shape": _marked(results, "pbdr_shape", (0.09, 9.0)).to_dict("records"),
         "photographed": photographed.reset_index().to_dict("records"),
         "claims": _claims(every),
+        "grid": _ranges.marked(
+            *(read(name) for name in ("glowing_grid", "glowing_grid_rates")), ("seconds", "method")
+        ).to_dict("records"),
         "prior": [
             {"scene": scene} | _beside(rows, "mpea", "without the prior")
             for scene, rows in every.items()

@@ -24,10 +24,11 @@ from pathlib import Path
 
 RESULTS = Path(__file__).parent / "results"
 SCENE, BUDGETS, FACTORS = "object_joint", (8.0, 24.0), (0.3, 1.0, 3.0)
-GRID, LEVELS = 64, 3
+LEVELS = 3
+NUMBERS = {"resolution": 192, "views": 16, "grid": 64}
 MIDDLE, HALF = (0.0, 0.31, 0.0), 0.66  # a cube around the bowl
 SAMPLERS = ("uniform", "ours")
-PATHS = 64  # of the pictures from elsewhere
+PATHS = 128, 512  # of the pictures from elsewhere: of a result, of the truth
 _BOX = "box.interior_medium"
 UNKNOWNS = {
     f"{_BOX}.sigma_t.data": {"start": 1.0, "range": [0.001, 300.0], "lr": 0.5, "levels": LEVELS},
@@ -64,14 +65,12 @@ def build(resolution: int, views: int, grid: int, novel: bool = False, relit: bo
     return found | {"integrator": {"type": "emission"}, "box": box}
 
 
-def _arguments(**more) -> list[str]:
-    """Of a scene that this file builds."""
-    numbers = {"resolution": 192, "views": 16, "grid": GRID} | more
-    given = json.dumps(numbers).replace('"', "").replace(": ", ":")
+def _arguments() -> list[str]:
+    """Of the scene that this file builds."""
     return [
         "scene=lego",
         f"scene.builder={Path(__file__).stem}.build",
-        f"scene.arguments={given}",
+        *(f"scene.arguments.{name}={number}" for name, number in NUMBERS.items()),
         f"scene.unknowns={json.dumps(UNKNOWNS)}",
     ]
 
@@ -79,21 +78,27 @@ def _arguments(**more) -> list[str]:
 def _elsewhere(values: dict, truths: dict[str, list]) -> dict[str, float]:
     """Means over views that no run has seen: ``novel_psnr``, … and ``relit_psnr``, …"""
     import numpy as np
-    from _child import problem_of
 
+    from isas_cli.config.compose import compose, translate
+    from isas_cli.config.schema import typed
+    from isas_cli.engine import assemble
     from isas_cli.rendering.renderer import Renderer
     from isas_cli.runtime import likeness
 
     found = {}
     for kind, pictures in truths.items():
-        more = {"novel": True, "relit": kind == "relit"}
-        problem, _ = problem_of([*_arguments(**more), "target.spp=1", "target.noise=null"])
+        settings = [*_arguments(), "target.spp=1", "target.noise=null"]
+        cfg = typed(compose(translate(settings)))
+        cfg.scene.arguments |= {"novel": True, "relit": kind == "relit"}
+        problem = assemble.problem(cfg.scene, cfg.target, lambda done, total: None)
         own = {k: v for k, v in values.items() if kind == "novel" or not k.startswith("sky")}
         unknowns = problem.unknowns
         unknowns.write(unknowns.truths() | unknowns.values_of(own))
         renderer = Renderer(problem)
         each = [
-            likeness.metrics(renderer.view(v, PATHS, lambda s: s), truth, np.ones(truth.shape[:2]))
+            likeness.metrics(
+                renderer.view(v, PATHS[0], lambda s: s), truth, np.ones(truth.shape[:2])
+            )
             for v, truth in enumerate(pictures)
         ]
         for name in each[0]:
@@ -119,7 +124,7 @@ def _truths() -> dict[str, list]:
         scene = mi.load_dict(own)
         views = range(len(scene.sensors()))
         found[kind] = [
-            np.array(mi.render(scene, sensor=v, spp=512, seed=v))[..., :3] for v in views
+            np.array(mi.render(scene, sensor=v, spp=PATHS[1], seed=v))[..., :3] for v in views
         ]
     return found
 
@@ -164,6 +169,7 @@ def main() -> None:
             other = pandas.DataFrame(rows)
             columns = ["start", *_contest.ranged(pbdr.ERROR, "re"), "iterations", *other]
             made = _contest.told(found.join(other), seconds, columns, pbdr.ERROR)
+            made, first = (each.assign(scene=SCENE) for each in (made, first))
             print(made.to_string(index=False), flush=True)
             _contest.write(RESULTS / "glowing_grid.csv", made, ("seconds",))
             _contest.write(
