@@ -10,12 +10,10 @@ pictures of view 0. Nothing is judged by them.
 from __future__ import annotations
 
 import argparse
-import io
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
+import _contest
 import _plateau
 import pandas
 import reproduce
@@ -23,10 +21,12 @@ import shapes
 import volumes
 from PIL import Image, ImageSequence
 
+from isas_cli.report.compare.animation import encoded
+
 RESULTS = Path(__file__).parent / "results"
 SEED, SNAPSHOTS = 1, 24
 PICTURES = [f"frames.snapshots={SNAPSHOTS}", "frames.views=1", "report=false"]
-LARGEST, QUALITIES = 400_000, (60, 40, 25, 10)  # bytes of a file
+LARGEST = 400_000  # bytes of a file
 
 
 def _pottery() -> tuple[float, list[str], list[dict]]:
@@ -72,11 +72,8 @@ def raced(scene: str, folder: Path) -> Path:
     """The animation of the race's comparison."""
     seconds, settings, methods = SCENES[scene]()
     settings = [s for s in settings if not s.startswith(("frames.views", "frames.snap", "report"))]
-    listed = [",".join(f"{key}:{value}" for key, value in own.items()) for own in methods]
-    command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *settings, *PICTURES]
-    command += [f"budget.seconds={seconds}", f"seed={SEED}", f"hydra.run.dir={folder}"]
-    command += ["contestants=[" + ",".join(f"{{{each}}}" for each in listed) + "]"]
-    subprocess.run(command, check=True)
+    named = [(str(own["sampler"]), own) for own in methods]
+    _contest.race(scene, folder, [*settings, *PICTURES], named, [SEED], seconds, lambda run: {})
     (found,) = (folder / "comparison").rglob(f"{scene}_optimisation.webp")
     return found
 
@@ -84,17 +81,8 @@ def raced(scene: str, folder: Path) -> Path:
 def smaller(animation: Path) -> bytes:
     """Of the best quality that stays below LARGEST, or the least."""
     with Image.open(animation) as opened:
-        frames, times = [], []
-        for frame in ImageSequence.Iterator(opened):
-            frames.append(frame.convert("RGB"))
-            times.append(frame.info["duration"])
-    for quality in QUALITIES:
-        buffer = io.BytesIO()
-        more = {"save_all": True, "append_images": frames[1:], "duration": times, "loop": 0}
-        frames[0].save(buffer, "WEBP", quality=quality, method=6, **more)
-        if buffer.tell() <= LARGEST:
-            break
-    return buffer.getvalue()
+        frames = [frame.convert("RGB") for frame in ImageSequence.Iterator(opened)]
+    return encoded(frames, LARGEST)
 
 
 def main() -> None:

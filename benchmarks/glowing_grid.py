@@ -106,22 +106,16 @@ def _elsewhere(values: dict, truths: dict[str, list]) -> dict[str, float]:
     return found
 
 
-def _truths() -> dict[str, list]:
-    """`object_joint` itself from views that no run has seen, and under another sky."""
+def _truths(run) -> dict[str, list]:
+    """What the scene of a ``run`` is, from views that no run has seen, and under another sky."""
     import mitsuba as mi
     import numpy as np
     import pbdr
-    from isas_cli.scenes import object_joint
 
-    from isas_cli.config.compose import compose
-    from isas_cli.scene import phong  # noqa: F401  (registers it)
-
-    made = object_joint.build(**compose([f"scene={SCENE}"]).scene.arguments)
-    made = {k: v for k, v in made.items() if not k.startswith("sensor_")} | pbdr._views(SCENE)
     found = {}
     for kind in ("novel", "relit"):
-        own = made | (pbdr._light(SCENE, made) if kind == "relit" else {})
-        scene = mi.load_dict(own)
+        scene, unknowns, _ = pbdr._moved(run, kind == "relit")
+        unknowns.write(unknowns.truths())
         views = range(len(scene.sensors()))
         found[kind] = [
             np.array(mi.render(scene, sensor=v, spp=PATHS[1], seed=v))[..., :3] for v in views
@@ -152,12 +146,12 @@ def main() -> None:
         found = {"start": first[pbdr.ERROR], pbdr.ERROR: last[pbdr.ERROR]}
         return found | {"re": 3 * last[pbdr.ERROR] ** 2, "iterations": int(last["iteration"])}
 
-    truths = _truths()
     with tempfile.TemporaryDirectory(prefix="isas-glowing-") as root:
         seen = Path(root) / "pictures"
         command = [sys.executable, "-m", "isas_cli", "run", f"scene={SCENE}", "target.noise=0.01"]
         command += ["budget.iterations=1", "frames.views=16", "frames.spp=1", "report=false"]
         subprocess.run([*command, "frames.snapshots=0", f"hydra.run.dir={seen}"], check=True)
+        truths = _truths(records.load(seen))
         pictures = ",".join(map(str, sorted((seen / "frames").glob("target_v*.exr"))))
         settings = [each for each in pbdr.SETTINGS if not each.startswith("target.")]
         settings += [*_arguments()[1:], f"scene.targets=[{pictures}]"]

@@ -195,7 +195,7 @@ def measure(loop: Loop, freeze: bool) -> Profile:
     without derivatives. Evaluates.
     """
     stepper = loop.stepper
-    (arrays, state) = stepper.export()
+    arrays, state = stepper.export()
     way = stepper.begun, dict(stepper.reach), stepper.since
     try:
         steps = _measured(_Pass(loop, freeze))

@@ -123,13 +123,11 @@ def _drawn(loop: Loop, of: TwoPath, iteration: int) -> list[np.ndarray]:
     drawn = batch if windows is None else batch // windows.count
     seed = mi.UInt32(streams.seed(loop.seed, iteration, "draw"))
     view, column, row, _ = loop.distribution.draw(drawn, seed)
+    view = dr.zeros(mi.UInt32, drawn) + view  # of a single view its number is one entry
     if windows is not None:
-        # Of a single view its number is one entry.
-        view = dr.zeros(mi.UInt32, drawn) + view
         dr.eval(view, column, row)
         view, column, row, _ = windows.spread(of.problem.views, view, column, row, drawn)
-    # Of a single view its number is one entry.
-    view, column, row = (np.broadcast_to(np.array(each), batch) for each in (view, column, row))
+    view, column, row = (np.array(each) for each in (view, column, row))
     kept = loop.problem.kept
     return [view if kept is None else np.array(kept)[view], column, row]
 

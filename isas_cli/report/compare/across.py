@@ -3,7 +3,7 @@
 Levels are what the baseline has after an eighth, a quarter, half and three quarters of its budget,
 on each scene by itself: halvings of the start's error often lie beyond what anyone reaches. What it
 has at the very end half of its own seeds would reach by definition, and another method that is as
-good by luck alone: it would look slower by a quarter. A *problem* is a scene and a level.
+good by luck alone: it would look slower. A *problem* is a scene and a level.
 """
 
 from __future__ import annotations

@@ -68,8 +68,8 @@ def write_animation(
     size = _size([shot.image for film in films.values() for shot in film])
     pictures = [_picture(columns, styles, exposure, size, moment) for moment in _moments(films)]
     path = folder / f"{labels.stem(methods[0].scene)}_optimisation.webp"
-    encoded = _encoded(pictures)
-    write_atomically(path, lambda temporary: temporary.write_bytes(encoded))
+    content = encoded(pictures)
+    write_atomically(path, lambda temporary: temporary.write_bytes(content))
     chosen = words([method for method in methods if method.label in films])
     return Picture(
         path,
@@ -159,8 +159,8 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts/ttf/DejaVuSans.ttf", size)
 
 
-def _encoded(pictures: list[Image.Image]) -> bytes:
-    """The best of `_QUALITIES` that stays below `_LARGEST`, or the last."""
+def encoded(pictures: list[Image.Image], largest: int = _LARGEST) -> bytes:
+    """The best of `_QUALITIES` that takes ``largest`` bytes at most, or the last."""
     durations = [_MILLISECONDS] * (len(pictures) - 1) + [_LAST_MILLISECONDS]
     for quality in _QUALITIES:
         buffer = io.BytesIO()
@@ -174,6 +174,6 @@ def _encoded(pictures: list[Image.Image]) -> bytes:
             quality=quality,
             method=4,
         )
-        if buffer.tell() <= _LARGEST:
+        if buffer.tell() <= largest:
             break
     return buffer.getvalue()
