@@ -200,11 +200,9 @@ def write(task: str, folder: Path, added: str | None = None) -> pandas.DataFrame
 def draw(tasks: list[str]) -> None:
     """results/plateau_errors.png: the share of the start's error against the share of the budget,
     median and quartiles over the starts."""
-    import matplotlib
+    from isas_cli.report.figures import COLOURS, figure, save, styled
 
-    from isas_cli.report.figures import COLOURS, STYLE, figure, save
-
-    with matplotlib.rc_context(STYLE):
+    with styled():
         canvas = figure(11, 3.2 * ((len(tasks) + 2) // 3))
         panels = canvas.subplots((len(tasks) + 2) // 3, 3, squeeze=False).ravel()
         # More methods than colours: the last are dashed.

@@ -28,11 +28,10 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pandas
 
-from isas_cli.report.figures import COLOURS, STYLE, figure, log_values, save
+from isas_cli.report.figures import COLOURS, figure, log_values, save, styled
 
 HERE = Path(__file__).parent
 SAMPLERS = ("uniform", "ours")
@@ -178,7 +177,7 @@ def report(axis: Axis, table: pandas.DataFrame) -> None:
 
 def draw(all_axes: list[Axis], tables: list[pandas.DataFrame], path: Path) -> None:
     """Five panels: points with their range, and theory's lines."""
-    with matplotlib.rc_context(STYLE):
+    with styled():
         canvas = figure(17, 3.6)
         panels = canvas.subplots(1, len(all_axes))
         for axis, table, panel in zip(all_axes, tables, panels):

@@ -48,7 +48,7 @@ MEASURES = ("image_rmse", "parameter_rmse")
 BLENDS = (0.0, 0.6, 0.95)  # of start and truth
 SAMPLERS = ("uniform", "ours")
 FACTORS = (1.0, 2.0)
-SETTINGS = ["estimator.batch=16384", "target.spp=64", "evaluation.count=24", "effects=full"]
+SETTINGS = ["estimator.batch=16384", "target.noise=0.02", "evaluation.count=24", "effects=full"]
 SETTINGS += ["optimizer.schedule=exponential", "evaluation.pixels=32768", *_contest.QUIET]
 
 
@@ -78,7 +78,7 @@ def estimates(scene: str, count: int) -> None:
 
     lights = SCENES[scene][1] or 1
     plain = [each for each in settings_of(scene) if not each.startswith("effects")]
-    problem, _ = problem_of([f"scene={scene}", "target.spp=64", *plain])
+    problem, _ = problem_of([f"scene={scene}", "target.noise=0.02", *plain])
     whole = problem.integrator
     directions = 4 if lights > 1 else 1
     paths = replace(whole.paths, lights=(lights, lights), directions=directions, crossed=False)
