@@ -71,7 +71,7 @@ class Choices:
                 "profile=true differentiates paths in forward mode, which the scene's "
                 f"integrator {problem.integrator.name} cannot: leave it out"
             )
-        footprint.check(problem, self.estimator.batch)
+        footprint.check(problem, self.estimator.batch, self.estimator.outlines)
         beside = ["a prior"] if self.prior.on(problem.unknowns) is not None else []
         beside += ["estimator.blurred"] if self.estimator.whole else []
         other = (u for u in problem.unknowns if u.kind.aside or not u.kind.carried)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import drjit as dr
 import mitsuba as mi
 
 from ..runtime import memory
@@ -15,14 +16,15 @@ if TYPE_CHECKING:
 # Bytes that are surely needed at the same time. A pixel's target: as it is compared with, and as it
 # was read or rendered. An unknown's entry: value, gradient, Adam's two moments and its count of
 # steps; start, truth and whether it is seen. A drawn pixel: which it is, its probability, two
-# random streams, radiance and adjoint.
-_TARGET, _ENTRY, _LANE = 24, 29, 90
+# random streams, radiance and adjoint. An edge in a view, where silhouettes are drawn: its weight
+# and their sum so far (``outline.draw``).
+_TARGET, _ENTRY, _LANE, _EDGE = 24, 29, 90, 16
 
 
-def check(problem: "Problem", lanes: int) -> None:
+def check(problem: "Problem", lanes: int, outlines: bool = False) -> None:
     """Raises InputError where ``problem`` with ``lanes`` pixels a step needs more memory than is
-    free, with an estimate from below and what to reduce. On a CPU: what a GPU has free is not
-    known."""
+    free, with an estimate from below and what to reduce. ``outlines``: whether silhouettes of what
+    moves are drawn. On a CPU: what a GPU has free is not known."""
     if not mi.variant().startswith("llvm"):
         return
     entries = sum(u.start.size for u in problem.unknowns)
@@ -33,6 +35,15 @@ def check(problem: "Problem", lanes: int) -> None:
         "unknowns": (entries * _ENTRY, size),
         "a step": (lanes * _LANE, "estimator.batch"),
     }
+    if outlines:
+        params = mi.traverse(problem.scene)
+        faces = {id: f"{id}.faces" for id in sorted(problem.unknowns.moved)}
+        sizes = {id: dr.width(params[key]) // 3 for id, key in faces.items() if key in params}
+        id = max(sizes, key=sizes.get, default="")
+        # Three to two triangles, more where it is open; one mesh after the other.
+        edges = sizes.get(id, 0) * 3 // 2 * len(problem.film_sizes)
+        told = f"the number of triangles of '{id}', which moves (simplify the mesh), or of views"
+        parts["silhouettes"] = edges * _EDGE, told
     needed, most = sum(size for size, _ in parts.values()), memory.available()
     if needed <= most:
         return

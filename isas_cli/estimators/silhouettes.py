@@ -17,13 +17,12 @@ from ..rendering.light import shapes_with
 from ..rendering.picture_edges import PictureEdges
 from ..rendering.projective import Attached, check_lamps, sharp
 from ..rendering.reflections import Reflections
-from ..rendering.shadows import Shadows
+from ..rendering.shadows import MOST_LAMPS, Shadows
 from ..rendering.silhouettes import Silhouettes
 from ..rendering.standing import meshes_of, others, surfaces, triangles
 from ..runtime.errors import InputError
 from ..scene.crossings import through
 from ..scene.problem import Problem
-from ..scene.shape_error import enclosed
 from ..scene.topology import Topology
 from ..unknowns import parameters
 from .estimator import Estimator, Gradients, at_least_one
@@ -40,9 +39,10 @@ _SHADOW = "lamp", "shadow_edge", "shadow_residual"
 @dataclass(frozen=True)
 class Settings(Estimator):
     """``ByShape``. ``shadows``: none under a sky alone, whose shadows are soft: there they bring
-    more noise than they tell (where what stands still can shade what moves, as many again for its
-    shadows); ``reflections``: as many again of meshes that stand still; ``outline``: by alpha or
-    masks (``Contours``), by edges in the pictures (``PictureEdges``)."""
+    more noise than they tell, and none of very many lamps (where what stands still can shade what
+    moves, as many again for its shadows); ``reflections``: as many again of meshes that stand
+    still; ``outline``: by alpha or masks (``Contours``), by edges in the pictures
+    (``PictureEdges``)."""
 
     name: ClassVar[str] = "silhouettes"
     # A shape's steps are spread over its mesh: no entry has moments of its own.
@@ -95,6 +95,11 @@ class Settings(Estimator):
                 "sampler=plateau"
             )
         told += _sunk(problem)
+        if self.shadows is None and (count := len(problem.scene.emitters())) > MOST_LAMPS:
+            told.append(
+                f"estimator=silhouettes leaves out the edges of the shadows of {count} lamps: it "
+                f"finds those of {MOST_LAMPS} at most"
+            )
         if self.outline != Settings.outline and problem.part is problem.edges is None:
             told.append(
                 f"estimator.outline={self.outline:g} has no effect: no alpha, mask or edge of a "
@@ -110,15 +115,14 @@ class Settings(Estimator):
         if self.shadows is not None:
             return self.shadows
         skies = 0 if problem.scene.environment() is None else 1
-        return self.edges if len(problem.scene.emitters()) > skies else 0
+        return self.edges if skies < len(problem.scene.emitters()) <= MOST_LAMPS else 0
 
     def reflected(self, problem: Problem) -> int:
         """Samples a step of silhouettes that other surfaces show."""
         if self.reflections and problem.integrator.max_depth < 3:
             raise InputError(
                 "estimator.reflections: paths by way of one surface have 3 edges, and here they "
-                f"have at most {problem.integrator.max_depth}: take scene.max_depth=3 or more, and "
-                "no lower effects.max_depth"
+                f"have at most {problem.integrator.max_depth}: take scene.max_depth=3 or more"
             )
         return self.reflections
 
@@ -295,22 +299,20 @@ def _check_sides(
     topologies: dict[int, Topology],
     own: bool,
 ) -> None:
-    """Raise InputError for a closed mesh whose silhouettes would be shaded as from within: Mitsuba
-    turns normals there to the side that winding and normals call the outer one. ``own``: its
-    normals follow from its triangles."""
+    """Raise InputError for a mesh that has an inside and whose silhouettes would be shaded as from
+    there: Mitsuba turns normals to the side that winding and normals call the outer one. ``own``:
+    its normals follow from its triangles."""
     id = key.rpartition(".")[0]
     points, faces = triangles(params, key)
     topology = topologies.get(len(points)) or Topology.of(points, faces)
-    if topology.flaws():
-        return
     corners = points[faces].astype(np.float64)
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    outward = np.sign(enclosed(corners))
+    side = topology.outward(points[topology.first])
     (shape,) = (each for each in problem.scene.shapes() if each.id() == id)
     normals = np.repeat(across[:, None], 3, axis=1)
     if not own:
         normals = np.array(params[f"{id}.vertex_normals"]).reshape(-1, 3)[faces]
-    along = np.einsum("fk,fvk->f", across, normals).sum() * outward
+    along = np.einsum("fk,fvk->f", across, normals).sum() * side
     if shape.has_flipped_normals():
         along = -along
     seen = mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.BackSide)
@@ -320,7 +322,7 @@ def _check_sides(
             "silhouettes as seen from within; turn its faces and normals round in its file "
             "(flip_normals where only they are wrong), or take sampler=plateau"
         )
-    if outward < 0 and not own and _hard(normals, topology.faces):
+    if side < 0 and not own and _hard(normals, topology.faces):
         raise InputError(
             f"'{id}' moves, has hard edges, and its triangles turn the other way than its normals, "
             "as where to_world mirrors: estimator=silhouettes would shade its silhouettes by the "
@@ -370,6 +372,8 @@ def _meshes(problem: Problem) -> dict[str, dict[int, Topology]]:
                 )
             topology = Topology.of(*triangles(params, key))
             found.setdefault(key, {len(topology.place): topology})
+            told = [f"mesh {id}: {flaw}" for flaw in topology.flaws()]
+            problem.warnings += [each for each in told if each not in problem.warnings]
     for key in found:
         _check_sides(problem, params, key, found[key], key in shaped)
     return found

@@ -18,6 +18,8 @@ from .outline import silhouettes as seen_from
 
 # Of edges and points of lamps, the pairs that a step looks at, at most; one point a lamp it does.
 _MOST = 1 << 21
+# Each is traced by itself, and a step takes a point of each.
+MOST_LAMPS = 256
 
 
 @dataclass
@@ -48,7 +50,7 @@ class Lamps:
         it.p = mi.Point3f(centre.tolist())
         for index, emitter in enumerate(emitters):
             mine, point = which == index, stream.next_2d()
-            share = sum(k % len(emitters) == index for k in range(count))
+            share = count // len(emitters) + (index < count % len(emitters))
             if mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
                 shape = emitter.get_shape()
                 ps = shape.sample_position(0.0, point)
@@ -126,6 +128,12 @@ class Shadows(Border):
     ):  # fmt: skip
         super().__init__(problem, topologies, samples, paths + 1)
         emitters, box = problem.scene.emitters(), problem.scene.bbox()
+        if len(emitters) > MOST_LAMPS:
+            raise InputError(
+                f"estimator=silhouettes: the edges of shadows are found of at most {MOST_LAMPS} "
+                f"lamps, and the scene has {len(emitters)}: take estimator.shadows=0, which leaves "
+                "them out"
+            )
         lamps = max(len(emitters), min(lamps, _MOST // self.edges))
         for emitter in emitters:
             kind = emitter.class_name().lower()

@@ -28,7 +28,7 @@ def made(surfaces: dict[str, Surface]) -> bytes:
         scaled = result.apart / max(float(np.quantile(result.apart, 0.95)), 1e-30)
         colours = matplotlib.colormaps["viridis"](np.minimum(scaled, 1))[:, :3]
         columns.append((result, colours**2.2))
-    points = np.concatenate([each.vertices for each, _ in columns])
+    points = np.concatenate([each.vertices[each.faces.ravel()] for each, _ in columns])
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius = (low + high) / 2, np.linalg.norm(high - low) / 2
     scenes = [_scene(each, colours) for each, colours in columns]
@@ -121,4 +121,6 @@ def _sensor(azimuth: float, middle: np.ndarray, radius: float) -> mi.Sensor:
     )
     film = {"type": "hdrfilm", "width": _SIDE, "height": _SIDE, "pixel_format": "rgb"}
     own = {"film": film, "sampler": {"type": "multijitter", "sample_count": _SPP}}
+    # Mitsuba's own planes suit scenes of about its unit.
+    own |= {"near_clip": float(0.1 * radius), "far_clip": float(10 * radius)}
     return mi.load_dict({"type": "perspective", "fov": _FIELD, "to_world": place, **own})

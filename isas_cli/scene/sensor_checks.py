@@ -1,10 +1,13 @@
-"""Sensors as a file has them: what they cut away, and whether 32 bits tell places apart there."""
+"""Sensors as a file has them: what they cut away, whether 32 bits tell places apart there, and
+whether rays leave what they see near its surface."""
 
 from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+
+from .photos.precision import above
 
 # Rays along a side of a picture, the share of them that may be cut off, and pixels by which places
 # may lie off.
@@ -13,7 +16,7 @@ _SIDE, _CUT, _OFF = 32, 0.01, 0.25
 
 def doubts(scene: mi.Scene) -> list[str]:
     """What should be said of the sensors of ``scene``. Traces some rays."""
-    found = []
+    found, hits = [], []
     for number, sensor in enumerate(scene.sensors()):
         width = int(sensor.film().crop_size()[0])
         grid = (np.arange(_SIDE) + 0.5) / _SIDE
@@ -25,6 +28,8 @@ def doubts(scene: mi.Scene) -> list[str]:
         far = np.broadcast_to(np.array(ray.maxt), place.shape[1])
         ray.maxt = dr.inf
         hit = scene.ray_intersect_preliminary(ray)
+        dr.eval(hit)
+        hits.append([_numbers(each) for each in (hit.shape, hit.instance)])
         t = np.array(dr.select(hit.is_valid(), hit.t, dr.inf))
         cut = np.isfinite(t) & (t > far)
         name = sensor.id() or f"number {number}"
@@ -50,4 +55,22 @@ def doubts(scene: mi.Scene) -> list[str]:
                 f"{np.median(off):.2g} of its pixels: shapes and derivatives are off by as much; "
                 "take one offset from all that the scene holds, so that it lies around the origin"
             )
-    return found
+    return found + _above(scene, hits)
+
+
+def _above(scene: mi.Scene, hits: list[list[np.ndarray]]) -> list[str]:
+    """Of the shapes that ``hits`` meet, what should be said of the one that rays leave farthest
+    above its surface, by its own size."""
+    worst = 0.0, ""
+    for shape in scene.shapes():
+        low, high = (np.array(each, float).ravel() for each in (shape.bbox().min, shape.bbox().max))
+        size, far = float(np.linalg.norm(high - low)), np.abs([low, high]).max()
+        if found := above(size, far, "all that the scene holds"):
+            own = _numbers(mi.ShapePtr(shape))
+            if any((np.stack(each) == own).any(axis=0).mean() > _CUT for each in hits):
+                worst = max(worst, (found[0], f"shape {shape.id()} {found[1]}"))
+    return [worst[1]] if worst[1] else []
+
+
+def _numbers(shapes: mi.ShapePtr) -> np.ndarray:
+    return np.array(dr.reinterpret_array(mi.UInt32, shapes))

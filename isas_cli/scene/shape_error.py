@@ -8,8 +8,10 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-# Points on each surface, and those of the other that a triangle is looked for by.
-_POINTS, _NEAR = 20_000, 4
+# Points on each surface; by so many of the other's and of its triangles' middles a point's nearest
+# triangle is looked for: of more triangles than points most have no point, and of fewer the points
+# nearest may all lie on one.
+_POINTS, _NEAR = 20_000, 3
 # Points of the box around both that tell how much of their insides they share.
 _WITHIN = 5_000
 MEASURES = ("chamfer", "normals", "hausdorff", "volume", "overlap")
@@ -43,8 +45,8 @@ class Sampled:
         return across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
 
     @cached_property
-    def _tree(self) -> cKDTree:
-        return cKDTree(self.points)
+    def _trees(self) -> tuple[cKDTree, cKDTree]:
+        return cKDTree(self.points), cKDTree(self.corners.mean(axis=1))
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """Which ``points (N, 3)`` lie behind the triangle next to them, bool: within, where the
@@ -55,12 +57,13 @@ class Sampled:
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distances of ``points (N, 3)`` from the surface and the triangle next to each, of those
-        that its nearest few sampled points lie on."""
+        that the nearest few of its sampled points and of its triangles' middles lie on."""
         from trimesh.triangles import closest_point
 
-        _, near = self._tree.query(points, k=_NEAR)
-        faces = self.on[near]
-        repeated = np.repeat(points, _NEAR, axis=0)
+        on, middles = (tree.query(points, k=[*range(1, _NEAR + 1)])[1] for tree in self._trees)
+        middles = np.minimum(middles, len(self.corners) - 1)  # fewer triangles than asked for
+        faces = np.concatenate([self.on[on], middles], axis=1)
+        repeated = np.repeat(points, faces.shape[1], axis=0)
         closest = closest_point(self.corners[faces.ravel()], repeated)
         distances = np.linalg.norm(closest - repeated, axis=1).reshape(faces.shape)
         best = distances.argmin(axis=1)[:, None]

@@ -8,6 +8,11 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
+from .shape_error import enclosed
+
+# Of a surface's area: holes up to this leave it an inside.
+_HOLES = 0.05
+
 
 @dataclass(frozen=True)
 class Topology:
@@ -51,6 +56,11 @@ class Topology:
         return len(self.first)
 
     @cached_property
+    def used(self) -> np.ndarray:
+        """The welded vertices that faces name: files keep others, as of what was cropped."""
+        return np.unique(self.faces)
+
+    @cached_property
     def edges(self) -> "Edges":
         return Edges.of(self.faces)
 
@@ -72,6 +82,19 @@ class Topology:
         first, second = across[self.edges.faces.T]
         return float(np.mean(np.einsum("ij,ij->i", first, second) < -0.5))
 
+    def outward(self, positions: np.ndarray) -> float:
+        """1 where the faces, with vertices at ``positions (V, 3)``, are turned outwards, -1 where
+        inwards; 0 where they enclose nothing, or their holes may be too large to say so."""
+        corners = positions[self.faces].astype(np.float64)
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area, volume = np.linalg.norm(across, axis=1).sum() / 2, enclosed(corners)
+        rim = positions[self.edges.ends[self.edges.faces[:, 0] == self.edges.faces[:, 1]]]
+        # No line of a length goes around more than a circle of it.
+        holes = np.linalg.norm(rim[:, 0] - rim[:, 1], axis=1).sum() ** 2 / (4 * np.pi)
+        if holes > _HOLES * area or abs(volume) < 1e-9 * area**1.5:
+            return 0.0
+        return float(np.sign(volume))
+
     def flaws(self) -> list[str]:
         """What makes silhouettes ambiguous, in words; nothing for a closed mesh."""
         found = []
@@ -79,14 +102,20 @@ class Topology:
             found.append(f"{self.edges.open} of its {len(self.edges.ends)} edges are open")
         if self.edges.crowded:
             found.append(f"{self.edges.crowded} of its edges have more than two faces")
-        return found
+        return [f"{each}: silhouettes there are ambiguous, and gradients biased" for each in found]
+
+
+def distinct(faces: np.ndarray) -> np.ndarray:
+    """Which of ``faces (F, 3)`` have no two corners at one place, bool."""
+    return (faces != np.roll(faces, 1, axis=1)).all(axis=1)
 
 
 @dataclass(frozen=True)
 class Edges:
     """``ends (E, 2)``: vertices; ``faces (E, 2)``: of its two faces, the same one twice where it is
     open; ``across (E, 2)``: the third vertex of each. ``open``, ``crowded``: how many edges have
-    one face, or more than two, of which the first two count."""
+    one face, or more than two, of which the first two count. Faces with two corners at one place
+    are none."""
 
     ends: np.ndarray
     faces: np.ndarray
@@ -96,9 +125,11 @@ class Edges:
 
     @staticmethod
     def of(faces: np.ndarray) -> "Edges":
+        ok = distinct(faces)
+        number = np.flatnonzero(ok | ~ok.any())  # a mesh has some edge
+        faces, face = faces[number], np.tile(number, 3)
         half = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
         opposite = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])
-        face = np.tile(np.arange(len(faces)), 3)
         ends, which, counts = np.unique(
             np.sort(half, axis=1), axis=0, return_inverse=True, return_counts=True
         )

@@ -13,10 +13,11 @@ from scipy.spatial import cKDTree
 
 from ..runtime.errors import InputError
 from ..scene.crossings import crossing
+from ..scene.mesh_checks import check_values
 from ..scene.mesh_files import upwards
 from ..scene.shape_error import MEASURES, Sampled, apart, enclosed
 from ..scene.subdivision import coarser
-from ..scene.topology import Topology
+from ..scene.topology import Topology, distinct
 from .kind import Kind, Loaded, Surface
 from .mesh import Halved, Mesh
 from .parameters import like
@@ -79,10 +80,17 @@ class Vertices(Kind):
         self._given = given / np.maximum(np.linalg.norm(given, axis=1, keepdims=True), 1e-30)
         positions = np.array(params[self.positions]).reshape(-1, 3)
         faces = np.array(params[self.faces]).reshape(-1, 3).astype(np.int64)
+        a, b, c = (positions[faces[:, corner]].astype(np.float64) for corner in range(3))
+        if np.einsum("fk,fvk->", np.cross(b - a, c - a), self._given[faces]) < 0:
+            raise InputError(
+                f"{where}: the normals of the mesh '{self.id}' point the other way than its "
+                "triangles turn, as where to_world mirrors, and a shape's normals follow from its "
+                "triangles: turn these round in its file, or mirror it there"
+            )
         self.topology = Topology.of(positions, faces)
         self.present = positions[self.topology.first].astype(np.float32)
         self.range, self.unit = (-np.inf, np.inf), "scene units"
-        self.scale = max(1.0, float(np.abs(self.present).max()))
+        self.scale = float(np.abs(self.present).max())
         self._faces, self._latest, self._truth = faces, None, None
         self._crossed = b"", np.zeros(0, np.int64)
         self._elsewhere: list[str] = []
@@ -168,11 +176,11 @@ class Vertices(Kind):
         """``sphere``: every vertex on a sphere about the mesh's middle, of its mean radius;
         ``smooth``: without detail; or a PLY or OBJ file with the same faces."""
         if spec == "sphere":
-            middle = self.present.mean(axis=0, dtype=np.float64)
+            used, faces = self.topology.used, self.topology.faces[distinct(self.topology.faces)]
+            middle = self.present[used].mean(axis=0, dtype=np.float64)
             arms = self.present - middle
             lengths = np.linalg.norm(arms, axis=1, keepdims=True)
-            found = middle + arms / np.maximum(lengths, 1e-12) * lengths.mean()
-            faces = self.topology.faces
+            found = middle + arms / np.maximum(lengths, 1e-12) * lengths[used].mean()
             a, b, c = (found[faces[:, corner]] for corner in range(3))
             outward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c - 3 * middle)
             folded = int(np.sum(outward * np.sign(np.sum(outward)) <= 0))
@@ -201,33 +209,47 @@ class Vertices(Kind):
         except Exception as error:  # whatever its readers meet
             raise InputError(f"{where}={path}: {' '.join(str(error).split())}") from error
         read = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))))
-        faces, whole = getattr(mesh, "faces", np.zeros((0, 3), int)), len(self.topology.place)
+        faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3), int)))
+        check_values(read, np.zeros((0, 2)), faces, f"{where}={path}")
+        found, used = self._matched(read, faces, f"{where}={path}"), self.topology.used
+        if reason := _unlike(found[used], self.present[used]):
+            self._elsewhere = [
+                f"start of '{self.key}': {path} {reason} the mesh in the scene: its numbers "
+                "are places in the world, after to_world"
+            ]
+        return found
+
+    def _matched(self, read: np.ndarray, faces: np.ndarray, where: str) -> np.ndarray:
+        """The mesh with the places ``read (n, 3)`` of a file, whose ``faces`` are its own: corner
+        by corner, or by the vertices' numbers. Raises InputError, which begins with ``where``."""
+        own, whole = self.topology.faces, len(self.topology.place)
+        if faces.shape == own.shape:
+            of = np.zeros(len(read), np.int64)
+            of[faces] = own
+            if np.array_equal(of[faces], own):
+                # Mitsuba numbers an OBJ's vertices as its faces name them, others do not.
+                found = self.present.copy()
+                found[own] = read[faces]
+                return found
         for count, place in ((whole, self.topology.place), (self.topology.count, None)):
             if len(read) != count:
                 continue
             welded = faces if place is None else place[faces]
-            if not np.array_equal(np.sort(welded), np.sort(self.topology.faces)):
+            if not np.array_equal(np.sort(welded), np.sort(own)):
                 raise InputError(
-                    f"{where}={path} has as many vertices as the mesh '{self.id}', but other "
-                    "faces, or the same in another order: the same are needed (of photographs, "
-                    "leave start out to begin at photos.mesh)"
+                    f"{where} has as many vertices as the mesh '{self.id}', but other faces, or "
+                    "the same in another order: the same are needed (of photographs, leave start "
+                    "out to begin at photos.mesh)"
                 )
-            found = (read if place is None else read[self.topology.first]).astype(np.float32)
-            if reason := _unlike(found, self.present):
-                self._elsewhere = [
-                    f"start of '{self.key}': {path} {reason} the mesh in the scene: its numbers "
-                    "are places in the world, after to_world"
-                ]
-            return found
+            return (read if place is None else read[self.topology.first]).astype(np.float32)
         raise InputError(
-            f"{where}={path} has {len(read)} vertices, the mesh '{self.id}' "
-            f"{len(self.topology.place)} ({self.topology.count} places): the same faces are needed"
+            f"{where} has {len(read)} vertices, the mesh '{self.id}' {whole} "
+            f"({self.topology.count} places): the same faces are needed"
         )
 
     def warnings(self) -> list[str]:
         found = self._elsewhere + self._turned()
-        said = "silhouettes there are ambiguous, and gradients biased"
-        found += [f"mesh {self.id}: {flaw}: {said}" for flaw in self.topology.flaws()]
+        found += [f"mesh {self.id}: {flaw}" for flaw in self.topology.flaws()]
         twice = self._twice() if self.topology.edges.open else 0
         if twice:
             found.append(
@@ -255,20 +277,17 @@ class Vertices(Kind):
         off = np.count_nonzero(cosine < _ALIKE)
         if off <= _FEW_TURNED * len(cosine):
             return []
-        told = (
-            "point the other way than its triangles turn"
-            if np.median(cosine) < 0
-            else f"lie more than 20° beside those of the surface at {off} of {len(cosine)} vertices"
-        )
         return [
-            f"mesh {self.id}: the normals of its file {told}: while its shape is unknown it is "
+            f"mesh {self.id}: the normals of its file lie more than 20° beside those of the "
+            f"surface at {off} of {len(cosine)} vertices: while its shape is unknown it is "
             "shaded by those of the surface, so that hard edges look round"
         ]
 
     def _twice(self) -> int:
         """How many vertices have another one that is nearly at their place."""
-        near, _ = cKDTree(self.present).query(self.present, k=2)
-        return int(np.sum(near[:, 1] < _NEARLY * np.ptp(self.present, axis=0).max()))
+        points = self.present[self.topology.used]
+        near, _ = cKDTree(points).query(points, k=2)
+        return int(np.sum(near[:, 1] < _NEARLY * np.ptp(points, axis=0).max()))
 
     def _crossing(self, array: np.ndarray) -> np.ndarray:
         """``crossing``; the last is kept, as a doubt asks for it after an evaluation."""

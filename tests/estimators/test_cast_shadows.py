@@ -22,12 +22,14 @@ from shapes_for_tests import (
     shaped,
 )
 
+from isas_cli import losses
 from isas_cli.config.schema import UnknownConfig
 from isas_cli.estimators import silhouettes
 from isas_cli.estimators.silhouettes import Settings
 from isas_cli.rendering import rays
 from isas_cli.rendering.shadows import Lamps
 from isas_cli.rendering.standing import others
+from isas_cli.runtime.errors import InputError
 
 LAMPS = {
     "ball": {
@@ -238,6 +240,26 @@ def test_triangles_stand_around_a_sphere_and_a_disk(hat, radius, missed):
         near /= np.linalg.norm(following - points, axis=1)
     print("radii from", near.min() / radius, "to 1 +", away)
     assert near.min() / radius > 1 - 1e-5 and away < missed
+
+
+def test_points_are_shared_out_over_lamps():
+    lamps = {f"lamp_{n}": {"type": "point", "position": [n, 1.0, 0.0]} for n in range(3)}
+    emitters = mi.load_dict({"type": "scene", **lamps}).emitters()
+    found = Lamps.draw(emitters, np.zeros(3), 8, rays.stream(mi.UInt32(1), 8))
+    assert np.array(found.density).tolist() == [3, 3, 2, 3, 3, 2, 3, 3]
+
+
+def test_shadows_of_very_many_lamps_are_left_out_or_refused():
+    lamps = {
+        f"lamp_{number}": {"type": "point", "position": [0.02 * number, 4.0, 0.0]}
+        for number in range(257)
+    }
+    p = problem(views=1, side=8, **lamps)
+    assert Settings().shadowed(p) == 0
+    Settings().on(p, losses.L2())
+    assert any("leaves out the edges of the shadows of 25" in line for line in p.warnings)
+    with pytest.raises(InputError, match="at most 256 lamps.*take estimator.shadows=0"):
+        Settings(shadows=64).on(p, losses.L2())
 
 
 def test_what_is_followed_is_said():

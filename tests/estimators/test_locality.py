@@ -145,6 +145,42 @@ def test_a_reach_with_a_camera_that_moves_is_refused():
         Plateau(cards(0.4, pose, ("sensor_000",)), losses.L2(), BATCH)
 
 
+THIN = {"type": "thinlens", "aperture_radius": 0.3, "focus_distance": 3.0}
+
+
+@pytest.mark.parametrize(
+    "sensor, sharp",
+    [
+        (THIN, False),
+        ({"type": "batch", "a": {"type": "orthographic"}, "b": THIN}, False),
+        ({"type": "distant"}, False),
+        ({"type": "radiancemeter"}, True),
+        ({"type": "batch", "a": {"type": "orthographic"}, "b": {"type": "perspective"}}, True),
+    ],
+    ids=["thinlens", "batch of one", "distant", "radiancemeter", "sharp batch"],
+)
+def test_a_reach_where_pixels_see_along_many_rays_is_refused(sensor, sharp):
+    film = {"type": "hdrfilm", "width": 2, "height": 1, "rfilter": {"type": "box"}}
+    if sensor["type"] in ("distant", "radiancemeter"):
+        film["width"] = 1
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 2},
+        "sky": {"type": "constant"},
+        "ball": {"type": "sphere", "radius": 0.1},
+        "eye": stage.camera([0, 0, 3], (0, 0, 0), 45.0, 8),
+        "other": sensor | {"film": film},
+    }
+    pose = PoseConfig(kind="translation", objects=["ball"], directions=[[0, 1, 0]])
+    unknown = UnknownConfig(start=0.0, blur=BlurConfig(start=1, end=1, reach=1))
+    p = without_targets(scene, {KEY: unknown}, {KEY: pose})
+    if sharp:
+        Locality(p, Blur(p, "test"), 8)
+        return
+    with pytest.raises(InputError, match="reach=1: .* pixel of sensor 1 sees: leave reach out"):
+        Locality(p, Blur(p, "test"), 8)
+
+
 def test_a_reach_of_more_sums_than_fit_is_refused():
     with pytest.raises(InputError, match="3 parts times estimator.batch=1000000000 .* smaller"):
         p = cards(0.4)

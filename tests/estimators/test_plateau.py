@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -40,10 +42,20 @@ def references(problem) -> dict[str, np.ndarray]:
     return references_of(problem)
 
 
+@pytest.fixture(scope="module")
+def estimates(problem):
+    """Of each objective and scheme made once: smooth, scheme → ``COUNT`` rows."""
+
+    @functools.cache
+    def of(smooth: str, scheme: str) -> np.ndarray:
+        return rows(made(problem, smooth=smooth, scheme=scheme), problem, COUNT)
+
+    return of
+
+
 @pytest.mark.parametrize("smooth, scheme", crossed(("image", "loss"), ("joint", "separate"), 1))
-def test_unbiased_for_the_objective_it_names(problem, references, smooth, scheme):
-    found = rows(made(problem, smooth=smooth, scheme=scheme), problem, COUNT)
-    assert unbiased(found, references[smooth])
+def test_unbiased_for_the_objective_it_names(estimates, references, smooth, scheme):
+    assert unbiased(estimates(smooth, scheme), references[smooth])
 
 
 @pytest.mark.slow
@@ -188,10 +200,9 @@ def test_pixels_drawn_where_renderings_differ_lower_the_variance(smooth):
     assert np.all(by_chance.var(axis=0) > 1.2 * drawn.var(axis=0))
 
 
-def test_the_two_objectives_differ(problem, references):
+def test_the_two_objectives_differ(estimates, references):
     """What the tests above would notice if one were taken for the other."""
-    found = rows(made(problem, smooth="loss"), problem, 600)
-    assert p_value(found, references["image"]) < LEVEL
+    assert p_value(estimates("loss", "separate"), references["image"]) < LEVEL
 
 
 def test_one_offset_for_residual_and_derivative_is_noticed(problem, references, monkeypatch):

@@ -193,5 +193,5 @@ def test_frozen_kernels_see_every_update_and_nothing_is_nan():
 def test_what_cannot_be_is_refused():
     with pytest.raises(InputError, match="estimator.reflections must be 0 or more, not -1"):
         Settings(reflections=-1)
-    with pytest.raises(InputError, match="have 3 edges.*at most 2: take scene.max_depth=3"):
+    with pytest.raises(InputError, match="have 3 edges.*most 2: take scene.max_depth=3 or more$"):
         Settings(reflections=9).reflected(problem(views=1, side=8, level=1))

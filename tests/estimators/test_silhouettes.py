@@ -518,6 +518,27 @@ def test_meshes_whose_outer_side_is_not_known_are_refused():
             posed(cube)
 
 
+def test_holes_of_what_is_posed_are_told_and_small_ones_leave_it_an_inside():
+    vertices, faces = ball(2, 0.3)
+    vertices = (vertices + np.array([0, 0.5, 0])).astype(np.float32)
+    both = {"type": "twosided", "bsdf": {"type": "diffuse"}}
+
+    def thing(kept: np.ndarray) -> mi.Mesh:
+        normals = meshes.corner_normals(vertices, kept)
+        apart = meshes.from_corners(vertices[kept], np.zeros((0, 2)), normals)
+        return meshes.shape("thing", apart, both)
+
+    bowl = faces[(vertices[faces][..., 1] < 0.55).all(axis=1)]
+    # Whose holes face each other.
+    ring = faces[(np.abs(vertices[faces][..., 1] - 0.5) < 0.2).all(axis=1)]
+    for kept in (faces, faces[1:], bowl, bowl[:, ::-1].copy(), ring, ring[:, ::-1].copy()):
+        told = [each for each in posed(thing(kept)).warnings if "edges are open" in each]
+        assert len(told) == (len(kept) < len(faces))
+        assert all(each.startswith("mesh thing: ") and "biased" in each for each in told)
+    with pytest.raises(InputError, match="'thing' moves, and its normals point inwards"):
+        posed(thing(np.ascontiguousarray(faces[1:, ::-1])))
+
+
 @pytest.mark.parametrize("height, told", [(0.2, True), (0.3, False), (0.5, False)])
 def test_what_passes_through_something_else_is_told(height, told):
     """And what stands on it is not: the line where two meet is an edge of neither."""

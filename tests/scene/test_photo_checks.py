@@ -215,6 +215,21 @@ def test_places_too_far_from_the_origin_are_said(tmp_path):
         assert not doubted or "5.4e+06 units from the origin" in told[0]
 
 
+def test_an_object_that_rays_leave_far_above_its_surface_is_said(tmp_path):
+    """In its unit it is as small as the renderer's own offset, which no picture tells."""
+    for size, said in ((1.0, False), (2e-3, True)):
+        content = photo_sets.transforms(Files(tmp_path, POSES))
+        for frame in content["frames"]:
+            pose = np.array(frame["transform_matrix"], np.float64)
+            pose[:3, 3] *= size
+            frame["transform_matrix"] = pose.tolist()
+        photo_sets.write(tmp_path / "transforms.json", content)
+        asked = PhotosConfig(path=str(tmp_path), mesh=ball(tmp_path, radius=0.4 * size))
+        told = [w for w in photographs.load(asked).warnings if "bounces begin" in w]
+        assert len(told) == said
+        assert not said or "scale the mesh and all cameras up alike" in told[0]
+
+
 def test_a_mesh_whose_picture_is_missing_is_read_quietly(called, tmp_path, caplog):
     """MeshLab's PLY names it; trimesh would log a traceback, which looks like a defect."""
     photo_sets.transforms(Files(tmp_path, POSES))

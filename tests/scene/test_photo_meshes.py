@@ -298,6 +298,21 @@ def test_a_closed_mesh_that_is_inside_out_is_turned(tmp_path, at):
         assert (np.sign((normals * out).sum(axis=1)) == (1 if whole else -1)).all()
 
 
+def test_a_scan_with_small_holes_that_is_inside_out_is_turned(tmp_path):
+    ball = trimesh.creation.icosphere(2)
+    faces = np.delete(ball.faces, [0, 100], axis=0)[:, ::-1]
+    trimesh.Trimesh(ball.vertices, faces, process=False).export(tmp_path / "ball.ply")
+    (found,) = parts(str(tmp_path / "ball.ply")).values()
+    a, b, c = np.moveaxis(found.vertices[found.faces].astype(np.float64), 1, 0)
+    assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) > 0).all()
+    tube = np.abs(ball.vertices[ball.faces].mean(axis=1)[:, 2]) < 0.7
+    faces = ball.faces[tube][:, ::-1]
+    trimesh.Trimesh(ball.vertices, faces, process=False).export(tmp_path / "ball.ply")
+    (found,) = parts(str(tmp_path / "ball.ply")).values()
+    a, b, c = np.moveaxis(found.vertices[found.faces].astype(np.float64), 1, 0)
+    assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) < 0).all()
+
+
 def test_a_mesh_without_coordinates_has_one_colour_which_is_said(tmp_path):
     """And what speaks of textures or materials, and has no effect, is refused."""
     photo_sets.transforms(Files(tmp_path, POSES))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import sys
 from pathlib import Path
 
@@ -11,16 +12,22 @@ import numpy as np
 import pytest
 import trimesh
 from isas_cli.scenes import kirby, meshes
+from PIL import Image
 from scenes_for_tests import without_targets
 from shapes_for_tests import KEY, ball, problem, shaped
+from xml_for_tests import camera, paths
 
+from isas_cli.config import schema
+from isas_cli.config.compose import compose, translate
 from isas_cli.config.schema import OptimizerConfig, UnknownConfig
 from isas_cli.engine import assemble
 from isas_cli.engine.optimiser import Stepper
+from isas_cli.rendering import turntable
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene.mesh_files import upwards
 from isas_cli.scene.shape_error import Sampled, apart
 from isas_cli.scene.topology import Topology
+from isas_cli.unknowns.kind import Surface
 
 MATT = {"type": "diffuse"}
 
@@ -117,6 +124,12 @@ def of(vertices: np.ndarray, faces: np.ndarray):
     return without_targets(scene, {KEY: UnknownConfig(start="smooth")}).unknowns[KEY].kind
 
 
+def test_small_meshes_are_moved_as_finely_as_their_coordinates_are_rounded():
+    vertices, faces = ball(2)
+    kind = of((0.1 * vertices).astype(np.float32), faces)
+    assert kind.scale == pytest.approx(0.1 * np.abs(vertices).max())
+
+
 def two(apart: float) -> tuple[np.ndarray, np.ndarray]:
     vertices, faces = ball(3)
     beside = vertices[:, [1, 2, 0]] + [apart, 0.03, 0.05]
@@ -159,8 +172,12 @@ def test_errors_of_balls_are_known():
     assert abs(found["chamfer"] - 0.1) < 1e-3 and abs(found["hausdorff"] - 0.1) < 3e-3
     assert found["normals"] < 3 and abs(found["volume"] - 1.1**3) < 1e-6
     assert abs(found["overlap"] - 1.1**-3) < 0.02
-    same = apart(Sampled.of(vertices, faces, 7), one)
-    assert same["chamfer"] < 5e-4 and same["normals"] < 0.2
+
+    # Also of more triangles than there are points on either.
+    for level in (4, 6):
+        vertices, faces = ball(level)
+        same = apart(Sampled.of(vertices, faces, 7), Sampled.of(vertices, faces))
+        assert same["chamfer"] < 5e-5 and same["hausdorff"] < 5e-3 and same["normals"] < 0.1
 
 
 def test_folds_and_flaws_are_told():
@@ -170,8 +187,37 @@ def test_folds_and_flaws_are_told():
     crumpled = vertices + np.random.default_rng(1).normal(size=vertices.shape)
     assert whole.folded(crumpled) > 0.1
     assert "3 of its" in Topology.of(vertices, faces[1:]).flaws()[0]
+    assert "gradients biased" in Topology.of(vertices, faces[1:]).flaws()[0]
     doubled = np.concatenate([faces, [[faces[0, 0], faces[0, 1], 99]]])
     assert any("more than two faces" in flaw for flaw in Topology.of(vertices, doubled).flaws())
+
+
+def globe(columns: int = 32, rows: int = 16) -> tuple[np.ndarray, np.ndarray]:
+    """By longitude and latitude: at the poles every other triangle has two corners at one place."""
+    down = np.linspace(0, np.pi, rows + 1)[:, None]
+    around = np.arange(columns) * (2 * np.pi / columns)
+    radius = np.sin(down) * (np.abs(np.cos(down)) < 1)
+    places = radius * np.cos(around), radius * np.sin(around), np.cos(down) + 0 * around
+    vertices = np.stack(places, axis=-1).reshape(-1, 3) + 0.0  # -0 is 0
+    number = np.arange((rows + 1) * columns).reshape(rows + 1, columns)
+    a, b, c, d = number[:-1], number[1:], np.roll(number[1:], -1, 1), np.roll(number[:-1], -1, 1)
+    return vertices, np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+
+
+def test_triangles_with_two_corners_at_one_place_have_no_edges():
+    vertices, faces = globe()
+    whole = Topology.of(vertices, faces)
+    flat = (whole.faces == np.roll(whole.faces, 1, axis=1)).any(axis=1)
+    assert flat.sum() == 64 and whole.flaws() == []
+    edges = whole.edges
+    assert not flat[edges.faces].any() and len(edges.ends) == 3 * (~flat).sum() / 2
+    for side in range(2):  # by the file's own numbers
+        three = np.sort(np.column_stack([edges.ends, edges.across[:, side]]))
+        assert np.array_equal(three, np.sort(whole.faces[edges.faces[:, side]]))
+    assert len(Topology.of(vertices[:1], np.zeros((2, 3), int)).edges.ends) == 1
+    with np.errstate(invalid="ignore"):
+        kind = of(vertices, faces)
+    assert np.ptp(np.linalg.norm(kind.start("sphere", "start"), axis=1)) < 1e-5
 
 
 def described(smooth: bool = True) -> dict:
@@ -217,6 +263,91 @@ def test_a_start_from_a_file_has_the_same_faces(tmp_path):
         kind.start(str(small), "start")
 
 
+def written(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Path:
+    """An OBJ of places and triangles alone."""
+    lines = ["v {} {} {}".format(*each) for each in vertices]
+    lines += ["f {} {} {}".format(*each) for each in faces + 1]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_a_start_like_the_scenes_own_obj(tmp_path, rng):
+    """Mitsuba numbers vertices as faces name them; lines that none names are no vertices to it."""
+    vertices, faces = ball(1)
+    order = rng.permutation(len(vertices))
+    vertices, faces = vertices[order], np.argsort(order)[faces]
+    vertices = np.insert(vertices, 5, [9.0, 9.0, 9.0], axis=0)
+    faces = faces + (faces >= 5)
+    own, other = (written(tmp_path / f"{x}.obj", x * vertices, faces) for x in (1, 0.5))
+    scene = kirby.build(1, 8, 1)
+    scene["figure"] = {"type": "obj", "filename": str(own), "bsdf": MATT}
+    kind = without_targets(scene, {KEY: UnknownConfig(start=str(other))}).unknowns[KEY].kind
+    assert len(kind.present) == 42
+    np.testing.assert_allclose(kind.start(str(other), "start"), 0.5 * kind.present, atol=1e-6)
+
+
+@pytest.mark.parametrize("ending", ["ply", "obj"])
+def test_a_start_with_a_number_that_is_none_is_refused_by_name(tmp_path, ending):
+    kind, path = problem(views=1, side=8).unknowns[KEY].kind, tmp_path / f"start.{ending}"
+    broken = kind.present.copy()
+    broken[7, 1] = np.nan
+    path.write_bytes(kind.files(broken)[ending])
+    with pytest.raises(InputError, match=f"{path}: the position of vertex 7 is not finite"):
+        kind.start(str(path), "start")
+
+
+def test_vertices_that_no_face_names_do_not_count(tmp_path):
+    """Files of cropped meshes keep them."""
+    vertices, faces = ball(2)
+    scene, path = kirby.build(1, 8, 1), tmp_path / "cropped.ply"
+    kept = np.concatenate([vertices, [[50.0, 0, 0], [50.0, 0, 1e-6]]])
+    trimesh.Trimesh(kept, faces, process=False).export(path)
+    scene["figure"] = {"type": "ply", "filename": str(path), "bsdf": MATT}
+    kind = without_targets(scene, {KEY: UnknownConfig(start="smooth")}).unknowns[KEY].kind
+    assert len(kind.present) == len(vertices) + 2
+    np.testing.assert_allclose(kind.start("sphere", "start")[:-2], vertices, atol=1e-3)
+    larger = np.concatenate([3 * kind.present[:-2], kind.present[-2:]])
+    path.write_bytes(kind.files(larger)["ply"])
+    kind.start(str(path), "start")
+    assert any("is 3 times as large as" in line for line in kind.warnings())
+
+
+@pytest.mark.parametrize("unit", [1.0, 200.0])
+@pytest.mark.parametrize("lr", [None, 0.5])
+def test_a_shape_without_a_rate_moves_by_a_share_of_its_size(tmp_path, rng, unit, lr):
+    vertices, faces = ball(2)
+    trimesh.Trimesh(unit * vertices, faces, process=False).export(tmp_path / "figure.ply")
+    figure = '<shape type="ply" id="figure"><string name="filename" value="figure.ply"/></shape>'
+    text = f'<scene version="3.0.0">{paths(2)}{camera()}<emitter type="constant"/>{figure}</scene>'
+    (tmp_path / "scene.xml").write_text(text)
+    given = {KEY: {"start": "smooth"} | ({} if lr is None else {"lr": lr})}
+    words = ["scene=file", f"scene.path={tmp_path / 'scene.xml'}"]
+    words.append(f"scene.unknowns={json.dumps(given)}")
+    made, _, _ = assemble.bare(schema.typed(compose(translate(words))).scene)
+    stepper = Stepper(made.unknowns, OptimizerConfig(schedule="constant"))
+    before = np.array(stepper.values[KEY])
+    gradient = rng.normal(size=before.shape).astype(np.float32)
+    stepper.step({KEY: made.unknowns[KEY].kind.value(gradient)}, 0.0)
+    moved = np.abs(np.array(stepper.values[KEY]) - before).max()
+    assert moved == pytest.approx(lr or 0.002 * unit * 2 * 3**0.5, rel=0.05)
+    assert stepper.rate(0.0) == pytest.approx(moved, rel=1e-3)
+
+
+def test_a_turntable_shows_the_same_in_any_unit(monkeypatch):
+    monkeypatch.setattr(turntable, "_FRAMES", 1)
+    vertices, faces = ball(2)
+
+    def shown(times: float, *more: list) -> np.ndarray:
+        points = np.concatenate([times * vertices, np.reshape(more, (-1, 3))]).astype(np.float32)
+        file = turntable.made({"result": Surface(points, faces, None)})
+        return np.asarray(Image.open(io.BytesIO(file)).convert("RGB"), np.float32)
+
+    plain = shown(1.0)
+    assert plain.std() > 10
+    for other in (shown(3e-3), shown(1e4), shown(1.0, [50.0, 0, 0])):
+        assert np.abs(other - plain).mean() < 2
+
+
 @pytest.mark.parametrize(
     "times, shift, told", [(1, 0.1, None), (1, 30, "lies beside"), (3, 0, "is 3 times as large as")]
 )
@@ -253,7 +384,7 @@ def test_the_result_keeps_texture_coordinates(tmp_path):
     np.testing.assert_allclose(read.visual.uv, upwards(found), atol=1e-5)
 
 
-def test_hard_edges_and_normals_turned_inside_out_are_told():
+def test_hard_edges_are_told():
     assert not any("normals of its file" in line for line in of(*ball(2)).warnings())
     cube = trimesh.creation.box()
     apart = meshes.from_corners(
@@ -265,5 +396,16 @@ def test_hard_edges_and_normals_turned_inside_out_are_told():
     kind = without_targets(scene, {KEY: UnknownConfig(start="smooth")}).unknowns[KEY].kind
     (line,) = (line for line in kind.warnings() if "normals of its file" in line)
     assert "lie more than 20° beside those of the surface" in line and "look round" in line
-    kind._given = -kind._given
-    assert any("the other way than its triangles turn" in line for line in kind.warnings())
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_normals_that_point_the_other_way_than_triangles_turn_are_refused(side):
+    """As where to_world mirrors: the shape's own are those of its triangles, and it was black."""
+    to_world = mi.ScalarTransform4f().scale([side, 1, 1])
+    scene = kirby.build(1, 8, 1) | {"figure": {"type": "cube", "to_world": to_world, "bsdf": MATT}}
+    if side > 0:
+        without_targets(scene, {KEY: UnknownConfig(start="smooth")})
+        return
+    told = "'figure' point the other way than its triangles turn, as where to_world mirrors"
+    with pytest.raises(InputError, match=told):
+        without_targets(scene, {KEY: UnknownConfig(start="smooth")})

@@ -1,4 +1,5 @@
-"""Whether numbers of 32 bits, which a renderer has, tell places apart so far from the origin."""
+"""Whether numbers of 32 bits, which a renderer has, tell places apart so far from the origin, and
+whether rays leave the object near its surface."""
 
 from __future__ import annotations
 
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
 
 # Pixels by which places may lie off.
 _OFF = 0.25
+# Mitsuba's RayEpsilon; and of an object's size, how far above it rays may begin that leave it.
+_EPSILON, _ABOVE = 1500 * 2.0**-24, 0.01
 
 
 def doubts(photographs: "list[Photograph]", surface: Surface | None) -> list[str]:
@@ -22,16 +25,38 @@ def doubts(photographs: "list[Photograph]", surface: Surface | None) -> list[str
         return []
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     middle = (low.astype(np.float64) + high) / 2
+    far = np.abs(middle).max()
+    size = float(np.linalg.norm(high.astype(np.float64) - low))
+    told = above(size, float(far), "the mesh and all cameras")
+    found = [f"the object {told[1]}"] if told else []
     off = [_step(each, middle) for each in photographs]
     if not off or np.median(off) <= _OFF:
-        return []
-    far = np.abs(middle).max()
-    return [
+        return found
+    return found + [
         f"the object lies {far:.3g} units from the origin, where numbers of 32 bits, which a "
         f"renderer has, are {np.spacing(np.float32(far)):.2g} units apart, {np.median(off):.2g} "
         "pixels of the pictures: its shape and the poses are off by as much; take one offset from "
         "the mesh and from all cameras, so that they lie around the origin"
     ]
+
+
+def above(size: float, far: float, what: str) -> tuple[float, str] | None:
+    """Of what is ``size`` units large and lies up to ``far`` from the origin, how far above it rays
+    begin that leave it, as a share of its size, and what should be said of that: Mitsuba has them
+    begin so far along the normal. None where that is little. ``what``: all that is to be moved."""
+    size = max(size, 1e-30)
+    offset = (1 + far) * _EPSILON
+    if offset <= _ABOVE * size:
+        return None
+    how = (
+        f"take one offset from {what}, so that it lies around the origin"
+        if far * _EPSILON > _ABOVE * size
+        else f"scale {what} up alike"
+    )
+    return offset / size, (
+        f"is {size:.2g} units large and up to {far:.2g} from the origin: its shadows and bounces "
+        f"begin {offset:.2g} units above it, {offset / size:.0%} of its size: {how}"
+    )
 
 
 def _step(photograph: "Photograph", middle: np.ndarray) -> float:

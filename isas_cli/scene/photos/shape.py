@@ -122,9 +122,12 @@ def _read(path: str, one: bool, capture: Capture) -> dict[str, Surface]:
 
 
 def _outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The faces of a closed mesh so that its normals point outwards: both sides are shown alike,
-    but a normal map's bumps are glTF's dents on a back."""
-    if not len(faces) or enclosed(vertices[faces]) >= 0 or Topology.of(vertices, faces).flaws():
+    """The faces of a mesh that has an inside so that its normals point outwards: both sides are
+    shown alike, but a normal map's bumps are glTF's dents on a back."""
+    if not len(faces) or enclosed(vertices[faces]) >= 0:
+        return faces
+    topology = Topology.of(vertices, faces)
+    if topology.outward(vertices[topology.first]) >= 0:
         return faces
     return np.ascontiguousarray(faces[:, ::-1])
 
