@@ -12,7 +12,8 @@ import numpy as np
 
 from ..estimators.estimator import Estimator
 from ..rendering import coverage
-from ..rendering.integrators import Paths
+from ..rendering.integrators import Integrator, Paths
+from ..rendering.volume import only_emits
 from ..runtime import backend, guests
 from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
@@ -30,10 +31,12 @@ from .structure import UNLIMITED, clear, longest, statements
 _LADDER = (2, 3, 4, 6, 8)
 _PICKED = 4
 _LIGHTS = (((1, 1), _PICKED), ((4, 4), _PICKED), ((1, 1), 1), ((4, 1), _PICKED))
+# Of a derivative, where none is set and residuals vanish.
+_TOLERANCE = 0.3
 # A budget of so many seconds can pay for a probe, which takes at most this share of it and at most
 # so many seconds.
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
-_FORMAT = 26
+_FORMAT = 27
 
 
 @dataclass(frozen=True)
@@ -108,29 +111,26 @@ def decide(
     seconds: float | None = None,
     earlier: dict | None = None,
     described: str = "",
+    prior: bool = False,
 ) -> Plan:
     """The plan for a run. What is set is done; what is not, a probe measures where ``seconds``, the
     budget, is one of time and can pay for it: with other budgets a run is to be the same on every
     machine. ``earlier``: the record of the plan of a run that goes on. ``described``: the loss in
-    words, for the cache.
+    words, for the cache. ``prior``: whether there is one.
 
     Raises InputError for a plan that the integrator or the estimator cannot follow, and for one
     that drops the only paths to an unknown.
     """
     whole = problem.integrator
-    if not (problem.truth_known or settings.finish):
-        # Residuals stay, and where they vanish with a derivative is not where they do with all.
-        usual = settings.derivative_tolerance == Effects.derivative_tolerance
-        asked = settings.tolerance if usual else settings.derivative_tolerance
+    if settings.derivative_tolerance is None:
+        # Where residuals stay, they balance a prior, or each other, elsewhere than with all.
+        rests = not all(unknown.moves(1.0) for unknown in problem.unknowns)
+        vanish = settings.finish or problem.truth_known and not (prior or rests)
+        asked = _TOLERANCE if vanish else settings.tolerance
         settings = dataclasses.replace(settings, derivative_tolerance=asked)
     follows = whole.cuts and estimator.plannable
     if (settings.cuts or settings.finish) and not follows:
-        who = (
-            f"estimator={estimator.name} leaves the paths to Mitsuba"
-            if whole.cuts
-            else f"the scene's integrator {whole.name} is Mitsuba's and"
-        )
-        raise InputError(f"effects.…: {who} traces them as the scene says: take effects=full")
+        raise InputError(f"effects.…: {_unplannable(whole, estimator)}: take effects=full")
     if settings.derivative_depth is not None and not estimator.replays:
         raise InputError(
             f"effects.derivative_depth={settings.derivative_depth}: estimator={estimator.name} "
@@ -189,6 +189,21 @@ def decide(
     return dataclasses.replace(plan, statements=told)
 
 
+def _unplannable(whole: Integrator, estimator: Estimator) -> str:
+    """Why paths are as the scene has them."""
+    if whole.black_box:
+        return "scene=external has pictures, and no paths"
+    if whole.cuts:
+        who = f"estimator={estimator.name} leaves the paths to Mitsuba, which"
+    elif only_emits(whole.mitsuba):
+        return "a medium that only emits has no part to leave out"
+    elif whole.hide_emitters:
+        who = "hide_emitters, also by photos.background=black, leaves the paths to Mitsuba, which"
+    else:
+        who = f"the scene's integrator {whole.name} is Mitsuba's and"
+    return f"{who} traces them as the scene says"
+
+
 def _as_set(problem: Problem, settings: Effects) -> Paths:
     """All that the scene has, but for what is set; light samples are picked. Raises InputError for
     what it cannot have."""
@@ -212,9 +227,11 @@ def _as_set(problem: Problem, settings: Effects) -> Paths:
     for name, edges in (("max_depth", depth), ("derivative_depth", derivative)):
         if getattr(settings, name) is not None and edges < whole.max_depth:
             if key := _unmet(problem, Paths(edges, edges, caustics=paths.caustics)):
+                limited = whole.max_depth != UNLIMITED
+                most = f", at most the scene's {whole.max_depth}" if limited else ""
                 raise InputError(
                     f"effects.{name}={edges}: no path of so few edges meets '{key}': give "
-                    f"more, at most the scene's {whole.max_depth}"
+                    f"more{most}"
                 )
     if settings.caustics is not None and not whole.samples_lights:
         raise InputError(
@@ -230,10 +247,12 @@ def _as_set(problem: Problem, settings: Effects) -> Paths:
 
 
 def _unmet(problem: Problem, paths: Paths) -> str | None:
-    """The key of an unknown that ``paths`` do not meet."""
+    """The key of an unknown that ``paths`` do not meet, and the scene's own do."""
     # One entry that is met is enough, and none must be overlooked.
-    lost = _lost(problem, paths, np.nextafter(1, 0))[0]
-    unmet = next((key for key, share in lost.items() if share == 1), None)
+    enough = np.nextafter(1, 0)
+    lost = [key for key, share in _lost(problem, paths, enough)[0].items() if share == 1]
+    whole = _lost(problem, problem.integrator.paths, enough)[0] if lost else {}
+    unmet = next((key for key in lost if whole[key] < 1), None)
     if unmet is None and problem.unknowns.moving:
         unmet = coverage.unmoved(problem, _cut_to(problem, paths))
     return unmet
@@ -290,7 +309,7 @@ def _lost(
     """By key: of the entries that a view sees, the share that none of ``paths`` meets, no more
     exactly than whether it is above ``enough``; seconds spent. See ``coverage.missed``."""
     kinds = [u for u in problem.unknowns if u.kind.carried]
-    judged = [u for u in kinds if not u.kind.moves_geometry]
+    judged = [u for u in kinds if not (u.kind.moves_geometry or u.unseen)]
     starts, seen = ({u.key: getattr(u, name) for u in judged} for name in ("lit", "seen"))
     cut, found = _cut_to(problem, paths), ({}, 0.0)
     if judged:
@@ -359,6 +378,14 @@ def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> 
         checks += seconds
         return max(shares.values(), default=0.0)
 
+    def of_seen(found: Cut | None) -> Cut | None:
+        """Without what no view sees: its gradient is zero, of which nothing is a share."""
+        unseen = {unknown.key for unknown in problem.unknowns if unknown.unseen}
+        if found is None or not unseen:
+            return found
+        shares = {key: share for key, share in found.gradient.items() if key not in unseen}
+        return dataclasses.replace(found, gradient=shares)
+
     if surfaces and paths.depth > 1:
         ways = dict.fromkeys(
             (tuple(settings.light_samples or lights), settings.directions or directions)
@@ -375,7 +402,7 @@ def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> 
     ladder = [depth for depth in _LADDER if depth < paths.depth]
     if settings.derivative_depth is None:
         for depth in ladder:
-            found = probe.cut(depth, derivative=True)
+            found = of_seen(probe.cut(depth, derivative=True))
             if found is None:
                 break
             derivatives.append(found)
@@ -385,17 +412,17 @@ def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> 
                     paths = dataclasses.replace(paths, derivative=depth)
                     break
                 derivatives[-1] = dataclasses.replace(found, lost=lost)
-    # What is found by differences beside path replay is not among the shares of gradients.
-    whole = any(unknown.kind.aside for unknown in problem.unknowns)
+    # What paths do not carry, as exposures and cameras, is not among the shares of gradients.
+    whole = any(u.kind.aside or not u.kind.carried for u in problem.unknowns)
     if settings.caustics is None and surfaces and clear(problem) and not whole:
-        caustics = probe.caustics()
+        caustics = of_seen(probe.caustics())
         if caustics and rules.worst(caustics) < settings.tolerance:
             lost = check(dataclasses.replace(paths, caustics=False))
             caustics = dataclasses.replace(caustics, lost=lost)
             paths = dataclasses.replace(paths, caustics=lost > rules.LOST)
     if settings.max_depth is None and not whole:
         for depth in reversed(ladder):
-            found = probe.cut(depth, derivative=False)
+            found = of_seen(probe.cut(depth, derivative=False))
             if found is None:
                 break
             if rules.worst(found) < settings.tolerance and depth < paths.derivative:

@@ -41,6 +41,8 @@ _PATHS_A_VIEW, _SURE, _MOST_PATHS = (1 << 9, 1 << 16), 1 << 12, 1 << 20
 _FAR = (1 << 27) - (1 << 18)
 _WARM_UP = 4  # recordings are steady from the fourth call on
 _BLOCKS, _MOST_ENTRIES = 8, 1 << 16
+# Entries are summed by so many, to no fewer sums, until so many rows make one on average.
+_SUMMED, _LEAST_SUMS, _ALIKE = (1, 4, 16, 64, 256, 1024, 4096), 16, 2.0
 # One-sided, 95 %.
 Z = 1.645
 
@@ -317,25 +319,57 @@ def _some(entries: np.ndarray) -> np.ndarray:
 def gradient_share(part: np.ndarray, whole: np.ndarray) -> Share:
     """‖E part‖/‖E whole‖ from independent rows ``(n, entries)`` of both, paired; the bounds by the
     jackknife. Squared norms of means are means of products of different rows: their noise does not
-    add to them."""
-    n = len(part)
-    gram = [rows.astype(np.float64) @ rows.astype(np.float64).T for rows in (part, whole)]
-
-    def squared(kept: np.ndarray) -> np.ndarray:
-        """‖E …‖² of both, from some of the rows."""
-        inner = [g[np.ix_(kept, kept)] for g in gram]
-        return np.array([(g.sum() - np.trace(g)) / (len(kept) * (len(kept) - 1)) for g in inner])
-
-    every = np.arange(n)
-    own = squared(every)
-    if own[1] <= 0:
+    add to them. But where rows hardly meet in an entry, as of a small lamp behind glass, all that
+    is multiplied is 0, and so is the jackknife's error: the upper bound is then of sums of entries
+    (``_meeting``), or else what holds of any rows, ‖E part‖² ≤ E ‖part‖²."""
+    (own, own_error), (all_, error) = map(_squared_norm, (part, whole))
+    if all_ <= 0:
         return Share(float("nan"), float("inf"))
-    left = np.array([squared(np.delete(every, i)) for i in every])
-    errors = np.sqrt((n - 1) / n * np.sum((left - left.mean(axis=0)) ** 2, axis=0))
-    least, most = (np.maximum(own, 0.0) + sign * Z * errors for sign in (-1, 1))
-    bound = np.sqrt(most[0] / least[1]) if least[1] > 0 else float("inf")
-    low = np.sqrt(max(least[0], 0.0) / most[1])
-    return Share(float(np.sqrt(max(own[0], 0.0) / own[1])), float(bound), float(low))
+    most, meeting = max(own, 0.0) + Z * own_error, _meeting(part)
+    if meeting is None:
+        most = np.inf
+    elif meeting is not part:
+        met, met_error = _squared_norm(meeting)
+        most = max(most, met + Z * met_error)
+    energy = np.sum(part.astype(np.float64) ** 2, axis=1)
+    most = min(most, energy.mean() + Z * energy.std(ddof=1) / len(part) ** 0.5)
+    least = all_ - Z * error
+    bound = np.sqrt(most / least) if least > 0 else float("inf")
+    low = np.sqrt(max(own - Z * own_error, 0.0) / (all_ + Z * error))
+    return Share(float(np.sqrt(max(own, 0.0) / all_)), float(bound), float(low))
+
+
+def _squared_norm(rows: np.ndarray) -> tuple[float, float]:
+    """‖E row‖² from independent ``rows (n, entries)``, and the jackknife's standard error."""
+    gram, n = rows.astype(np.float64) @ rows.astype(np.float64).T, len(rows)
+    products = gram - np.diag(np.diag(gram))
+    value = products.sum() / (n * (n - 1))
+    # Without a row: all products but its own, on either side.
+    left = (products.sum() - 2 * products.sum(axis=0)) / ((n - 1) * (n - 2))
+    return float(value), float(np.sqrt((n - 1) / n * np.sum((left - left.mean()) ** 2)))
+
+
+def _meeting(rows: np.ndarray) -> np.ndarray | None:
+    """``rows (n, entries)`` as the finest sums of neighbouring entries to which several rows give
+    alike; ``rows`` themselves where entries do, None where no sums do. With random signs, which
+    keep the norms of means whatever signs these have."""
+    signed = rows * np.random.default_rng(0).choice(np.float32([-1, 1]), rows.shape[1])
+    sums = rows
+    for size in _SUMMED:
+        if size > 1:
+            starts = np.arange(0, rows.shape[1], size)
+            if len(starts) < _LEAST_SUMS:
+                break
+            sums = np.add.reduceat(signed, starts, axis=1)
+        # By how many rows an entry is made, (Σ x²)² / Σ x⁴, as its part of the whole counts.
+        squares = sums.astype(np.float64) ** 2
+        own, fourth = squares.sum(axis=0), (squares**2).sum(axis=0)
+        if not (total := own.sum()):
+            return sums
+        many = np.divide(own**3, fourth, out=np.zeros_like(own), where=fourth > 0).sum() / total
+        if many >= _ALIKE:
+            return sums
+    return None
 
 
 def _image_share(part: np.ndarray, whole: np.ndarray) -> Share:

@@ -21,7 +21,7 @@ def depth(cuts: Sequence[Cut], tolerance: float, whole: int) -> tuple[int, str]:
     chosen, why = whole, "all that the scene has"
     for each in reversed(cuts):
         bound = worst(each)
-        told = f"longer ones are up to {bound:.2%} of a gradient (95 % bound)"
+        told = f"longer ones are {_of_gradient(bound)}"
         if bound < tolerance and each.lost > LOST:
             told = f"up to {each.lost:.0%} of the entries may be met by longer ones only"
         if not bound < tolerance or each.lost > LOST:
@@ -38,7 +38,7 @@ def derivative(cuts: Sequence[Cut], tolerance: float, whole: int) -> tuple[int, 
     last = cuts[-1]
     if worst(last) < tolerance:
         return whole, f"up to {last.lost:.0%} of the entries may be met by longer ones only"
-    return whole, f"longer than {last.depth} are up to {worst(last):.0%} of a gradient"
+    return whole, f"longer than {last.depth} are {_of_gradient(worst(last))}"
 
 
 def lights(samples: Sequence[Lights]) -> tuple[Lights, str]:
@@ -79,4 +79,10 @@ def caustics(without: Cut, tolerance: float) -> tuple[bool, str]:
     bound = worst(without)
     if bound < tolerance and without.lost > LOST:
         return True, f"up to {without.lost:.0%} of the entries may be met by them alone"
-    return not bound < tolerance, f"up to {bound:.2%} of a gradient (95 % bound)"
+    return not bound < tolerance, _of_gradient(bound)
+
+
+def _of_gradient(bound: float) -> str:
+    if math.isinf(bound):
+        return "an unknown part of a gradient"
+    return f"up to {bound:.2%} of a gradient (95 % bound)"

@@ -18,8 +18,9 @@ class Effects:
 
     What residuals lack, the result lacks: at the truth they are not zero on average. A derivative
     that lacks something only takes another way to where the residuals are zero. Hence two
-    tolerances. Of images from elsewhere residuals stay, and the derivative's usual tolerance is
-    that of residuals, but before a ``finish``.
+    tolerances. Of images from elsewhere, with a prior, or where an unknown rests at the end,
+    residuals stay, and the derivative's tolerance, where none is set, is that of residuals, but
+    before a ``finish``.
     """
 
     probe: bool = True
@@ -30,7 +31,7 @@ class Effects:
     roulette: Optional[int] = None
     caustics: Optional[bool] = None
     tolerance: float = 0.005
-    derivative_tolerance: float = 0.3
+    derivative_tolerance: Optional[float] = None
     finish: float = 0.0
 
     @property
@@ -63,7 +64,8 @@ class Effects:
                 f"is picked from, {_MOST_DIRECTIONS} in all"
             )
         for name in ("tolerance", "derivative_tolerance"):
-            if not 0 <= getattr(self, name) < 1:
-                raise InputError(f"effects.{name}={getattr(self, name)}: a share, in [0, 1)")
+            share = getattr(self, name)
+            if share is not None and not 0 <= share < 1:
+                raise InputError(f"effects.{name}={share}: a share, in [0, 1)")
         if not 0 <= self.finish <= 1:
             raise InputError(f"effects.finish={self.finish}: a share of the budget, in [0, 1]")

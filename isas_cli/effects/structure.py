@@ -10,7 +10,7 @@ from collections import Counter
 
 import mitsuba as mi
 
-from ..rendering.light import shapes_with
+from ..rendering.light import every_shape, shapes_with
 from ..scene.problem import Problem
 
 UNLIMITED = 2**32 - 1  # what Mitsuba makes of max_depth=-1
@@ -20,14 +20,13 @@ def statements(problem: Problem, derivatives: str) -> dict[str, str]:
     """Effect → what is done about it, and why, in the order in which a reader asks.
 
     ``derivatives``: how the estimator gets them, in words."""
-    shapes = problem.scene.shapes()
     depth = problem.integrator.max_depth
     told = {
         "light": _counted([e.class_name() for e in problem.scene.emitters()]),
         "paths": (_depth if problem.integrator.samples_lights else _scatterings)(depth),
         "refraction": _transmission(problem.scene),
         "caustics": _caustics(problem),
-        "media": _media(shapes, problem.integrator.simulates),
+        "media": _media(problem.scene, problem.integrator.simulates),
         "moving silhouettes": _moving(problem.unknowns.moving),
         "colour": "linear RGB, no spectra, no polarisation",
         "derivatives": derivatives,
@@ -95,8 +94,8 @@ def _transmission(scene: mi.Scene) -> str:
     return "not met: no surface lets light through"
 
 
-def _media(shapes: list, simulated: tuple[str, ...]) -> str:
-    if any(shape.is_medium_transition() for shape in shapes):
+def _media(scene: mi.Scene, simulated: tuple[str, ...]) -> str:
+    if any(shape.is_medium_transition() for shape in every_shape(scene)):
         if "media" in simulated:
             return "simulated: shapes are filled"
         return "not simulated: what fills shapes is ignored"

@@ -20,13 +20,15 @@ from .floor import Floor
 
 # How far the outline is from alpha or masks, where shapes or poses are unknown.
 OUTLINE = f"{VALUE_PREFIX}outlines/apart"
+_TOGETHER = 64
 
 
 class Evaluator:
     """Loss, image error and parameter error at given values; never billed.
 
-    Renders a fixed stratified set of ``pixels`` (all of them where there are fewer) with ``spp``
-    paths each, in two independent halves A and B, with the same seeds every time.
+    Renders a fixed stratified set of ``pixels`` (all of them where there are fewer, else drawn by
+    what they count) with ``spp`` paths each, in two independent halves A and B, with the same seeds
+    every time.
 
     ``image_rmse`` is √mean_j,c (A - A*)(B - B*). Where the truth is known, A* and B* are the
     truth rendered with the very same random numbers: the expectation of the product is the
@@ -67,9 +69,16 @@ class Evaluator:
                     )
             counting = counting[counted > 0]
         count = min(pixels, counting.size)
+        # Those drawn by what they count then count alike: in an even draw a single pixel that
+        # counts as much as another view's thousands would be all or nothing.
+        self._weighed = problem.mask is not None and count == counting.size
         rng = np.random.default_rng(streams.seed(seed, 0, "evaluation_place"))
         strata = (np.arange(count) + rng.random(count)) * (counting.size / count)
-        if count < counting.size:
+        if count < counting.size and problem.mask is not None:
+            ends = np.cumsum(counted[counting], dtype=np.float64)
+            strata *= ends[-1] / counting.size
+            counting = counting[np.searchsorted(ends[:-1], strata, "right")]
+        elif count < counting.size:
             counting = counting[np.minimum(strata.astype(np.int64), counting.size - 1)]
         self.pixels = mi.UInt32(counting)
         if windows is not None:
@@ -88,14 +97,22 @@ class Evaluator:
 
     def apart(self, problem: Problem, values: dict) -> float:
         """Root mean square difference of the mean images of ``problem``, the same with another
-        integrator, from this one's; pixels count as in ``image_rmse``."""
+        integrator, from this one's; pixels count as in ``image_rmse``. Of means over pixels that
+        follow each other, where those differ by more: what few paths meet, as light of a small lamp
+        by way of glass, hardly ever comes twice in a pixel."""
         own, other = self._halves(values), self._halves(values, Renderer(problem))
         (a, b), (c, d) = own, other
-        weight = dr.full(mi.Float, 1, dr.width(self.pixels))
-        if self.problem.mask is not None:
-            weight = dr.gather(mi.Float, self.problem.mask, self.pixels)
-        squared = dr.sum(dr.mean((a - c) * (b - d)) * weight) / dr.sum(weight)
-        return math.sqrt(max(0.0, float(squared[0])))
+        weight = np.array(self._weight() + dr.zeros(mi.Float, dr.width(self.pixels)), np.float64)
+        first, second = (weight * np.array(each, np.float64) for each in (a - c, b - d))
+        squared = [0.0]
+        for size in (1, _TOGETHER):
+            starts = np.arange(0, weight.size, size)
+            one, two = (np.add.reduceat(each, starts, axis=1) for each in (first, second))
+            counts = np.add.reduceat(weight, starts)
+            counted = counts > 0
+            products = (one * two).mean(axis=0)[counted] / counts[counted]
+            squared.append(float(products.sum() / counts.sum()))
+        return math.sqrt(max(squared))
 
     def _halves(
         self, values: dict, renderer: Renderer | None = None
@@ -129,9 +146,7 @@ class Evaluator:
         """``loss``, ``image_rmse``, ``parameter_rmse``, ``parameter_rmse/<key>``, and ``value/…``:
         ``_outlines``, ``_scaled`` and ``few``."""
         first, second = self._halves(values)
-        weight = mi.Float(1)
-        if self.problem.mask is not None:
-            weight = dr.gather(mi.Float, self.problem.mask, self.pixels)
+        weight = self._weight()
         squared = dr.sum((first - self.references[0]) * (second - self.references[1])) * weight
         loss = dr.sum(self.loss.measured(first, second, self.target))
         counted, windows = weight, self.loss.windows
@@ -146,6 +161,15 @@ class Evaluator:
         known = self._outlines() | self.parameter_errors(values) | self._scaled(values)
         return result | known | self.few(values)
 
+    def _weight(self) -> mi.Float:
+        """What each of the chosen pixels counts, or 1 for all; of drawn windows, over what the
+        window does, by which it was drawn."""
+        windows, mask = self.loss.windows, self.problem.mask
+        if mask is None or not (self._weighed or windows is not None):
+            return mi.Float(1)
+        own = dr.gather(mi.Float, mask, self.pixels)
+        return own if self._weighed else own / dr.repeat(windows.least(own), windows.count)
+
     def _outlines(self) -> dict[str, float]:
         """``value/outlines/overlap``, where objects move and the truth is known: of the pixels
         whose middles show what moves, now or in truth, the share that do both; or ``OUTLINE``,
@@ -154,9 +178,9 @@ class Evaluator:
             return {OUTLINE: contours.apart(self.problem)}
         if self._moved_in_truth is None:
             return {}
-        now, truth = self._shown(), self._moved_in_truth
-        either = float(dr.sum(mi.Float(now | truth))[0])
-        both = float(dr.sum(mi.Float(now & truth))[0])
+        now, truth, weight = self._shown(), self._moved_in_truth, self._weight()
+        either = float(dr.sum(mi.Float(now | truth) * weight)[0])
+        both = float(dr.sum(mi.Float(now & truth) * weight)[0])
         return {f"{VALUE_PREFIX}outlines/overlap": both / either} if either else {}
 
     def _shown(self) -> mi.Bool:

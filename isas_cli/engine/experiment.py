@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -130,19 +130,25 @@ def _recorder(
     planned: dict | None = None,
 ) -> Iterator["Recorder"]:
     """Everything up to the loop, compiled; no folder is written yet. ``planned``: the effects of a
-    run that goes on."""
+    run that goes on. Afterwards the scene, which a program may hold, has the values that it was
+    loaded with, but for what unknowns rewrite, and no gradients."""
     with Display(budget) as display:
         phases = Phases(display)
         problem = built(typed, phases, [choices])
-        phases.begin("prepare")
-        from .recorder import Recorder
-        from .workshop import Workshop
+        try:
+            phases.begin("prepare")
+            from .recorder import Recorder
+            from .workshop import Workshop
 
-        workshop = Workshop(problem)
-        loop = workshop.loop(choices, typed, budget, planned)
-        phases.begin(None)
-        loop.clock.unbilled_seconds.update(phases.seconds)
-        yield Recorder(cfg, typed, loop, folder, display, workshop.renderer)
+            workshop = Workshop(problem)
+            loop = workshop.loop(choices, typed, budget, planned)
+            phases.begin(None)
+            loop.clock.unbilled_seconds.update(phases.seconds)
+            yield Recorder(cfg, typed, loop, folder, display, workshop.renderer)
+        finally:
+            # Gradients on it would break passes through another one. What failed is told, not this.
+            with suppress(Exception):
+                problem.unknowns.write(problem.unknowns.loaded())
 
 
 def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
@@ -184,7 +190,7 @@ def _tell(recorder: "Recorder") -> None:
     if of_scene := method.taken(recorder.cfg):
         recorder.display.say(f"scene={recorder.cfg.scene.name} takes {' '.join(of_scene)}")
     plan = recorder.loop.plan
-    told = "paths", "differentiated", "caustics", "roulette", "light samples", "finish"
+    told = "paths", "views", "differentiated", "caustics", "roulette", "light samples", "finish"
     for effect in told:
         if not plan.statements.get(effect, "not met").startswith("not met"):
             recorder.display.say(f"{effect}: {plan.statements[effect]}")
@@ -210,7 +216,8 @@ def _announce(recorder: "Recorder", status: str, page: Path) -> None:
         told = ", ".join(f"{what.replace('_', ' ')} {x:.4g}" for what, x in numbers.items())
         say(f"lens of {name}: {told}")
     if recorder.left_out is not None:
-        say(f"left out of the images: {recorder.left_out:.2g} (root mean square)")
+        left = f"{recorder.left_out:.2g}" if recorder.left_out else "less than can be told"
+        say(f"left out of the images: {left} (root mean square)")
     if recorder.profile is not None:
         from .profiling import table
 

@@ -28,7 +28,8 @@ def plan_of(
     # What a clock decides would make other runs differ from machine to machine.
     timed = budget.seconds if budget.iterations is budget.paths is None else None
     how = choices.effects, choices.estimator, choices.loss
-    return decide(problem, *how, timed, planned, str(_told(choices.loss)))
+    prior = choices.prior.on(problem.unknowns) is not None
+    return decide(problem, *how, timed, planned, str(_told(choices.loss)), prior)
 
 
 def _told(choice) -> tuple[str, str]:
@@ -67,7 +68,7 @@ class Workshop:
         how = _told(loss), _told(estimator)
         plan = self._once(
             "plan",
-            (_told(choices.effects), *how, str(budget), str(planned)),
+            (_told(choices.effects), _told(choices.prior), *how, str(budget), str(planned)),
             lambda: plan_of(self.problem, choices, budget, planned),
         )
 

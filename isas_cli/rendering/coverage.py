@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import time
 
 import drjit as dr
@@ -27,6 +28,7 @@ _LANES = 1 << 20
 _LEAST = 1 << 10  # visits of a pass: a meter's single pixel is looked through so often
 _MOST = 1 << 24  # pixels visited; above this a stratified subset of them
 _SAMPLES = 4  # paths a pixel, where all fit into one pass
+_ALONE = _SAMPLES * _LEAST  # paths of a view that is looked through less than ``_LEAST`` times
 # ``missed`` asks first by some paths for each entry, within these numbers, and each time by twice
 # as many, until twice as many show less than this share of what was missed.
 _FIRST, _EACH, _WORTH = (1 << 12, 1 << 16), 4, 0.1
@@ -38,7 +40,7 @@ _DIFFER = 1e-3  # of radiance: more than rounding
 
 
 def fill_in(problem: Problem, seed: int) -> None:
-    """Set ``seen`` of every unknown, from the cache where possible.
+    """Set ``seen`` and ``unseen`` of every unknown, from the cache where possible.
 
     Of what moves geometry, and of what paths do not carry, all entries count. The others are judged
     by what path replay differentiates, at the start values, dark lights lit; where something moves
@@ -54,13 +56,14 @@ def fill_in(problem: Problem, seed: int) -> None:
     judged = replayed(problem)
     arrays = cached(_key(problem, seed), lambda: _judge(problem, judged, seed)) if judged else {}
     for unknown in problem.unknowns:
-        unknown.seen = np.ones(unknown.start.shape, bool)
+        unknown.seen, unknown.unseen = np.ones(unknown.start.shape, bool), False
     some = any(arrays[f"seen{index}"].any() for index in range(len(judged)))
     for index, unknown in enumerate(judged):
         seen = arrays[f"seen{index}"].reshape(unknown.start.shape)
         if seen.any():
             unknown.seen = seen
         elif some and not (unknown.asked or problem.unknowns.moving):
+            unknown.unseen = True
             problem.warnings.append(f"'{unknown.key}': no view sees it: it stays where it starts")
         elif not problem.unknowns.moving:
             by, way = _short(problem.integrator)
@@ -106,7 +109,7 @@ def _key(problem: Problem, seed: int) -> str:
     ]
     masked = "" if problem.mask is None else problem.target_hash
     what = problem.content_hash, unknowns, masked, seed, guests.installed()
-    return "coverage-" + digest("coverage", 8, *what, mi.__version__, THRESHOLD, WELL_SEEN)
+    return "coverage-" + digest("coverage", 9, *what, mi.__version__, THRESHOLD, WELL_SEEN)
 
 
 def _judge(problem: Problem, judged: list[Unknown], seed: int) -> dict[str, np.ndarray]:
@@ -138,7 +141,9 @@ def measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[
     they are taken; all other unknowns stay where they are in the scene.
 
     Two backward passes over all pixels: one with unit adjoint, which is strong for reflectances,
-    and one with random signs, which does not vanish where derivatives of both signs meet.
+    and one with random signs, which does not vanish where derivatives of both signs meet. Views of
+    much fewer pixels than others, through which these hardly look, such as meters beside cameras,
+    have both by themselves as well, and what is larger counts.
     """
     unknowns = problem.unknowns
     total = problem.views.total
@@ -146,19 +151,28 @@ def measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[
     lanes = min(visited, _LANES)
     passes = -(-visited // lanes)
     samples = _SAMPLES if visited <= _LANES else 1
-    run = Pass(problem, lanes)
+    run, alone = Pass(problem, lanes), Pass(problem, _ALONE)
+    stride, start = total / visited, 0
+    # Of each call: its pass, first pixel and stride, and what it counts beside the others.
+    every = [(run, int(i % passes * lanes * stride), stride, 1.0) for i in range(passes * samples)]
+    few = []
+    most = max(width * height for width, height in problem.views.sizes)
+    for width, height in problem.views.sizes:
+        visits = samples * width * height / stride
+        if visits < _LEAST and 16 * width * height < most:
+            few.append((alone, start, width * height / _ALONE, visits / _ALONE))
+        start += width * height
+    parts = [(0, every), (len(every), few)] if few else [(0, every)]
     largest: dict[str, np.ndarray] = {}
-    for signed in (False, True):
+    for signed, (number, calls) in itertools.product((False, True), parts):
         unknowns.attach(unknowns.values_of(values))
         sums: dict[str, np.ndarray] = {}
-        for i in range(passes * samples):
-            chunk, stride = i % passes, total / visited
-            own = streams.seed(seed, 2 * i + signed, "coverage")
-            run(int(chunk * lanes * stride), stride, own, signed)
+        for i, (call, first, apart, share) in enumerate(calls, number):
+            call(first, apart, streams.seed(seed, 2 * i + signed, "coverage"), signed)
             dr.sync_thread()
             for key, gradient in unknowns.taken().items():
                 if key in values:
-                    sums[key] = sums.get(key, 0) + as_numpy(gradient)
+                    sums[key] = sums.get(key, 0) + share * as_numpy(gradient)
         for key in values:
             found = np.abs(sums[key])
             largest[key] = np.fmax(largest[key], found) if key in largest else found

@@ -54,3 +54,6 @@ def test_media_are_not_passed_off_as_simulated():
     medium = {"type": "homogeneous", "albedo": 0.5, "sigma_t": 1.0}
     fog = {"type": "cube", "bsdf": {"type": "null"}, "interior": medium}
     assert "ignored" in plan(fog=fog, lamp={"type": "point", "intensity": 1.0})["media"]
+    group = {"type": "shapegroup", "one": fog}
+    found = plan(group=group, shown={"type": "instance", "of": {"type": "ref", "id": "group"}})
+    assert "ignored" in found["media"]

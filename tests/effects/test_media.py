@@ -72,6 +72,6 @@ def test_nothing_of_a_glow_can_be_left_out():
     render_targets(p, 64)
     plan = decided(p, 60.0)
     assert plan.paths == p.integrator.paths and "nothing scatters" in plan.statements["paths"]
-    with pytest.raises(InputError, match="effects.*take effects=full"):
+    with pytest.raises(InputError, match="effects.*only emits has no part.*take effects=full"):
         decided(p, max_depth=1)
     assert np.isfinite(plan.seconds)

@@ -29,7 +29,7 @@ from isas_cli.engine.evaluate import Evaluator
 from isas_cli.estimators.staged import Staged
 from isas_cli.losses import L2
 from isas_cli.rendering import coverage
-from isas_cli.rendering.integrators import Paths
+from isas_cli.rendering.integrators import Paths, adapt
 from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns import cameras
 
@@ -39,9 +39,9 @@ ONE = {"light_samples": [1, 1], "directions": 1}  # which then are not measured
 ALLOWED = {name: getattr(planning, name) for name in ("_SHARE", "_MOST")}
 
 
-def decided(p, seconds=None, estimator="two_path", crossed=True, **settings):
+def decided(p, seconds=None, estimator="two_path", crossed=True, prior=False, **settings):
     made = configured("estimator", estimator, {} if crossed else {"crossed": False})
-    return effects.decide(p, Effects(**settings), made, L2(), seconds)
+    return effects.decide(p, Effects(**settings), made, L2(), seconds, prior=prior)
 
 
 def furnace(albedo: float, start: float, depth: int):
@@ -113,7 +113,7 @@ def test_a_short_derivative_vanishes_where_the_whole_one_does():
 
 
 def test_where_residuals_stay_a_derivative_lacks_no_more_than_they_do(monkeypatch):
-    """Of images from elsewhere, which nothing meets."""
+    """Of images from elsewhere, which nothing meets; with a prior; where an unknown rests."""
     asked = []
     monkeypatch.setattr(
         planning, "_probed", lambda p, settings, *_: asked.append(settings) or _[-1]
@@ -122,8 +122,17 @@ def test_where_residuals_stay_a_derivative_lacks_no_more_than_they_do(monkeypatc
     for known, more in ((True, {}), (False, {}), (False, {"finish": 0.3})):
         monkeypatch.setattr(type(p), "truth_known", property(lambda _, known=known: known))
         decided(p, 60.0, **more)
-    decided(p, 60.0, derivative_tolerance=0.2)
-    assert [each.derivative_tolerance for each in asked] == [0.3, 0.005, 0.3, 0.2]
+    for typed in (0.2, 0.3):
+        decided(p, 60.0, derivative_tolerance=typed)
+    assert [each.derivative_tolerance for each in asked] == [0.3, 0.005, 0.3, 0.2, 0.3]
+    asked.clear()
+    monkeypatch.setattr(type(p), "truth_known", True)
+    decided(p, 60.0, prior=True)
+    decided(p, 60.0, prior=True, finish=0.3)
+    (unknown,) = p.unknowns
+    unknown.during = (0.0, 0.5)
+    decided(p, 60.0)
+    assert [each.derivative_tolerance for each in asked] == [0.005, 0.3, 0.005]
 
 
 def test_bounds_hold_the_share_as_often_as_they_say(rng):
@@ -138,6 +147,25 @@ def test_bounds_hold_the_share_as_often_as_they_say(rng):
     assert np.all(np.mean(held, axis=0) > 0.9)
     assert gradient_share(np.zeros((12, 50)), whole + np.zeros((12, 50))) == Share(0.0, 0.0)
     assert gradient_share(part + np.zeros((12, 50)), np.zeros((12, 50))).bound == np.inf
+
+
+@pytest.mark.parametrize("hits", (100, 10, 1, 0.2))
+def test_rare_light_is_not_taken_for_none(rng, hits):
+    """A caustic that so many paths of a batch meet, each on another texel: no products meet."""
+    part, entries = 0.16, 8192
+    held = []
+    for _ in range(10):
+        whole = rng.exponential(size=(12, entries))
+        rare = np.zeros_like(whole)
+        for row in rare:
+            met = rng.integers(0, 1000, rng.poisson(hits))
+            np.add.at(row, met, rng.exponential(size=met.size) / hits)
+        rare *= part * np.sqrt(entries * 1000)
+        held.append(not rare.any() or gradient_share(rare, whole + rare).bound > 0.145)
+    assert np.mean(held) > 0.9
+    # What is met by rounding alone is nothing.
+    rounding = 1e-7 * rng.normal(size=(12, 1)) * (rng.random((12, entries)) < 1e-4)
+    assert gradient_share(rounding, 1 + rounding).bound < 1e-6
 
 
 def test_noise_is_compared_entry_by_entry(rng):
@@ -173,7 +201,9 @@ def test_depth_is_the_least_beyond_which_no_unknown_loses_its_share():
 def test_what_is_differentiated_is_the_least_that_loses_no_share_and_no_entry():
     ladder = [rung(2, 0.1, 0.5), rung(3, 0.1, 0.2)]
     assert rules.derivative(ladder, 0.3, 6)[0] == 3
-    assert rules.derivative(ladder, 0.15, 6) == (6, "longer than 3 are up to 20% of a gradient")
+    assert rules.derivative(ladder, 0.15, 6) == (
+        *(6, "longer than 3 are up to 20.00% of a gradient (95 % bound)"),
+    )
     depth, why = rules.derivative([rung(2, 0.1, lost=0.4)], 0.3, 6)
     assert depth == 6 and why.startswith("up to 40% of the entries")
 
@@ -327,6 +357,9 @@ def test_nothing_is_cut_while_differences_need_it(monkeypatch, tmp_path):
     monkeypatch.setattr(p.unknowns[TEXTURE].kind, "aside", "not rightly", raising=False)
     p.target_hash = "another, or the plan would be the one that is kept"
     assert decided(p, 60.0, **loose, **ONE).paths.depth == 4
+    beside = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}, depth=4)
+    monkeypatch.setattr(beside.unknowns[ROUGHNESS].kind, "carried", False, raising=False)
+    assert decided(beside, 60.0, **loose, **ONE).paths.depth == 4, "as beside an exposure"
 
 
 def behind_a_mirror(*more, moves: bool = False):
@@ -386,6 +419,26 @@ def test_a_plan_without_a_path_to_an_unknown_is_refused_or_not_made(monkeypatch,
         assert decided(moving, estimator=estimator, max_depth=2).paths.depth == 2
     moving.unknowns["place"].start[:] = 50.0  # neither is it seen by all paths
     assert decided(moving, estimator="plateau", max_depth=1).paths.depth == 1
+    p.integrator = adapt(mi.load_dict({"type": "prb", "max_depth": -1}))
+    with pytest.raises(InputError, match=f"effects.max_depth=2: .* meets '{WALL}': give more$"):
+        decided(p, max_depth=2)
+
+
+def test_what_no_view_sees_holds_no_plan_up(monkeypatch, tmp_path):
+    """As of a photographed object's parts, which are unknown without being asked for."""
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    hidden, grey = "hidden.bsdf.reflectance.value", {"type": "diffuse", "reflectance": 0.5}
+    far = {"type": "sphere", "center": [0, 50, 50], "radius": 0.01, "bsdf": grey}
+    p = without_targets(dictionary() | {"hidden": far}, {TEXTURE: 0.2, hidden: 0.3})
+    render_targets(p, 16)
+    # Not told so, as where something moves.
+    assert decided(p, max_depth=2).paths.depth == 2
+    assert decided(p, derivative_depth=2).paths.derivative == 2
+    p.unknowns[hidden].asked = False
+    coverage.fill_in(p, 0)
+    assert any(f"'{hidden}': no view sees it" in line for line in p.warnings)
+    found = decided(p, 60.0, tolerance=0.9, derivative_tolerance=0.9, **ONE)
+    assert found.paths.depth < 4 and found.cuts[0].gradient.keys() == {TEXTURE}
 
 
 def test_views_that_see_no_unknown_are_not_drawn_from(monkeypatch, tmp_path):
@@ -433,6 +486,7 @@ def test_views_that_see_no_unknown_are_not_drawn_from(monkeypatch, tmp_path):
         ({"directions": 0}, "effects.directions=0: from 1 to 256"),
         ({"light_samples": [4, 1], "directions": 65}, "effects.directions=65: from 1 to 64"),
         ({"tolerance": 1.0}, "effects.tolerance=1.0"),
+        ({"derivative_tolerance": 1.0}, "effects.derivative_tolerance=1.0"),
         ({"finish": -0.1}, "effects.finish=-0.1"),
     ],
 )
@@ -443,17 +497,18 @@ def test_settings_that_make_no_sense_are_refused(settings, words):
 
 def test_what_leaves_paths_to_mitsuba_cannot_be_planned():
     p = problem({TEXTURE: 0.5}, depth=4)
-    with pytest.raises(InputError, match="estimator=mitsuba leaves the paths to Mitsuba"):
+    with pytest.raises(InputError, match="estimator=mitsuba leaves the paths to Mitsuba, which"):
         decided(p, estimator="mitsuba", max_depth=2)
     assert decided(p, 60.0, estimator="mitsuba").on(p) is p
     with pytest.raises(InputError, match="derivative_depth=2: estimator=plateau differentiates no"):
         decided(p, estimator="plateau", derivative_depth=2)
-    hidden = {"type": "prb", "max_depth": 3, "hide_emitters": True}
-    from isas_cli.rendering.integrators import adapt
-
-    p.integrator = adapt(mi.load_dict(hidden))
-    with pytest.raises(InputError, match="integrator PRBIntegrator is Mitsuba's"):
-        decided(p, light_samples=[2, 2])
+    for integrator, words in (
+        ({"type": "prb", "hide_emitters": True}, "hide_emitters, also by photos.background=black,"),
+        ({"type": "prbvolpath"}, "integrator PRBVolpathIntegrator is Mitsuba's and traces them"),
+    ):
+        p.integrator = adapt(mi.load_dict({"max_depth": 3} | integrator))
+        with pytest.raises(InputError, match=words):
+            decided(p, light_samples=[2, 2])
 
 
 def test_a_staged_run_takes_the_second_estimator_at_the_end():
@@ -487,6 +542,20 @@ def test_a_run_says_what_it_left_out(tmp_path, capsys):
     assert run.summary["left_out_rmse"] > 1e-3
     assert run.manifest["plan"]["max_depth"] == 2 and "50%" in run.manifest["effects"]["finish"]
     assert resumed(tmp_path / "r", "budget.iterations=10").summary["iterations"] == 10
+
+
+def test_rare_light_that_is_left_out_is_told(rng, monkeypatch):
+    """Of which no pixel has any in both halves of an evaluation."""
+    p = problem({TEXTURE: 0.5}, resolution=(64, 64))
+    evaluator = Evaluator(p, L2(), 4096, 4, 1)
+    rare = rng.random((2, 4096)) < 0.03
+    rare[1] &= ~rare[0]
+    bright = [mi.Color3f(*[mi.Float(each.astype(np.float32))] * 3) for each in rare]
+    dark = [dr.zeros(mi.Color3f, 4096)] * 2
+    monkeypatch.setattr(evaluator, "_halves", lambda values, other=None: bright if other else dark)
+    assert evaluator.apart(p, {}) == pytest.approx(0.03, rel=0.3)
+    bright = dark
+    assert evaluator.apart(p, {}) == 0
 
 
 @pytest.mark.parametrize("finish, error", [(0.0, 0.012), (0.0, 0.03), (0.5, 0.012)])
