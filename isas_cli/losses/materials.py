@@ -58,7 +58,7 @@ class Materials(Prior):
             )
         smooth = Smoothness(self.smooth).over(unknowns) if wide and self.smooth else None
         check_factors(unknowns, [*rough, *metal, *(u.key for u in unknowns if u.kind.axes)])
-        factors = {u.key: u.prior for u in unknowns}
+        factors = {u.key: u.weighed for u in unknowns}
         return OnMaterials(self, smooth, metal, rough, factors)
 
 

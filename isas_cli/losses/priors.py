@@ -2,7 +2,7 @@
 
     ℒ'(θ) = ℒ(θ) + weight R(θ),    R = Σ_keys f/K Σ_k ρ(differences of entry k to its neighbours)
 
-f the unknown's own factor (``Unknown.prior``, 1), over the K entries of each key that has
+f the unknown's own factor (``Unknown.weighed``, 1), over the K entries of each key that has
 neighbours: texels along both sides of a texture, of an environment map (which closes on itself
 sideways), channels each by itself. An entry at an open end has no neighbour there. Differences are
 those over the distance of two entries of the whole unknown: where it is coarser for now, they are
@@ -99,7 +99,7 @@ class OfNeighbours(Prior):
             )
         chosen = self.keys or valid
         laid_out = {key: (unknowns[key].start.shape, axes[key]) for key in chosen}
-        return OnNeighbours(self, laid_out, {key: unknowns[key].prior for key in chosen})
+        return OnNeighbours(self, laid_out, {key: unknowns[key].weighed for key in chosen})
 
     def energy(self, steps: list[mi.Float]) -> mi.Float:
         """ρ of every entry from its steps to the next entry along each axis. Traced."""

@@ -51,10 +51,12 @@ class Structure(Loss):
         return self.measured(image, image, target)
 
     def measured(self, a: mi.Color3f, b: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
-        first, second, mean = a - target, b - target, self.windows.mean
-        means = mean(first) * mean(second)
+        windows, both = self.windows, (a - target, b - target)
+        first, second = (windows.mean(each) for each in both)
+        # About the means, as below: a difference of squares has no digits left.
+        apart = [each - windows.each(mean) for each, mean in zip(both, (first, second))]
         below, beneath = self._below(target)
-        return means / below + (mean(first * second) - means) / beneath
+        return first * second / below + windows.mean(apart[0] * apart[1]) / beneath
 
     def derivative(self, image: mi.Color3f, target: mi.Color3f) -> mi.Color3f:
         windows, difference = self.windows, image - target

@@ -87,7 +87,7 @@ def residual(
     for _ in range(paths):
         radiance += rays.radiance(integrator, scene, sensors, films, place, stream)
     target = dr.gather(mi.Color3f, targets, crossing.pixel)
-    adjoint = loss.derivative(radiance / paths, target) * share
+    adjoint = rays.sound(loss.derivative(radiance / paths, target), radiance) * share
     adjoint = rays.masked(adjoint, mask, crossing.pixel)
     adjoint *= films.brightness(crossing.view)
     return dr.select(crossing.valid, adjoint, 0)

@@ -19,12 +19,17 @@ def mis_weight(a: mi.Float, b: mi.Float) -> mi.Float:
     return dr.select(dr.isfinite(w), w, 0)
 
 
+def every_shape(scene: mi.Scene) -> list[mi.Shape]:
+    """Also those in groups, which instances show; some of them twice."""
+    grouped = (each for each in mi.traverse(scene).hierarchy if isinstance(each, mi.Shape))
+    return [*scene.shapes(), *grouped]
+
+
 def shapes_with(scene: mi.Scene, *flags: str) -> list[str]:
     """The names of shapes whose BSDF has one of ``flags``, names of ``mi.BSDFFlags``; also of those
-    in groups, which instances show."""
+    in groups."""
     wanted = [getattr(mi.BSDFFlags, flag) for flag in flags]
-    grouped = (each for each in mi.traverse(scene).hierarchy if isinstance(each, mi.Shape))
-    bsdfs = ((shape.id(), shape.bsdf()) for shape in (*scene.shapes(), *grouped))
+    bsdfs = ((shape.id(), shape.bsdf()) for shape in every_shape(scene))
     own = ((name, bsdf.flags()) for name, bsdf in bsdfs if bsdf is not None)
     found = (name for name, has in own if any(mi.has_flag(has, flag) for flag in wanted))
     return list(dict.fromkeys(found))

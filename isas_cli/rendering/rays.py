@@ -49,6 +49,12 @@ def masked(
     return values * (weight if windows is None else dr.repeat(windows.least(weight), windows.count))
 
 
+def sound(values: mi.Color3f, shown: mi.Color3f) -> mi.Color3f:
+    """``values``, what a loss says of the radiance ``shown``, and NaN where that is not finite:
+    bounded ones would pass for sound. Traced."""
+    return dr.select(dr.all(dr.isfinite(shown)), values, dr.nan)
+
+
 def through(
     sensors: mi.SensorPtr | Lenses,
     views: Views,
@@ -117,11 +123,14 @@ def turn_and_shift(motion: mi.Float, view: mi.UInt32) -> tuple[mi.Vector3f, mi.V
 
 
 def turned(way: mi.Vector3f, turn: mi.Vector3f) -> mi.Vector3f:
-    """``way`` after a rotation about ``turn`` by its length, radians. Traced."""
-    angle = dr.norm(turn)
-    axis = turn / dr.maximum(angle, 1e-20)
-    sine, cosine = dr.sincos(angle)
-    return way * cosine + dr.cross(axis, way) * sine + axis * (dr.dot(axis, way) * (1 - cosine))
+    """``way`` after a rotation about ``turn`` by its length, radians. Traced and differentiable,
+    also where that is 0 and there is no axis."""
+    small = dr.squared_norm(turn) < 1e-8
+    angle = dr.norm(dr.select(small, mi.Vector3f(1, 0, 0), turn))
+    sine = dr.select(small, 1, dr.sin(angle) / angle)
+    half = dr.select(small, 0.5, dr.sin(0.5 * angle) / angle)
+    across = dr.cross(turn, way)
+    return way + sine * across + 2 * dr.square(half) * dr.cross(turn, across)
 
 
 def seeds(seed: int, iteration: int, *purposes: str) -> list[mi.UInt32]:

@@ -128,6 +128,7 @@ def load(
     loaded = [images.load(Path(f), finite=masks is None) for f in paths]
     films = _films(problem)
     read = [_sized(p.image, f"target {f}", *each) for p, f, each in zip(loaded, paths, films)]
+    problem.warnings += images.unheeded(paths, [p.doubt for p in loaded])
     problem.warnings += _blurred(paths, films)
     if grey := [str(each) for each in paths if images.grey(each)]:
         one = len(grey) == 1
@@ -147,7 +148,12 @@ def load(
             raise InputError("scene.masks hide every pixel: at least one must be above 0")
         for path, image, own in zip(paths, read, counts):
             images.check_finite(path, images.emptied(image) & (own > 0))
-    problem.warnings += _clear(paths, read, counts) + _clipped(paths, loaded, counts)
+        problem.warnings += [
+            f"mask {path} hides every pixel: its target counts for nothing"
+            for path, own in zip(masks, counts)
+            if not own.any()
+        ]
+    problem.warnings += _clear(problem, paths, loaded, counts) + _clipped(paths, loaded, counts)
     pixels = np.concatenate([r.reshape(-1) for r in read])
     hashed = hashlib.blake2b(pixels.tobytes(), digest_size=16)
     if mask is not None:
@@ -156,15 +162,26 @@ def load(
     return mi.Float(pixels), device_mask, hashed.hexdigest()
 
 
-def _clear(paths: Sequence[str], read: list[np.ndarray], counts: list[np.ndarray]) -> list[str]:
+def _clear(
+    problem: Problem, paths: Sequence[str], loaded: list[images.Picture], counts: list[np.ndarray]
+) -> list[str]:
     """Colours that are not multiplied by their alpha are, in place: what is not there is black, as
-    where a rendering shows nothing. Says so where such pixels count."""
-    found = []
-    for path, image, own in zip(paths, read, counts):
-        if images.multiplied(path) or (alpha := images.read_alpha(path)) is None:
+    where a rendering shows nothing. Says so where such pixels count; of those that are multiplied
+    where a rendering shows a sky."""
+    found, by = [], problem.integrator
+    sky = problem.scene.environment() is not None and not (by.hide_emitters or by.black_box)
+    for path, picture, own in zip(paths, loaded, counts):
+        image, over = picture.image, images.multiplied(path)
+        if over and not sky or (alpha := images.read_alpha(path)) is None:
             continue
-        image *= alpha[..., None]
-        if (own[alpha < 1] > 0).any():
+        if over:
+            # Mitsuba's prb has none either where it shows a sky.
+            clear = (alpha <= 0) & ~image.any(axis=2)
+        else:
+            image *= alpha[..., None]
+            clear = alpha < 1
+            picture.brightest[clear] = 0
+        if (own[clear] > 0).any():
             found.append(str(path))
     if not found:
         return []
@@ -197,10 +214,10 @@ def _counted(number: int, what: str) -> str:
 
 
 def _films(problem: Problem) -> list[tuple[tuple[int, int], mi.Film | None]]:
-    """Of each view how large it is, and its film, where it has one of its own."""
-    sensors = problem.scene.sensors()
-    own = len(sensors) == len(problem.film_sizes)
-    films = [sensor.film() for sensor in sensors] if own else [None] * len(problem.film_sizes)
+    """Of each view how large it is, and its film, but where pictures are another renderer's."""
+    films = [sensor.film() for sensor in problem.scene.sensors()]
+    if problem.integrator.black_box:
+        films = [None] * len(films)
     return list(zip(problem.film_sizes, films))
 
 

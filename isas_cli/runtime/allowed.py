@@ -4,15 +4,13 @@ else wrote, or a record, must not choose what is imported, nor which program is 
 from __future__ import annotations
 
 import importlib
-import os
 import shlex
 import sys
 from pathlib import Path
 
 from . import guests
 from .errors import InputError
-
-VARIABLE = "ISAS_ALLOW"
+from .guests import ALLOW, listed
 
 
 def named(path: str, own: str, where: str):
@@ -21,10 +19,10 @@ def named(path: str, own: str, where: str):
     lists (names, with commas between), installed or in the present folder. ``where``: the setting.
     Raises InputError."""
     module, _, name = str(path).rpartition(".")
-    others = [*_listed(), *guests.packages()]
+    others = [*listed(), *guests.packages()]
     if not _below(module, [own, *others]):
         raise InputError(
-            f"{where}={path}: would import code that is not isas's own: set {VARIABLE}="
+            f"{where}={path}: would import code that is not isas's own: set {ALLOW}="
             f"{module or path} in the environment if you trust it"
         )
     here = str(Path.cwd())
@@ -42,15 +40,11 @@ def named(path: str, own: str, where: str):
 
 def program(name: str, where: str) -> None:
     """Raises InputError for a program that ISAS_ALLOW does not list by this name."""
-    if name not in _listed():
+    if name not in listed():
         raise InputError(
-            f"{where}: would run a program: set {VARIABLE}={shlex.quote(name)} in the "
+            f"{where}: would run a program: set {ALLOW}={shlex.quote(name)} in the "
             "environment if you trust it"
         )
-
-
-def _listed() -> list[str]:
-    return [each.strip() for each in os.environ.get(VARIABLE, "").split(",")]
 
 
 def _below(module: str, packages: list[str]) -> bool:

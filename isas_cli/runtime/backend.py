@@ -2,8 +2,8 @@
 
 Every module may `import mitsuba` at its top, and be imported before start(), in any order:
 
-- Dr.Jit loads its LLVM library when it is first imported, once per process. Whoever does that,
-  ``llvm.prepare`` finds the library for it.
+- Dr.Jit loads its LLVM library when it is first imported, once per process. Whoever does that
+  after isas_cli was imported, ``llvm.prepare`` finds the library for it.
 - Mitsuba's types exist only once there is a variant. Annotations do not need them, functions run
   later, and modules whose classes derive from one are plugins (``plugin``), which start() imports.
 
@@ -46,9 +46,13 @@ print(name.value.decode(errors="replace"))
 """
 
 
+_EARLIER = "loaded before isas_cli was imported"
+
+
 @dataclass(frozen=True)
 class Backend:
-    """What a process runs on: LLVM's path and version are None for a CUDA variant."""
+    """What a process runs on: LLVM's path and version are None for a CUDA variant, and the path of
+    one that a program had loaded before."""
 
     variant: str
     llvm_path: Path | None
@@ -64,8 +68,8 @@ def start(variant: str = "auto", threads: int = 0) -> Backend:
     `variant`: "auto" takes cuda_ad_rgb where a GPU works, else llvm_ad_rgb. May be called
     again in one process, also for another variant.
     Errors: InputError for a negative number of threads, a variant that does not exist, cannot
-    differentiate or cannot run here, and a machine without LLVM 16 or newer; RuntimeError
-    when Dr.Jit was already imported with another LLVM (a defect of the caller).
+    differentiate or cannot run here, a machine without LLVM 16 or newer, and Dr.Jit imported
+    before isas_cli, with an older one.
     """
     if threads < 0:
         raise InputError(f"threads={threads} is negative: give 0 (one for each core) or more")
@@ -102,6 +106,7 @@ def start(variant: str = "auto", threads: int = 0) -> Backend:
 
 _plugins: dict[str, str | None] = {}  # modules, and the variant that each was imported for
 _device: list[str] = []
+_theirs: list = []  # a program's file resolver, while a scene has its own
 
 
 def device() -> str:
@@ -130,6 +135,44 @@ def _import_plugins() -> None:
             if earlier is not None:
                 importlib.reload(module)
             _plugins[name] = mi.variant()
+
+
+def look_beside(*folders: Path) -> None:
+    """Files of the scene that is loaded next are looked for in ``folders`` as well, the last one
+    first, and no longer where earlier scenes had theirs."""
+    import mitsuba as mi
+
+    if not _theirs:
+        _theirs.append(mi.file_resolver())
+    own = mi.FileResolver(_theirs[0])
+    for folder in folders:
+        own.prepend(str(folder))
+    mi.set_file_resolver(own)
+
+
+@contextmanager
+def lent() -> Iterator[None]:
+    """After the context a program has its variant, if it had set one, its threads and places of
+    files again, if it had Mitsuba imported before; else all threads, and no scene's places."""
+    before: tuple[str | None, int] = None, 0
+    if "mitsuba" in sys.modules:
+        import drjit as dr
+        import mitsuba as mi
+
+        before = mi.variant(), dr.thread_count()
+    try:
+        yield
+    finally:
+        if "mitsuba" in sys.modules:
+            import drjit as dr
+            import mitsuba as mi
+
+            variant, threads = before
+            if variant not in (None, mi.variant()):
+                mi.set_variant(variant)
+            dr.set_thread_count(threads or _every_thread())
+            if _theirs:
+                mi.set_file_resolver(_theirs.pop())
 
 
 @functools.cache
@@ -191,11 +234,31 @@ def _find_gpu() -> tuple[str | None, str]:
 
 
 def _load_llvm() -> llvm.Library:
-    """Find LLVM and tell Dr.Jit, which reads the variable when it is imported."""
-    library = llvm.find()
-    current = os.environ.get(llvm.VARIABLE)
-    if "drjit" in sys.modules and current != str(library.path):
-        raise RuntimeError("drjit was imported before isas_cli: it has loaded its LLVM")
+    """Find LLVM and tell Dr.Jit, which reads the variable when it is imported. What it has loaded
+    by then stays, if it is new enough."""
+    loaded = None
+    if "drjit" in sys.modules:
+        import drjit as dr
+
+        loaded = dr.detail.llvm_version()
+        version = ".".join(map(str, loaded))
+    try:
+        library = llvm.find()
+    except InputError:
+        if loaded is None or loaded[0] < llvm.OLDEST:
+            raise
+        return llvm.Library(None, version, _EARLIER)
+    if loaded is not None:
+        # Of one that Dr.Jit was told of and could not load it has said so.
+        failed = loaded[0] < 0 and os.environ.get(llvm.VARIABLE) == str(library.path)
+        if loaded[0] < llvm.OLDEST and not failed:
+            raise InputError(
+                f"drjit was imported before isas_cli, without LLVM {llvm.OLDEST} or newer: import "
+                f"isas_cli before drjit and mitsuba, or set {llvm.VARIABLE}={library.path} in the "
+                "environment"
+            )
+        if version != library.version and not failed:
+            return llvm.Library(None, version, _EARLIER)
     os.environ[llvm.VARIABLE] = str(library.path)
     return library
 

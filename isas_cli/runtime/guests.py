@@ -4,7 +4,7 @@ They say so by entry points: of the group ``isas.configs``, whose value is a pac
 in folders like those of ``configs/`` (sampler, estimator, loss, prior, filter, effects, scene); of
 ``isas.kinds``, a class of unknowns (``unknowns.kind.Kind``); of ``isas.cameras``, a module that
 reads cameras as those of ``scene/photos`` do. Who installs a package trusts it: what a
-configuration names of a guest's modules is imported.
+configuration names of a guest's modules is imported. So are modules that ISAS_ALLOW lists.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ import contextlib
 import functools
 import hashlib
 import importlib.util
+import os
+import sys
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,7 @@ from typing import Any
 from .errors import InputError
 
 _CODE = "*.py", "*.yaml"
+ALLOW = "ISAS_ALLOW"
 CONFIGS, KINDS, CAMERAS = GROUPS = ("isas.configs", "isas.kinds", "isas.cameras")
 
 
@@ -34,9 +37,15 @@ def packages() -> list[str]:
     return sorted({_package(point) for group in GROUPS for point in points(group)})
 
 
+def listed() -> list[str]:
+    """What the environment variable ISAS_ALLOW lists, modules and programs, as it stands there."""
+    return [each.strip() for each in os.environ.get(ALLOW, "").split(",")]
+
+
 def installed() -> dict[str, str]:
     """Version by name of what is installed, with the code's own digest, ``0.1+3fa92c1d``: who works
-    on a package does not give each change a version."""
+    on a package does not give each change a version. The digest alone of what ISAS_ALLOW lists and
+    this process has imported."""
     found: dict[str, tuple[str, set[str]]] = {}
     for point in (point for group in GROUPS for point in points(group)):
         if point.dist is not None:
@@ -45,7 +54,9 @@ def installed() -> dict[str, str]:
     told = {
         name: (version, "".join(map(_digest, sorted(of)))) for name, (version, of) in found.items()
     }
-    return {name: "+".join(filter(None, both)) for name, both in told.items()}
+    tops = sorted({name.partition(".")[0] for name in listed()} & {*sys.modules})
+    own = {name: digest for name in tops if (digest := _digest(name))}
+    return own | {name: "+".join(filter(None, both)) for name, both in told.items()}
 
 
 def _package(point: EntryPoint) -> str:

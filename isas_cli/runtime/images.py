@@ -11,7 +11,7 @@ import datetime
 import functools
 import os
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +35,8 @@ _INTEGER_FORMATS = {oiio.UINT8: 255.0, oiio.UINT16: 65535.0}
 _FLOAT_FORMATS = (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
 # What readers note of files a part of which is missing or wrong, and fill up.
 _BROKEN = ("premature end", "bad huffman code")
+# How far rounding takes a mask's values out of [0, 1].
+_ROUNDED = 1e-3
 # Endings of files whose colours may be multiplied by alpha.
 _ASSOCIATED = (".exr", ".tif", ".tiff")
 # CIE x and y of red, green, blue and white (ITU-R BT.709), which sRGB has too.
@@ -55,11 +57,13 @@ def srgb_encode(linear: np.ndarray) -> np.ndarray:
 class Picture:
     """``image (H, W, 3) float32``: linear; ``brightest (H, W) float32``: of each pixel the largest
     number that the file has, integers scaled to [0, 1]; ``doubt``: what the file says of its
-    colours that could not be heeded, in words, or None."""
+    colours that could not be heeded, in words, or None; ``stored``: the image, or of light of other
+    primaries the file's own numbers."""
 
     image: np.ndarray
     brightest: np.ndarray
     doubt: str | None
+    stored: np.ndarray
 
 
 def load(
@@ -88,12 +92,51 @@ def load(
     if pixels.shape[2] == 1:
         pixels = np.repeat(pixels, 3, axis=2)
     image = np.ascontiguousarray(pixels, dtype=np.float32)
-    return Picture(image, stored.max(axis=2), doubt)
+    converted = usually and decode is not None and stored.shape[2] == 3
+    return Picture(image, stored.max(axis=2), doubt, stored if converted else image)
 
 
 def read(path: str | Path, finite: bool = True, linear: bool | None = None) -> np.ndarray:
     """The image of `load`, turned."""
     return load(path, finite, linear).image
+
+
+def doubted(path: str | Path, linear: bool | None = None) -> str | None:
+    """`Picture.doubt`, by the file's header where that has it. Raises InputError."""
+    if linear is not None or raw.names(path):
+        return None
+    if heif.names(path):
+        return load(path).doubt
+    decode = srgb_decode if counted(path) else None
+    return profiles.to_linear(profiles.said(Path(path), _header(path)), decode)[1]
+
+
+def unheeded(paths: Sequence[str | Path], doubts: Iterable[str | None]) -> list[str]:
+    """What should be said of files by what of their colours could not be heeded, once for all that
+    say the same, and of those of several parts."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for path, doubt in zip(paths, doubts):
+        if doubt is not None:
+            kind = "sRGB" if counted(path) else "linear Rec. 709"
+            found.setdefault((doubt, kind), []).append(str(path))
+    return [
+        f"{doubt} of {', '.join(files)} cannot be heeded: convert "
+        f"{'it' if len(files) == 1 else 'them'} to {kind}"
+        for (doubt, kind), files in found.items()
+    ] + partly(paths)
+
+
+def partly(paths: Iterable[str | Path]) -> list[str]:
+    """Of EXRs that have several parts, that one is read; once for all that have the same."""
+    found: dict[str, list[str]] = {}
+    for path in paths:
+        if names := _parts(Path(path)):
+            found.setdefault(", ".join(names), []).append(str(path))
+    return [
+        f"{files[0]} {'holds' if len(files) == 1 else f'and {len(files) - 1} more hold'} several "
+        f"parts ({names}), of which the first is read"
+        for names, files in found.items()
+    ]
 
 
 def emptied(image: np.ndarray) -> np.ndarray:
@@ -114,12 +157,17 @@ def read_mask(path: str | Path, turned: bool = True) -> np.ndarray:
     """Reads a mask: (H, W) float32 in [0, 1], the stored values, never decoded from sRGB; of a file
     of whole numbers that holds black and one other colour alone, as programs write what is true and
     labels, the other is white. As much as a pixel is transparent, it is black: programs that cut
-    objects out leave masks whose colour is white all over.
+    objects out leave masks whose colour is white all over. Of a file of alpha alone that is the
+    mask.
 
-    Raises InputError for what `load` refuses, for values outside [0, 1] and for a picture whose
-    channels differ (a photograph given as a mask, most likely).
+    Raises InputError for what `load` refuses, for values outside [0, 1] but for rounding, and for a
+    picture whose channels differ (a photograph given as a mask, most likely).
     """
-    pixels, *_ = _read_colours(Path(path), turned)
+    alone = not heif.names(path) and has_alpha(path) and _header(path).nchannels == 1
+    if alone:
+        pixels = read_alpha(path, turned)[..., None]
+    else:
+        pixels, *_ = _read_colours(Path(path), turned)
     shown = (pixels > 0).any(axis=-1)
     if counted(path) and 0 < shown.sum() < shown.size:
         lit = pixels[shown]
@@ -131,12 +179,13 @@ def read_mask(path: str | Path, turned: bool = True) -> np.ndarray:
             "white where pixels count and black elsewhere, also where colours are labels"
         )
     mask = np.ascontiguousarray(pixels[..., 0], dtype=np.float32)
-    if not ((mask >= 0) & (mask <= 1)).all():
+    if not ((mask >= -_ROUNDED) & (mask <= 1 + _ROUNDED)).all():
         raise InputError(f"{path}: a mask's values have to lie in [0, 1]")
+    mask = np.clip(mask, 0, 1)
     most = mask.max()
     if any(most == np.float32(1) / np.float32(full) for full in _INTEGER_FORMATS.values()):
         mask /= most
-    alpha = read_alpha(path, turned)
+    alpha = None if alone else read_alpha(path, turned)
     if alpha is None or multiplied(path):
         return mask
     return mask * np.clip(alpha, 0, 1)
@@ -513,8 +562,23 @@ def _colour_channels(path: Path, spec: oiio.ImageSpec) -> list[int]:
             return [names.index(name) for name in wanted]
     others = [i for i in range(spec.nchannels) if i not in (_alpha(spec), spec.z_channel)]
     if len(others) not in (1, 3):
-        raise InputError(f"{path}: no channels R, G, B or Y; it has {', '.join(spec.channelnames)}")
+        told = "".join(f"; {line}" for line in partly([path]))
+        names = ", ".join(spec.channelnames)
+        raise InputError(f"{path}: no channels R, G, B or Y; it has {names}{told}")
     return others
+
+
+def _parts(path: Path) -> list[str]:
+    """Names of an EXR's parts, or their numbers, where there are several."""
+    if path.suffix.lower() != ".exr":
+        return []
+    count = _header(path).get_int_attribute("oiio:subimages", 1)
+    if count < 2:
+        return []
+    source = _opened(path)
+    specs = [source.spec(number, 0) for number in range(count)]
+    source.close()
+    return [s.get_string_attribute("oiio:subimagename", str(n)) for n, s in enumerate(specs, 1)]
 
 
 def _alpha(spec: oiio.ImageSpec) -> int | None:

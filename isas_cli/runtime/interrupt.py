@@ -121,8 +121,8 @@ def prompt() -> Iterator[None]:
     """Within the context SIGINT and SIGTERM raise KeyboardInterrupt, wherever that is.
 
     An exception that happens to be raised inside a callback of Dr.Jit's, or while an object is
-    deleted, may come out as another one or not at all: ``asked`` says what it was, and ``check``
-    raises it again.
+    deleted, may come out as another one, which is raised as what it was, or not at all: ``asked``
+    says so, and ``check`` raises it again.
     """
     global _asked
     _asked = False
@@ -142,6 +142,9 @@ def prompt() -> Iterator[None]:
     try:
         with _handled({signal.SIGINT: interrupt, signal.SIGTERM: interrupt}):
             yield
+    except Exception:
+        check()
+        raise
     finally:
         sys.unraisablehook = hook
 
@@ -178,7 +181,9 @@ def _handled(handlers: dict) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    previous = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    # What a program that Python is embedded in has put there could not be put back.
+    own = {n: handler for n, handler in handlers.items() if signal.getsignal(n) is not None}
+    previous = {number: signal.signal(number, handler) for number, handler in own.items()}
     try:
         yield
     finally:

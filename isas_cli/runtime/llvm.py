@@ -59,9 +59,10 @@ elif hasattr(library, "LLVMContextCreate"):
 
 @dataclass(frozen=True)
 class Library:
-    """An LLVM library that was found: its path, its version ("22.1.8"), and why it was taken."""
+    """An LLVM library that was found: its path, None of one that was loaded before; its version
+    ("22.1.8"); and why it was taken."""
 
-    path: Path
+    path: Path | None
     version: str
     origin: str
 

@@ -37,7 +37,7 @@ _ADOBE = "g22_adobergb_scene"
 class Said:
     """What a file says of its numbers: an ``icc`` profile, or the name of a colour ``space``, which
     may have other ``primaries`` than its name tells; ``name``: in words; ``lost``: that it says
-    something which is not known."""
+    something which is not known, or two things that differ."""
 
     icc: bytes | None = None
     space: str | None = None
@@ -49,6 +49,8 @@ class Said:
 def said(path: Path, spec: oiio.ImageSpec) -> Said:
     """Of a file that OpenImageIO has opened, whose colours these are."""
     icc, space = spec.getattribute("ICCProfile"), spec.get_string_attribute("oiio:ColorSpace")
+    if spec.getattribute("pnm:binary") is not None:
+        return Said()  # OpenImageIO calls all of these Rec709, those of light too
     if icc is not None:
         name = spec.get_string_attribute("ICCProfile:profile_description")
         return Said(icc=bytes(bytearray(icc)), name=f"colour profile '{name or 'of no name'}'")
@@ -58,11 +60,16 @@ def said(path: Path, spec: oiio.ImageSpec) -> Said:
     if spec.get_int_attribute("Exif:ColorSpace", 1) == 0xFFFF:
         return _uncalibrated(path)
     primaries = spec.getattribute("chromaticities")
-    if primaries is None and spec.getattribute("CICP") is None:
-        primaries = _primaries(_of_png(path))
     names = {name.upper() for name in spec.channelnames}
     if primaries is None and set("XYZ") <= names and not set("RGB") <= names:
         primaries = _CIE
+    own = space and oiio.ColorConfig.default_colorconfig().get_chromaticities(space)
+    if primaries is not None and own:
+        if not np.allclose(own, primaries, atol=_CLOSE):
+            return Said(lost=True, name=f"colour space {space} beside other primaries")
+        primaries = _PRIMARIES  # said once more
+    if primaries is None and spec.getattribute("CICP") is None:
+        primaries = _primaries(_of_png(path))
     if primaries is not None and not np.allclose(primaries, _PRIMARIES, atol=_CLOSE):
         return Said(None, space or None, tuple(primaries), "the primaries that it names")
     return Said(space=space or None, name=f"colour space {space}")

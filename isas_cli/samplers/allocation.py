@@ -105,10 +105,12 @@ def _excess(key: str, h: mi.Float, moments: Moments) -> mi.Float:
     """
     first, noise = moments.first[key], moments.noise[key]
     signal = dr.sum(dr.square(first)) - dr.sum(noise)
-    # Brought to order one: squares of squared gradients leave float32's range.
+    # Brought to order one, as h is: squares of squared gradients leave float32's range.
     top = dr.maximum(dr.max(noise), 1e-37)
     unsure = top * dr.sqrt(2 * dr.sum(dr.square(noise / top)))
     # From the held h: entries of next to no curvature say nothing about the error.
+    most = dr.maximum(dr.max(h), 1e-37)
+    h = h / most
     error = dr.maximum(signal, unsure) / dr.sum(dr.square(h))
-    rate = dr.opaque(mi.Float, 0.5 * moments.rate[key])
+    rate = dr.opaque(mi.Float, 0.5 * moments.rate[key] / moments.unit) * most
     return rate * dr.sqrt(moments.second[key]) / dr.maximum(h * error, 1e-37)

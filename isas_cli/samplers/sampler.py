@@ -53,20 +53,23 @@ class Stage1Settings:
 
 @dataclass
 class Moments:
-    """Adam's moments by key, one entry per entry of the unknown, flat, in Dr.Jit's order.
+    """Adam's moments by key, one entry per entry of the unknown, flat, in Dr.Jit's order, of ∂ℒ/∂θ
+    over ``unit``, about the size of the largest key's: float32 does not hold the squares of a dim
+    scene's gradients.
 
-    ``first``: mean m of the gradient over all steps, in the unit of ∂ℒ/∂θ. ``noise``: what that
-    mean, over few steps, keeps of the variance of the estimates. ``second``: v̂, what Adam divides
-    by the root of, v / (1 - β₂ᵗ) after t steps. Where the optimiser leaves alone what a batch did
-    not touch, v̂ counts the untouched steps as zeros as long as t is below about 1 / (1 - β₂): the
-    mean square over all steps, which is what a pmf can change. Entries that no batch has touched
-    are 0 in all three. ``rate``: η of each key at present.
+    ``first``: mean m of the gradient over all steps. ``noise``: what that mean, over few steps,
+    keeps of the variance of the estimates. ``second``: v̂, what Adam divides by the root of,
+    v / (1 - β₂ᵗ) after t steps. Where the optimiser leaves alone what a batch did not touch, v̂
+    counts the untouched steps as zeros as long as t is below about 1 / (1 - β₂): the mean square
+    over all steps, which is what a pmf can change. Entries that no batch has touched are 0 in all
+    three. ``rate``: η of each key at present.
     """
 
     first: dict
     second: dict
     noise: dict
     rate: dict
+    unit: float = 1.0
 
 
 class Blurred(NamedTuple):

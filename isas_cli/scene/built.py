@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import SceneConfig
-from ..runtime import allowed
+from ..runtime import allowed, backend
 from ..runtime.errors import InputError, nearest
 from . import instances
 from .photos import building
@@ -20,16 +20,28 @@ from .photos.photographs import Photographs
 
 def description(scene: SceneConfig, taken: Photographs | None = None) -> dict[str, Any]:
     """As ``mitsuba.load_dict`` takes it. ``taken``: the photographs, where the scene is of some.
-    Raises InputError for a builder that is not there, and for arguments that are not its own."""
+    Raises InputError for a builder that is not there or gives no scene, and for arguments that are
+    not its own."""
+    backend.look_beside()
     if taken is not None:
         return building.description(taken, scene.max_depth)
     build = allowed.named(scene.builder, "isas_cli.scenes", "scene.builder")
     _check_arguments(scene, build)
-    dictionary = build(**scene.arguments)
-    if scene.max_depth is not None:
-        integrator = dictionary.get("integrator", {"type": "prb"})
-        dictionary["integrator"] = {**integrator, "max_depth": scene.max_depth}
-    return dictionary
+    made = build(**scene.arguments)
+    if not isinstance(made, dict) or made.get("type") != "scene":
+        raise InputError(
+            f"scene.builder={scene.builder}: gives no scene: it is to return a dictionary of type "
+            "'scene', as mitsuba.load_dict takes it"
+        )
+    if scene.max_depth is None:
+        return made
+    integrator = made.get("integrator", {"type": "prb"})
+    if not isinstance(integrator, dict):
+        raise InputError(
+            f"scene.max_depth={scene.max_depth}: scene.builder={scene.builder} has made its "
+            "integrator already: it is to give a dictionary that describes it"
+        )
+    return {**made, "integrator": {**integrator, "max_depth": scene.max_depth}}
 
 
 def told(value: Any) -> str:
@@ -56,10 +68,15 @@ def load(dictionary: dict[str, Any]) -> mi.Scene:
 
 def _check_arguments(scene: SceneConfig, build: Callable) -> None:
     """All that the builder asks for, nothing else, each of its type, whole numbers from 1 on."""
-    kinds = typing.get_type_hints(build)
-    wanted = inspect.signature(build).parameters
+    try:
+        kinds = typing.get_type_hints(build)
+    except Exception:  # of names that are known inside of it only
+        kinds = {}
+    every = inspect.signature(build).parameters
+    wanted = {n: p for n, p in every.items() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)}
+    takes_any = any(p.kind is p.VAR_KEYWORD for p in every.values())
     for name, value in scene.arguments.items():
-        if name not in wanted:
+        if name not in wanted and not takes_any:
             raise InputError(f"scene.arguments.{name}: no such argument; {nearest(name, wanted)}")
         kind = kinds.get(name)
         if kind is int and (not isinstance(value, int) or isinstance(value, bool) or value < 1):

@@ -41,6 +41,8 @@ _PYTHON = {"phong": mi.ObjectType.BSDF} | dict.fromkeys(
 _VALUES = {"default", "boolean", "integer", "float", "string"}
 # What of a material is its colour, as a picture.
 _COLOURS = ".base_color", ".reflectance", ".diffuse_reflectance", ".diffuse"
+# Of bitmaps, what plugins make of them.
+_TAKEN = {"YA": "Y", **dict.fromkeys(("RGBA", "XYZ", "XYZA"), "RGB")}
 # Plugins that Mitsuba has not: where they are registered, and what their files need.
 _OURS = {"phong": "isas_cli.scene.phong", "emission": "isas_cli.rendering.emission"}
 # Names what an export has brought into its folder.
@@ -62,11 +64,6 @@ def write(
     ``arrays``: the unknowns' values by key. Raises InputError where ``folder`` cannot be written,
     and for what Mitsuba's format cannot hold.
     """
-    if scene.name == "external":
-        raise InputError(
-            "scene=external: another renderer's result is its parameters, no scene for Mitsuba: "
-            "isas_cli.load(DIR).parameters() has them"
-        )
     photos = scene.photos
     named = scene.path, photos.mesh, photos.environment, photos.texture
     _check_apart(folder, [each for each in named if isinstance(each, str)])
@@ -141,7 +138,13 @@ def _write(
 
 
 def _taken(scene: SceneConfig) -> Photographs | None:
-    """Its photographs, where it is of some; once all plugins are there."""
+    """Its photographs, where it is of some; once all plugins are there. Raises InputError for a
+    renderer that is none of Mitsuba's."""
+    if scene.name == "external":
+        raise InputError(
+            "scene=external: another renderer's result is its parameters, no scene for Mitsuba: "
+            "isas_cli.load(DIR).parameters() has them"
+        )
     for module in _OURS.values():
         importlib.import_module(module)
     return None if scene.photos.path is None else photographs.load(scene.photos)
@@ -156,7 +159,10 @@ def _filled(
     """The scene with the result in it, what it was made from, what was unknown of it, and views
     with unknowns of their own, each with the number of its first."""
     with backend.loading():
-        loaded, made_from = instances.instantiate(*parsed())
+        settings, state = parsed()
+        # Whoever reads texels takes them for linear, which bytes are not.
+        instances.in_floats(state, every=True)
+        loaded, made_from = instances.instantiate(settings, state)
     unknowns, views = _unknowns(scene, taken, loaded)
     # A run that was stopped may have left a coarse version.
     whole = unknowns.arrays(unknowns.recorded(arrays))
@@ -188,6 +194,7 @@ def _parser(scene: SceneConfig, taken: Photographs | None, folder: Path) -> Call
 
     def parsed() -> tuple:
         state = mi.parser.parse_dict(settings, described)
+        instances.in_floats(state)
         for node in state.nodes:
             if node.type == mi.ObjectType.Unknown:
                 node.type = _PYTHON.get(node.props.plugin_name(), node.type)
@@ -212,8 +219,10 @@ def _as_files(described: dict[str, Any], folder: Path, name: str) -> dict[str, A
             whole = mi.Bitmap(value)
             if described.get("raw", False):
                 whole.set_srgb_gamma(False)
-            # Linear, of whole numbers as of others, as the plugin has it.
-            pixels = np.array(whole.convert(None, mi.Struct.Type.Float32, False), np.float32)
+            # As plugins have it: linear, of whole numbers as of others, and without alpha.
+            form = _TAKEN.get(whole.pixel_format().name)
+            form = form and getattr(mi.Bitmap.PixelFormat, form)
+            pixels = np.array(whole.convert(form, mi.Struct.Type.Float32, False), np.float32)
             pixels = pixels[..., None] if pixels.ndim == 2 else pixels
             found["filename"] = str(folder / f"{name}.exr")
             images.write_exr(found["filename"], pixels, channels(pixels), {"what": name})

@@ -28,6 +28,8 @@ def reduce(params: mi.SceneParameters, unknown: set[str]) -> list[str]:
             continue
         if least is None or value.shape[0] * value.shape[1] <= least[0] * least[1]:
             continue
+        if min(value.shape[:2]) < 2:  # which Mitsuba does not change
+            continue
         texels = as_numpy(value)
         if np.all(texels == texels[0, 0]):
             params[key] = type(value)(np.broadcast_to(texels[0, 0], (*least, texels.shape[2])))

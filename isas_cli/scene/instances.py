@@ -55,14 +55,14 @@ def instantiate(settings: mi.parser.ParserConfig, state: mi.parser.ParserState) 
     return made, origin
 
 
-def in_floats(state: mi.parser.ParserState) -> None:
+def in_floats(state: mi.parser.ParserState, every: bool = False) -> None:
     """Have bitmaps hold their files' numbers as they are, in single precision, where whole ones are
-    not asked for, which have no derivative: by default Mitsuba keeps bytes and halves, and Adam
-    steps a copy of halves."""
+    not asked for, which have no derivative, or ``every`` one: by default Mitsuba keeps bytes and
+    halves, and Adam steps a copy of halves."""
     for node in state.nodes:
         if node.props.plugin_name() != "bitmap" or not {"filename", "bitmap"} & set(node.props):
             continue
-        if node.props.get("format", "auto") in ("auto", "fp16", "float16"):
+        if every or node.props.get("format", "auto") in ("auto", "fp16", "float16"):
             node.props["format"] = "variant"
 
 

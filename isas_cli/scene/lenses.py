@@ -25,7 +25,7 @@ def of(scene: mi.Scene, views: range, written: Iterable[str] = ()) -> mi.SensorP
     cannot be frozen and all kinds are known here, else Mitsuba's. ``written``: the parameters that
     unknowns change; where a camera has one, all stay Mitsuba's."""
     sensors = [scene.sensors()[number] for number in views]
-    films = [_side_by_side(sensor) for sensor in sensors]
+    films = [side_by_side(sensor) for sensor in sensors]
     cameras = [camera for film in films for camera in film]
     kinds = {camera.class_name() for camera in cameras}
     places = tuple(f"{sensor.id()}." for sensor in sensors)
@@ -162,7 +162,7 @@ def _numbers(camera: mi.Sensor) -> np.ndarray:
     return np.concatenate([np.asarray(found[name], np.float64) for name in _SIZES])
 
 
-def _side_by_side(sensor: mi.Sensor) -> list:
+def side_by_side(sensor: mi.Sensor) -> list:
     """The cameras in a sensor's film, from left to right."""
     if sensor.class_name() != _BATCH:
         return [sensor]

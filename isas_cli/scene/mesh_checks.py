@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 SMALLEST_AREA = 1e-12
 _BARE = ("SDFGrid",)  # shapes of Mitsuba's without texture coordinates
 # Repeats of an unknown texture beyond this count are taken for damage, not for tiling; of others,
-# which may be in metres, from where float32 tells no fraction of a texel.
+# and before to_uv, coordinates may be in metres, up to where float32 tells no fraction of a texel.
 LARGEST_TEXCOORD, LARGEST_UNUSED = 1000.0, 1e6
 # Of an OBJ file that has coordinates for only some faces, Mitsuba leaves the others' as they lie in
 # memory.
@@ -136,23 +136,23 @@ def check_scene(scene: mi.Scene, textures: dict[str, mi.Texture]) -> list[str]:
         texcoords = np.zeros((0, 2), np.float32)
         if shape.has_vertex_texcoords():
             texcoords = np.array(values["vertex_texcoords"]).reshape(-1, 2)
-        unknown = _textures_of(values, textures)
-        largest = LARGEST_TEXCOORD if unknown else LARGEST_UNUSED
-        check_values(vertices, texcoords, faces, name, largest)
+        check_values(vertices, texcoords, faces, name, LARGEST_UNUSED)
         flat = degenerate(vertices, faces)
         if flat.size:
             warnings.append(
                 f"mesh {name}: {flat.size} of {len(faces)} triangles have no area, the first is "
                 f"triangle {flat[0]}: no view can show them"
             )
-        for key, place in unknown:
+        for key, place in _textures_of(values, textures):
             if not len(texcoords):
                 raise InputError(
                     f"mesh {name} has no texture coordinates, which '{key}' needs: unwrap it "
                     "before it is exported"
                 )
             matrix = np.array(values[f"{place}.to_uv"].matrix, np.float64)
-            charts[key][name] = (texcoords @ matrix[:2, :2].T + matrix[:2, 2])[faces]
+            placed = texcoords @ matrix[:2, :2].T + matrix[:2, 2]
+            check_values(vertices, placed, faces, name)
+            charts[key][name] = placed[faces]
             places[name] = vertices, faces
     return warnings + [text for keys, own in _alike(charts) for text in _shared(own, places, keys)]
 

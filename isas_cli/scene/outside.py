@@ -26,7 +26,8 @@ _OWN = ("out", "seed", "view", "width", "height")
 
 
 class Outside:
-    """``values``: of the parameters now, float32, by name; ``sizes``: of the films."""
+    """``values``: of the parameters now, float32, by name; ``sizes``: of the films; ``warnings``:
+    what should be said of the first file that a command wrote."""
 
     def __init__(self, settings: ExternalConfig):
         self.settings = settings
@@ -35,6 +36,8 @@ class Outside:
         self.sizes = [(settings.width, height)] * settings.views
         self._render = self._called() if settings.function else self._commanded()
         self._pictures: dict[tuple, np.ndarray] = {}
+        self.warnings: list[str] = []
+        self._unasked = True
 
     def picture(self, view: int, seed: int) -> np.ndarray:
         """``(H, W, 3) float32``, linear, at the present values. Raises InputError for what is no
@@ -137,7 +140,13 @@ class Outside:
                 raise InputError(f"{self.where}: ends with {done.returncode}: {last}")
             if not out.is_file() or out.open("rb").read(len(_EXR)) != _EXR:
                 raise InputError(f"{self.where}: writes no EXR as {{out}}: {last}")
-            return images.read(out, finite=False)
+            picture = images.load(out, finite=False)
+            if self._unasked:
+                self._unasked = False
+                found = images.unheeded([out], [picture.doubt])
+                said = [line.replace(str(out), "{out}") for line in found]
+                self.warnings = [f"{self.where}: {line}" for line in said]
+            return picture.image
 
     def _filled(self, word: str, told: dict[str, str]) -> str:
         def value(found: re.Match) -> str:

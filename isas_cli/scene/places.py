@@ -12,6 +12,7 @@ from ..records import safe_name
 from ..runtime import images
 from ..runtime.errors import InputError
 from ..unknowns.parameters import as_numpy
+from ..unknowns.ranges import role
 from .file_checks import read_bounds, write_bounds
 
 # What tells its index of refraction as one inside and one outside.
@@ -150,7 +151,7 @@ class Place:
         pixels = as_numpy(self.value)
         # An environment map repeats its first column and its last.
         pixels = pixels[:, 1:-1] if isinstance(self.owner, mi.Emitter) else pixels
-        data = "normalmap" in self.key.split(".")
+        data = not role(self.params, self.key)
         images.write_exr(path, pixels, channels(pixels), {"what": self.key}, data)
         return self._file(path)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import mitsuba as mi
 
-from ..runtime import backend
+from ..runtime import backend, memory
 from ..runtime.errors import InputError
 from . import file_checks, instances
 
@@ -49,7 +49,7 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str
     one it has the integrator says, as ``stands_for``: see ``stand_ins``.
     Raises InputError when the file is missing, cannot be loaded, or holds no scene.
     """
-    with _said(path):
+    with said(f"scene.path={path}"):
         settings, state = parse(path)
         own = _unwrapped(state, path)
         kind = own[0].props.plugin_name() if own else None
@@ -72,7 +72,7 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str
 def simulated(path: str, max_depth: int | None) -> dict:
     """The integrator that replays the paths of an XML file, as ``mitsuba.load_dict`` takes it.
     Raises InputError like ``load``."""
-    with _said(path):
+    with said(f"scene.path={path}"):
         _, state = parse(path)
         return _integrator(_unwrapped(state, path), state, path, max_depth)
 
@@ -91,9 +91,8 @@ def parse(path: str) -> tuple[mi.parser.ParserConfig, mi.parser.ParserState]:
     settings = mi.parser.ParserConfig(mi.variant())
     settings.merge_equivalent = settings.merge_meshes = False
     # Of a link first what is beside it.
-    for folder in dict.fromkeys((file.resolve().parent, file.absolute().parent)):
-        mi.file_resolver().prepend(str(folder))
-    with _said(path):
+    backend.look_beside(*dict.fromkeys((file.resolve().parent, file.absolute().parent)))
+    with said(f"scene.path={path}"):
         state = mi.parser.parse_file(settings, str(file))
         # Older versions call properties otherwise.
         mi.parser.transform_upgrade(settings, state)
@@ -108,16 +107,19 @@ def parse(path: str) -> tuple[mi.parser.ParserConfig, mi.parser.ParserState]:
 
 
 @contextmanager
-def _said(path: str) -> Iterator[None]:
-    """Raises what Mitsuba has to say of the file as InputError."""
+def said(where: str) -> Iterator[None]:
+    """Raises what Mitsuba has to say of a scene as InputError that begins with ``where``; not that
+    memory is full."""
     try:
         yield
     except (RuntimeError, ValueError, OSError) as error:
+        if memory.exhausted(error):
+            raise
         # Mitsuba begins with a place in its own source.
         text = re.sub(r"^\[\w+\.cpp:\d+\] ", "", " ".join(str(error).split()))
         if _SPECTRAL in text and "wavelength" not in text:  # which a polarized material asks for
             text += " (isas renders red, green and blue: give this colour as <rgb>)"
-        raise InputError(f"scene.path={path}: Mitsuba cannot load it: {text}") from error
+        raise InputError(f"{where}: Mitsuba cannot load it: {text}") from error
 
 
 def _contents(node) -> str:

@@ -13,6 +13,8 @@ from .texture import Texture
 
 # Of a normal of unit length, its part along the surface's own: a step may not turn it under.
 _UP = 1e-2
+# What is shorter is no direction.
+_SHORT = 1e-3
 
 
 class Bumps(Texture):
@@ -22,7 +24,6 @@ class Bumps(Texture):
     """
 
     name = "normal map"
-    colours = False
     all_of = 0.0, 1.0
 
     @classmethod
@@ -42,6 +43,13 @@ class Bumps(Texture):
         length = np.linalg.norm(directions, axis=2, keepdims=True)
         unit = np.divide(directions, length, out=np.zeros_like(directions), where=length > 0)
         return ((unit + 1) / 2).astype(np.float32)
+
+    def refusal(self, array: np.ndarray) -> str | None:
+        lengths = np.linalg.norm(2 * array.astype(np.float64) - 1, axis=2)
+        # Files have such texels where nothing shows them.
+        if np.mean(lengths < _SHORT) <= 0.5:
+            return None
+        return "a normal of no length: give [0.5, 0.5, 1], which is flat"
 
     def projected(self, leaf):
         normal = 2 * dr.unravel(mi.Vector3f, leaf.array) - 1

@@ -31,7 +31,7 @@ class Direction(Kind):
         super().__init__(key, loaded)
         read, self.present = self.present, self.normal(self.present)
         self.rewrites |= not np.array_equal(read, self.present)
-        self.range, self.unit = (-np.inf, np.inf), "radians"
+        self.range, self.unit, self.scale = (-np.inf, np.inf), "radians", 1.0
 
     def write(self, leaf, written: dict) -> None:
         written[self.key] = dr.normalize(leaf)

@@ -29,6 +29,7 @@ class Environment(Kind):
     def __init__(self, key: str, loaded: Loaded):
         super().__init__(key, loaded)
         self.unit = "radiance"
+        self.turned = 'filename = "' not in str(owner(loaded.params, key))
         self._whole = self.present.shape
         self.present = self.present[:, 1:-1].copy()
         # For each entry of the map: which of the texels stands there.

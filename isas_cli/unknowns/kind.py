@@ -9,6 +9,7 @@ the defaults get wrong. ``registry.register`` makes a kind known; nothing else n
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
@@ -75,7 +76,7 @@ class Kind:
     materials, lights and media that take the parameter's numbers call them.
     ``unit``: of its error, a word for reports; errors of one unit may be averaged. ``period``:
     after which a value means the same again, or None. ``scale``: the size, in its unit, of what it
-    is added to in the scene, whose rounding limits how finely it can be moved.
+    is added to in the scene, or its own, whose rounding limits how finely it can be moved.
 
     ``moves_geometry``: whether it changes what is visible: path replay cannot differentiate it, and
     no entry of it is ever judged unseen. ``affine``: whether it moves all of an object alike, so
@@ -103,10 +104,11 @@ class Kind:
     why it is not, where estimators take differences of renderings instead, or nothing.
     ``uniform``: whether Adam divides the steps of all entries by one number, and steps go along
     ``smoothed``. ``texture``: whose texels, laid out on meshes, are the unknown; the meshes are
-    checked for it. ``colours``: whether its pictures of three channels show any. ``raw``: whether
-    the scene takes its files' numbers as they are. ``role``:
+    checked for it. ``colours``: whether its pictures show any. ``raw``: whether
+    the scene takes its files' numbers as they are. ``turned``: whether the picture of a start is
+    turned as its Orientation tag asks, which Mitsuba does not ask of its own files. ``role``:
     ``light``, ``colour`` or nothing, see ``Unknowns.traded``. ``doubtful``: whether ``doubt`` may
-    have something to say.
+    have something to say. ``unheeded``: of the file it starts at, in words.
     """
 
     name: ClassVar[str] = "parameter"
@@ -129,6 +131,7 @@ class Kind:
     texture: mi.Texture | None = None
     colours: bool = True
     raw: bool = False
+    turned: bool = True
     uniform: bool = False
     doubtful: bool = False
     doublings: int = 0
@@ -138,6 +141,7 @@ class Kind:
     carried: bool = True
     aside: str = ""
     role: str = ""
+    unheeded: Sequence[str] = ()
 
     @property
     def source(self) -> str:
@@ -172,6 +176,9 @@ class Kind:
         kept = np.where(legal, np.clip(self.present, low, high), self.present).astype(np.float32)
         self.rewrites = not np.array_equal(kept, self.present, equal_nan=True)
         self.present = kept
+        if self.range[0] >= 0 and self.range[1] == np.inf:
+            # A light or a density, which is added to nothing: in its unit it may be small.
+            self.scale = min(1.0, float(np.abs(kept).max(initial=0.0))) or 1.0
         self.role = role(loaded.params, key)
         self.words = frozenset(word for _, word, _ in fed(loaded.params, key))
 
@@ -229,9 +236,19 @@ class Kind:
     def start(self, spec: str, where: str) -> np.ndarray:
         """The start that the configuration calls ``spec``: a file. Raises InputError, naming
         ``where``."""
-        picture = images.read(Path(spec), linear=None if self.decoded else True)
+        linear = None if self.decoded else True
+        loaded = images.load(Path(spec), linear=linear, turned=self.turned)
+        self.unheeded = [f"{where}: {line}" for line in images.unheeded([spec], [loaded.doubt])]
+        picture = loaded.image
+        if self.decoded and images.counted(spec):  # a profile's white may be a hair beyond ours
+            picture = np.clip(picture, 0, 1)
         if self.present.shape[-1] == 1 and (picture == picture[..., :1]).all():
             picture = picture[..., :1]
+        if self.texture is not None and 1 in picture.shape[:2]:
+            # Mitsuba holds the only row or column of a texture's file twice.
+            twice = [(0, int(n == 1)) for n in picture.shape[:2]]
+            whole = np.pad(picture, [*twice, (0, 0)], mode="edge")
+            picture = whole if whole.shape == self.present.shape else picture
         if picture.shape != self.present.shape:
             raise InputError(
                 f"{where}: {spec} is {picture.shape}, the parameter {self.present.shape}"

@@ -25,6 +25,7 @@ class Outer(Kind):
         self._outside, self._type = loaded.outside, mi.TensorXf
         self.present = np.atleast_1d(loaded.outside.values[key]).copy()
         self.range, self.unit = (-1e6, 1e6), ""
+        self.scale = min(1.0, float(np.abs(self.present).max(initial=0.0))) or 1.0
 
     def write(self, leaf, written: dict) -> None:
         outside = self._outside

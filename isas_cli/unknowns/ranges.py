@@ -94,6 +94,7 @@ AIMS = ("direction", "_angle", "beam_width")  # where lights shine
 _COLOURS = ("base_color", "reflectance", "albedo", "diffuse", "specular")
 _COLOURS += ("diffuse_reflectance", "specular_reflectance")
 _COLOURS += ("specular_transmittance", "transmittance")
+_GREYS = {("Principled", "specular")}  # of these words, what is a number alone
 
 
 def usual(params: mi.SceneParameters, key: str) -> tuple[float, float, str]:
@@ -151,7 +152,8 @@ def role(params: mi.SceneParameters, key: str) -> str:
     if lit:
         # Where a light points, and how wide, is no brightness.
         return "" if all(word.endswith(AIMS) for word in lit) else "light"
-    return "colour" if any(word in _COLOURS for _, word, _ in ends) else ""
+    own = [word for holder, word, _ in ends if (holder.class_name(), word) not in _GREYS]
+    return "colour" if any(word in _COLOURS for word in own) else ""
 
 
 def _by_attribute(params, shape: mi.Shape, name: str) -> list[tuple[mi.Object, str, float]]:
@@ -226,13 +228,15 @@ def lowest(low: float, least: float, start: np.ndarray) -> float:
 
 
 def around(low: float, high: float, values: np.ndarray) -> str:
-    """``[low, high]``, widened to hold ``values``, to three digits."""
+    """``[low, high]``, widened to hold ``values``, to three digits, or so many that it does not
+    come to 1 or -1: with an index or a phase function's g of that, nothing can be rendered."""
     least, most = (_outward(float(x), up) for x, up in ((values.min(), 0), (values.max(), 1)))
-    return f"[{min(low, least):g}, {max(high, most):g}]"
+    return f"[{min(low, least):.9g}, {max(high, most):.9g}]"
 
 
-def _outward(x: float, up: bool) -> float:
+def _outward(x: float, up: bool, digits: int = 3) -> float:
     if x == 0 or not math.isfinite(x):
         return x
-    unit = 10.0 ** (math.floor(math.log10(abs(x))) - 2)
-    return (math.ceil if up else math.floor)(x / unit) * unit
+    unit = 10.0 ** (math.floor(math.log10(abs(x))) + 1 - digits)
+    found = (math.ceil if up else math.floor)(x / unit) * unit
+    return _outward(x, up, digits + 1) if abs(found) == 1 != abs(x) and digits < 9 else found

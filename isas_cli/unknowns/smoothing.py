@@ -117,6 +117,7 @@ def stable(σ: np.ndarray, values: np.ndarray, scale: np.ndarray | float = 1.0) 
     """``σ`` raised to what single precision can resolve (all ``(D,)``, in the unknown's unit).
 
     θ ± τ is rounded to numbers 2^-23 |θ| apart, and so is what it is added to in the scene, whose
-    size is ``scale``: 1 for a reflectance, the coordinates of what is moved, a radian's degrees.
+    size is ``scale``: 1 for a reflectance, the coordinates of what is moved, a radian's degrees, a
+    lamp's own.
     """
     return np.maximum(σ, _ROUNDINGS * _SPACING * np.maximum(scale, np.abs(values)))

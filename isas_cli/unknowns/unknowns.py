@@ -29,6 +29,7 @@ class Unknown:
     ``lr``: its own learning rate, or None for the optimiser's; ``blur``: of ``sampler=plateau``, or
     None; ``during``: the shares of the budget at which it begins to move, rests, begins again, …;
     ``seen``: which entries some view sees (bool, same shape), filled in by ``coverage``;
+    ``unseen``: whether none sees any of it, so that it stays where it starts: ``seen`` has all;
     ``doubled``: the shares of the budget at which its resolution doubles until it is whole;
     ``schedule``, ``final``: of its rate, or None for what ``OptimizerConfig`` says; ``prior``: a
     factor on the prior's weights; ``speed``: a factor on the optimiser's rate, where it has none of
@@ -50,6 +51,7 @@ class Unknown:
     prior: float = 1.0
     speed: float = 1.0
     asked: bool = True
+    unseen: bool = False
 
     @property
     def key(self) -> str:
@@ -59,6 +61,11 @@ class Unknown:
     def scale(self) -> float:
         """The size, in the unknown's unit, of what it is added to in the scene."""
         return self.kind.scale
+
+    @property
+    def weighed(self) -> float:
+        """The factor on the prior's weights, 0 where no view sees it."""
+        return 0.0 if self.unseen else self.prior
 
     @property
     def paced(self) -> bool:
@@ -133,7 +140,7 @@ class Unknowns:
         self._media = _overlooked(params, written)
         # Mitsuba takes keys for patterns of beginnings, and ids may be any text: 'Cube (1)'.
         params.keep([re.escape(key) + r"\Z" for key in written])
-        self.leaves = self.values_of({u.key: u.kind.present for u in items})
+        self.leaves = self.loaded()
 
     def replaced(self) -> list[tuple[str, str]]:
         """Keys of those whose truth is written otherwise than the file has it, and its hash."""
@@ -236,6 +243,10 @@ class Unknowns:
                 for u in self.items
             }
         )
+
+    def loaded(self) -> dict:
+        """What the scene was loaded with."""
+        return self.values_of({u.key: u.kind.present for u in self.items})
 
     def truths(self) -> dict | None:
         if any(u.truth is None for u in self.items):

@@ -56,6 +56,18 @@ def test_on_a_problem_the_smooth_part_is_smoothness(rng):
     assert np.allclose(np.array(found[ROUGHNESS]), 0.5 * 0.5 * 2 * 0.3)
 
 
+def test_what_no_view_sees_is_not_moved(rng):
+    unknowns = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}).unknowns
+    at = unknowns.starts()
+    at[TEXTURE] = type(at[TEXTURE])(rng.random(at[TEXTURE].shape).astype(np.float32))
+    zero = {key: value * 0 for key, value in at.items()}
+    for unknown in unknowns:
+        unknown.unseen = True
+    made = Materials(smooth=0.7, roughness=0.5, expected=0.2).on(unknowns)
+    assert made.value(at) == 0
+    assert not any(np.array(each).any() for each in made.add(at, zero).values())
+
+
 def test_settings_that_no_unknown_follows_are_said():
     unknowns = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}).unknowns
     assert not Materials(smooth=0.7, roughness=0.5, expected=0.2, metallic=0).on(unknowns).unheeded

@@ -55,6 +55,17 @@ def test_a_bright_window_keeps_its_variance(rng):
     assert found.mean() == pytest.approx(exact.mean(), rel=0.5)
 
 
+def test_an_image_far_from_its_target_keeps_its_variance(rng):
+    """Twice as bright: of a difference of 1000 and a spread of 0.1."""
+    target = (1000 + rng.uniform(-0.1, 0.1, (3, 20, 49))).astype(np.float32)
+    image = (target + 1000 + rng.uniform(-0.1, 0.1, target.shape)).astype(np.float32)
+    found = np.array(Structure().value(colours(image), colours(target)))
+    d, t = image.astype(np.float64) - target, target.astype(np.float64)
+    exact = d.mean(-1) ** 2 / (2 * t.mean(-1) ** 2 + 0.01**2)
+    exact += d.var(-1) / (2 * t.var(-1) + 0.03**2)
+    np.testing.assert_allclose(found.reshape(exact.shape), exact, rtol=0.02)
+
+
 def test_windows_repeat_the_last_pixels_of_their_own_picture():
     from isas_cli.rendering.windows import Windows
 

@@ -4,7 +4,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from isas_cli.rendering import rays
 from isas_cli.scene import lenses
 
 N = 512
@@ -84,3 +86,20 @@ def test_kinds_that_are_not_known_stay_mitsubas(kind):
     made = scene([*sensors(), {"type": kind, "film": film}])
     assert isinstance(lenses.of(made, range(8)), mi.SensorPtr)
     assert isinstance(lenses.of(made, range(7)), lenses.Lenses)
+
+
+@pytest.mark.parametrize("angle", [0.0, 2e-5, 3e-4, 0.3])
+def test_turns_have_their_derivatives_where_they_begin_too(angle):
+    way, at, step = [0.2, -0.5, 0.8], angle * np.array([0.6, -0.48, 0.64]), 1e-4
+    for axis in np.eye(3):
+        x = mi.Float(0)
+        dr.enable_grad(x)
+        turn = mi.Vector3f(at.tolist()) + x * mi.Vector3f(axis.tolist())
+        found = rays.turned(mi.Vector3f(way), turn)
+        dr.forward(x)
+        low, middle, high = (
+            Rotation.from_rotvec(at + s * axis).apply(way) for s in (-step, 0, step)
+        )
+        np.testing.assert_allclose(np.array(dr.detach(found)).ravel(), middle, atol=1e-6)
+        slope = (high - low) / (2 * step)
+        np.testing.assert_allclose(np.array(dr.grad(found)).ravel(), slope, atol=1e-4)

@@ -153,6 +153,17 @@ def test_tiles_cover_every_pixel_once():
         assert all(np.all(c == 1) for c in covered)
 
 
+@pytest.mark.parametrize("resolution", [1, 128])
+def test_meters_do_not_make_the_tiles_of_all_small(resolution):
+    """Of cells that are as large as a view, as uniform sampling has them, or smaller."""
+    large, counts = [(2048, 2048)] * 16, []
+    for small in ([], [(1, 1)], [(1, 1), *[(30, 20)] * (resolution == 1)]):
+        sizes = large + small
+        finest = Cells.over(sizes, resolution).finest
+        counts.append(Tiles.over(Views.of(sizes), finest=finest).count)
+    assert max(counts) == counts[0] == 1 << 20
+
+
 def test_drawn_pixels_follow_the_pmf_within_tiles():
     """Tiles of four pixels' side, cut off at the borders, against the mixture by NumPy."""
     views = Views.of([(50, 31), (7, 20)])

@@ -18,6 +18,7 @@ from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime import backend, images
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene import built
+from isas_cli.scene.problem import Problem
 from isas_cli.unknowns.kind import well_seen
 
 
@@ -120,20 +121,41 @@ def test_coverage_finds_the_texels_that_no_view_sees():
     assert by_unseen < 0.05 * (~seen).sum() / seen.sum() * by_seen
 
 
-def test_what_a_single_pixel_sees_now_and_then_is_seen():
-    """A small lamp above a meter that lies on a table."""
+def meter(size: float, **more) -> Problem:
+    """A lamp of this size above a meter that lies on a table."""
     turn = mi.ScalarTransform4f().rotate([0, 1, 0], 180)
     film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
-    lamp = turn.translate([0, 0, -3]).scale(0.15)
+    lamp = turn.translate([0, 0, -3]).scale(size)
     described = {
         "type": "scene",
         "integrator": {"type": "prb", "max_depth": 2},
         "table": {"type": "rectangle", "sensor": {"type": "irradiancemeter", "film": film}},
         "lamp": {"type": "rectangle", "to_world": lamp, "emitter": {"type": "area"}},
     }
-    p = without_targets(described, {"lamp.emitter.radiance.value": 0.5})
+    return without_targets(described | more, {"lamp.emitter.radiance.value": 0.5})
+
+
+def test_what_a_single_pixel_sees_now_and_then_is_seen():
+    p = meter(0.15)
     coverage.fill_in(p, 1)
     assert p.unknowns.items[0].seen.all()
+
+
+def test_what_a_single_pixel_sees_beside_a_camera_is_seen_as_much_as_it_counts():
+    """A camera that sees nothing of it, of whose pixels each has four paths."""
+    away = mi.ScalarTransform4f().look_at([0, 0, 9], [0, 0, 10], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": 32, "height": 32, "rfilter": {"type": "box"}}
+    camera = {"type": "perspective", "to_world": away, "film": film}
+    p = meter(0.3, eye=camera)
+    coverage.fill_in(p, 1)
+    (unknown,) = p.unknowns
+    assert unknown.seen.all()
+    beside, alone = (
+        coverage.measure(each, {unknown.key: unknown.lit}, 1)[unknown.key].sum()
+        for each in (p, meter(0.3))
+    )
+    # A meter by itself has 1,024 times as many.
+    assert 1024 * beside == pytest.approx(alone, rel=0.6)
 
 
 def test_what_is_hardly_seen_does_not_count_however_much_there_is_of_it():
@@ -238,6 +260,22 @@ def test_what_is_transparent_in_a_target_is_black(tmp_path):
     assert p.warnings[before:] == []
 
 
+def test_what_is_transparent_where_the_scene_shows_a_sky_is_said(tmp_path):
+    """Of an EXR. Mitsuba's prb has no alpha where it shows a sky, and hidden skies are black."""
+    p = problem({ROUGHNESS: 0.5})
+    files = [str(tmp_path / f"{n}.exr") for n in range(len(p.film_sizes))]
+    for beside, hidden, wanted in ((0.0, False, 1), (0.0, True, 0), (0.2, False, 0)):
+        p.integrator.hide_emitters = hidden
+        for file, (width, height) in zip(files, p.film_sizes):
+            pixels = np.full((height, width, 4), 1.0, np.float32)
+            pixels[:, : width // 2] = beside, beside, beside, 0
+            images.write_exr(file, pixels, [*"RGBA"], {})
+        before = len(p.warnings)
+        targets.load(p, files, None)
+        told = p.warnings[before:]
+        assert len(told) == wanted and all("counts as black" in each for each in told)
+
+
 def test_no_number_in_a_target_may_be_hidden(tmp_path):
     p = problem({ROUGHNESS: 0.5})
     files, masks = [], []
@@ -267,6 +305,48 @@ def test_light_that_a_target_s_file_cannot_say_is_said(tmp_path):
     targets.load(p, files, None)
     (told,) = p.warnings[before:]
     assert "as bright as their files can say" in told and files[0] in told
+
+
+def test_of_what_is_transparent_no_light_is_lost(tmp_path):
+    """Programs that cut objects out leave white where nothing is."""
+    p = problem({ROUGHNESS: 0.5})
+    files = [str(tmp_path / f"{n}.png") for n in range(len(p.film_sizes))]
+    for file, (width, height) in zip(files, p.film_sizes):
+        pixels = np.full((height, width, 4), 120, np.uint8)
+        pixels[:, :, 3] = 255
+        pixels[:, : width // 2] = 255, 255, 255, 0
+        Image.fromarray(pixels).save(file)
+    before = len(p.warnings)
+    targets.load(p, files, None)
+    (told,) = p.warnings[before:]
+    assert "counts as black" in told
+
+
+def test_a_mask_that_hides_a_whole_view_is_said(tmp_path):
+    p = problem({ROUGHNESS: 0.5})
+    files, masks = [], []
+    for n, (width, height) in enumerate(p.film_sizes):
+        files.append(str(tmp_path / f"{n}.exr"))
+        masks.append(str(tmp_path / f"mask{n}.png"))
+        images.write_exr(files[-1], np.full((height, width, 3), 0.5), [*"RGB"], {})
+        Image.fromarray(np.full((height, width), 255 * (n != 1), np.uint8)).save(masks[-1])
+    before = len(p.warnings)
+    targets.load(p, files, masks)
+    assert p.warnings[before:] == [
+        f"mask {masks[1]} hides every pixel: its target counts for nothing"
+    ]
+
+
+def test_colours_of_targets_that_cannot_be_heeded_are_said_once(tmp_path):
+    p = problem({ROUGHNESS: 0.5})
+    files = [str(tmp_path / f"{n}.png") for n in range(len(p.film_sizes))]
+    for file, (width, height) in zip(files, p.film_sizes):
+        pixels = np.full((height, width, 3), 120, np.uint8)
+        Image.fromarray(pixels).save(file, icc_profile=b"x")
+    before = len(p.warnings)
+    targets.load(p, files, None)
+    (told,) = p.warnings[before:]
+    assert f"of {', '.join(files)} cannot be heeded" in told and told.endswith("to sRGB")
 
 
 def test_targets_of_what_unknowns_write_otherwise_are_others():

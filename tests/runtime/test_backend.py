@@ -166,12 +166,53 @@ def test_threads_are_set(machine):
         dr.set_thread_count(machine.threads)
 
 
-def test_a_late_start_is_a_defect_not_an_input_error(usable, monkeypatch):
-    monkeypatch.setenv(llvm.VARIABLE, str(usable))
-    other = llvm.Library(Path("/elsewhere/libLLVM.so"), "19.1.0", "newest system library")
+def test_an_llvm_that_was_loaded_before_is_taken_if_it_is_new_enough(usable, machine, monkeypatch):
+    """As where drjit was imported before isas_cli."""
+    import drjit as dr
+
+    version = llvm.find().version
+    other = llvm.Library(Path("/elsewhere/libLLVM.so"), "99.1.0", "newest system library")
     monkeypatch.setattr(llvm, "find", lambda: other)
-    with pytest.raises(RuntimeError, match="imported before"):
-        backend.start("llvm_ad_rgb")
+    taken = backend.start("llvm_ad_rgb", machine.threads)
+    assert (taken.llvm_path, taken.llvm_version) == (None, version)
+
+    def none():
+        raise InputError("no LLVM library")
+
+    monkeypatch.setattr(llvm, "find", none)
+    assert backend.start("llvm_ad_rgb", machine.threads).llvm_version == version
+    monkeypatch.setattr(llvm, "find", lambda: other)
+    monkeypatch.setattr(dr.detail, "llvm_version", lambda: (15, 0, 6))
+    message = refusal(backend.start, "llvm_ad_rgb")
+    assert "import isas_cli before drjit" in message and f"{llvm.VARIABLE}={other.path}" in message
+
+
+def test_a_program_gets_back_what_it_had_set():
+    """In a process of its own, which has other settings; also after a run that fails."""
+    code = """
+import isas_cli
+import drjit as dr
+import mitsuba as mi
+from isas_cli.runtime import backend
+mi.set_variant("llvm_ad_spectral")
+dr.set_thread_count(2)
+mi.file_resolver().prepend("/mine")
+places = list(mi.file_resolver())
+try:
+    with backend.lent():
+        backend.start("llvm_ad_rgb", 1)
+        backend.look_beside("/a", "/b")
+        assert list(mi.file_resolver()) == ["/b", "/a", *places]
+        backend.look_beside("/c")
+        assert list(mi.file_resolver()) == ["/c", *places]
+        raise KeyError
+except KeyError:
+    pass
+assert mi.variant() == "llvm_ad_spectral" and dr.thread_count() == 2
+assert list(mi.file_resolver()) == places
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_every_module_can_be_imported_before_mitsuba_is_started(usable):

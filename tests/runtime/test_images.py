@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+from photo_sets import in_parts
 from PIL import Image
 
 from isas_cli import __version__
@@ -194,7 +195,14 @@ def test_sixteen_bits_are_decoded_and_alpha_is_dropped_without_darkening(tmp_pat
 @pytest.mark.parametrize("name", ["a.tif", "a.pfm"])
 def test_float_files_are_linear_as_they_are(tmp_path, name):
     image = picture() * 10
-    assert np.array_equal(images.read(write(tmp_path / name, image)), image)
+    found = images.load(write(tmp_path / name, image))
+    assert np.array_equal(found.image, image) and found.doubt is None
+
+
+def test_a_ppm_is_decoded_from_srgb(tmp_path):
+    """Its reader calls the colours of all such files Rec709's."""
+    found = images.load(write(tmp_path / "a.ppm", np.full((2, 3, 3), 128, np.uint8)))
+    assert found.image == pytest.approx(0.2158605, abs=5e-7) and found.doubt is None
 
 
 def test_raw_files_are_linear_as_the_camera_balanced_them(tmp_path):
@@ -240,15 +248,55 @@ def test_colours_are_found_by_name_among_other_channels(tmp_path):
         images.read(path)
 
 
-@pytest.mark.parametrize("said", [True, False], ids=["said", "by name alone"])
+AP0 = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
+
+
+@pytest.mark.parametrize("said", ["name", "primaries", "name primaries"])
+def test_colours_that_are_said_twice_are_converted_once(tmp_path, said):
+    """As ACES containers say them."""
+    told = {"oiio__ColorSpace": "lin_ap0_scene"} if "name" in said else {}
+    told |= {"chromaticities": AP0} if "primaries" in said else {}
+    pixels = np.full((2, 2, 3), (0.2, 0.5, 0.1), np.float32)
+    found = images.load(write(tmp_path / "a.exr", pixels, **told))
+    assert found.doubt is None
+    assert found.image[0, 0] == pytest.approx([-0.1015, 0.6214, 0.0373], abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["lin_rec2020_scene", "lin_rec709_scene"])
+def test_a_name_and_other_primaries_are_not_heeded(tmp_path, name):
+    pixels = picture()
+    said = {"oiio__ColorSpace": name, "chromaticities": AP0}
+    found = images.load(write(tmp_path / "a.exr", pixels, **said))
+    assert found.doubt == f"colour space {name} beside other primaries"
+    assert np.array_equal(found.image, pixels)
+
+
+def test_of_several_parts_the_first_is_read_and_said(tmp_path):
+    albedo, beauty = picture(), picture() + 1
+    path = in_parts(tmp_path / "a.exr", albedo=("RGB", albedo), beauty=("RGB", beauty))
+    found = images.load(path)
+    assert np.array_equal(found.image, albedo)
+    told = f"{path} holds several parts (albedo, beauty), of which the first is read"
+    assert images.unheeded([path], [found.doubt]) == [told]
+    assert images.doubted(path) == found.doubt
+    plain = write(tmp_path / "b.exr", beauty)
+    assert images.unheeded([plain], [images.load(plain).doubt]) == []
+    path = in_parts(tmp_path / "c.exr", depth=("Z", picture(channels=1)), beauty=("RGB", beauty))
+    with pytest.raises(InputError, match=r"it has Z; .*c.exr holds several parts \(depth, beauty"):
+        images.read(path)
+
+
+@pytest.mark.parametrize("said", ["chromaticities", "", "name"])
 def test_cie_colours_become_red_green_and_blue(tmp_path, said):
     """Of a film of `pixel_format` xyz, Y alone would pass for a grey picture."""
     of_rgb = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
     image = picture()
     stored = np.einsum("ij,...j", np.array(of_rgb), image).astype(np.float32)
     spec = {}
-    if said:
+    if said == "chromaticities":
         spec["chromaticities"] = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3)
+    elif said:
+        spec["oiio__ColorSpace"] = "lin_ciexyzd65_scene"
     path = write(tmp_path / "a.exr", stored, ("X", "Y", "Z"), **spec)
     assert images.read(path) == pytest.approx(image, abs=2e-3)
 
@@ -262,6 +310,13 @@ def test_masks_keep_the_stored_values(tmp_path):
         images.read_mask(write(tmp_path / "c.exr", picture()))
     with pytest.raises(InputError, match=r"lie in \[0, 1\]"):
         images.read_mask(write(tmp_path / "d.exr", picture(channels=1) + 1, ("Y",)))
+
+
+def test_masks_of_floats_may_be_rounded_or_alpha_alone(tmp_path):
+    rounded = np.float32([[[-1e-7], [0.5], [1.0000002]]])
+    for name in "YA":
+        mask = images.read_mask(write(tmp_path / f"{name}.exr", rounded, (name,)))
+        assert np.array_equal(mask, [[0, 0.5, 1]])
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])

@@ -131,3 +131,26 @@ def test_what_is_held_is_done_before_ctrl_c_counts():
             done.append("second")
         done.append("never")
     assert done == ["first", "second"]
+
+
+def test_ctrl_c_that_comes_out_as_another_exception_is_itself():
+    """As of a callback of Dr.Jit's; what no signal made stays what it is."""
+    with pytest.raises(KeyboardInterrupt), interrupt.prompt():
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise RuntimeError("from a callback") from None
+    with pytest.raises(RuntimeError, match="its own"), interrupt.prompt():
+        raise RuntimeError("its own")
+
+
+def test_handlers_that_are_not_of_python_stay(monkeypatch):
+    """As in a program that Python is embedded in: they could not be put back."""
+    put = []
+    known = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: None}
+    monkeypatch.setattr(signal, "getsignal", known.get)
+    monkeypatch.setattr(signal, "signal", lambda number, _: put.append(number))
+    with interrupt.held():
+        pass
+    monkeypatch.undo()
+    assert put == [signal.SIGINT] * 2

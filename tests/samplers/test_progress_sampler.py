@@ -309,6 +309,23 @@ def test_the_unit_of_the_loss_does_not_matter(unit):
     assert np.allclose(found(unit), found(1.0), rtol=1e-3)
 
 
+@pytest.mark.parametrize("unit", [1e-12, 1e-24])
+def test_dim_scenes_have_the_masses_of_bright_ones(unit):
+    """Radiances of 1e-6 and 1e-12: curvatures and gradients fall with their squares, and neither's
+    own squares are left in float32."""
+    rng = np.random.default_rng(3)
+    c, h, m = rng.uniform(0.2, 2, (3, 8))
+    s2, noise = rng.uniform(0.5, 4, 8), rng.uniform(0.01, 0.1, 8)
+
+    def found(scale):
+        moments = Moments(*({"t": mi.Float(x)} for x in (m, s2, noise)), {"t": 0.02}, scale)
+        given = {"t": mi.Float(c * scale)}, {"t": mi.Float(h * scale)}
+        mass = np.array(masses(*given, moments, 1e-3)["t"], np.float64)
+        return mass / mass.sum()
+
+    assert np.allclose(found(unit), found(1.0), rtol=1e-3)
+
+
 def test_one_entry_that_is_not_finite_does_not_spoil_its_key():
     one, bad = mi.Float([1.0, 1.0, 1.0]), mi.Float([1.0, np.nan, 1.0])
     moments = Moments(

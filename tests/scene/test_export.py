@@ -8,6 +8,7 @@ import drjit as dr
 import glb
 import mitsuba as mi
 import numpy as np
+import OpenImageIO as oiio
 import photo_sets
 import pytest
 import trimesh
@@ -578,6 +579,29 @@ def test_pictures_of_whole_numbers_are_written_as_mitsuba_takes_them(tmp_path, r
     assert 0.9 < a.max() <= 1 and (a.mean() < 0.4) != raw
 
 
+@pytest.mark.parametrize("kind", ["YA", "RGBA", "XYZ"])
+def test_pictures_are_written_without_alpha_and_in_our_colours(tmp_path, rng, kind):
+    pixels = rng.uniform(0.3, 0.6, (2, 4, len(kind))).astype(np.float32)
+    bitmap = mi.Bitmap(pixels, getattr(mi.Bitmap.PixelFormat, kind))
+    described = pictured(bitmap=bitmap)
+    whole = mi.load_dict(described["paint"])
+    written = mi.load_dict(export._as_files(described, tmp_path, "")["paint"])
+    a, b = (np.array(mi.traverse(each)["reflectance.data"]) for each in (whole, written))
+    np.testing.assert_allclose(a, b, atol=1e-5)
+
+
+def test_maps_that_are_no_colours_are_marked_as_data(folder, rng):
+    rough = '<texture type="bitmap" name="roughness"><string name="filename" value="other.png"/>'
+    text = SCENE.replace('<float name="roughness" value="0.4"/>', f"{rough}</texture>")
+    (folder / "scene.xml").write_text(text)
+    spaces = {PAINT: "lin_rec709_scene", "paint.brdf_0.roughness.data": "data"}
+    arrays = {key: rng.uniform(0.3, 0.6, (4, 6, 3)).astype(np.float32) for key in spaces}
+    export.write(scene(folder / "scene.xml", arrays), arrays, folder / "result")
+    for key, space in spaces.items():
+        spec = oiio.ImageInput.open(str(folder / f"result/{key}.exr")).spec()
+        assert spec.get_string_attribute("oiio:ColorSpace") == space
+
+
 def test_nothing_of_the_users_is_written_over(folder):
     """Where the file lies, where its files do, and where another scene does."""
     (folder / "meshes").mkdir()
@@ -629,6 +653,42 @@ def test_meshes_that_share_a_picture_share_its_file(folder):
         for name in ("a", "b")
     ]
     assert pictures[0].shape == (4, 6, 3) and np.array_equal(*pictures)
+
+
+def as_shown(folder, name: str) -> np.ndarray:
+    """The picture of a painted mesh, in steps of a byte from that of ``other.png``."""
+    painted = trimesh.load(folder / f"result/painted/{name}.obj", process=False)
+    own = images.to_display(images.read(folder / "other.png"))
+    return np.asarray(painted.visual.material.image, int) - own
+
+
+def test_files_of_bytes_that_a_builder_names_are_exported(folder, rng, monkeypatch):
+    described = {"type": "scene", "sky": {"type": "constant"}, "eye": {"type": "perspective"}}
+    for id, file in (("sought", "paint.png"), ("known", "other.png")):
+        bitmap = {"type": "bitmap", "filename": str(folder / file)}
+        described[id] = {"type": "cube", "bsdf": {"type": "diffuse", "reflectance": bitmap}}
+    monkeypatch.setattr(built.allowed, "named", lambda *_: lambda: described)
+    key = "sought.bsdf.reflectance.data"
+    unknowns = {key: UnknownConfig(start=0.5)}
+    config = SceneConfig(name="own", builder="own.build", unknowns=unknowns)
+    arrays = {key: rng.random((4, 6, 3)).astype(np.float32)}
+    path, told = export.write(config, arrays, folder / "result")
+    assert np.allclose(found(path, {key: (4, 6, 3)})[key], arrays[key], atol=1e-6)
+    assert np.abs(as_shown(folder, "known")).max() <= 1
+    assert not any("outside 0 to 1" in line for line in told)
+    assert glb.problems(path.with_suffix(".glb")) == []
+
+
+def test_a_picture_that_is_to_be_kept_in_bytes_is_shown_as_it_is(folder):
+    paint = '<bsdf type="diffuse"><texture type="bitmap" name="reflectance">'
+    paint += '<string name="filename" value="other.png"/><string name="format" value="uint8"/>'
+    box = f'<shape type="cube" id="box">{paint}</texture></bsdf></shape></scene>'
+    (folder / "scene.xml").write_text(SCENE.replace("</scene>", box))
+    arrays = {RED: np.full(3, 0.5, np.float32)}
+    path, told = export.write(scene(folder / "scene.xml", [RED]), arrays, folder / "result")
+    assert np.abs(as_shown(folder, "box")).max() <= 1
+    assert not any("outside 0 to 1" in line for line in told)
+    assert 'name="format" value="uint8"' in path.read_text()
 
 
 def test_ids_may_be_what_no_file_is_called(folder, rng):

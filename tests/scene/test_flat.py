@@ -71,6 +71,15 @@ def test_an_unknown_of_one_colour_keeps_its_texels(unknown):
     assert mi.traverse(loaded)[unknown].shape == shape
 
 
+def test_a_picture_of_a_single_row_keeps_it():
+    """Mitsuba takes no update of one."""
+    row = {"type": "diffuse", "reflectance": picture(np.full((1, 8, 3), 0.5))}
+    described = {"type": "scene", "wall": {"type": "sphere", "bsdf": row}}
+    loaded = mi.load_dict(described, optimize=False)
+    assert flat.reduce(mi.traverse(loaded), set()) == []
+    assert mi.traverse(loaded)[WALL].shape == (1, 8, 3)
+
+
 def test_a_projector_keeps_the_sides_of_its_picture():
     white = mi.TensorXf(np.ones((16, 64, 3), np.float32))
     described = {

@@ -291,6 +291,17 @@ def test_coordinates_in_metres_are_refused_for_an_unknown_texture_alone(folder):
         warnings_of(folder, obj("quad", paint()), KEY)
 
 
+@pytest.mark.parametrize("times, scale", [(2048, 1 / 2048), (1, 2048)])
+def test_of_an_unknown_texture_coordinates_count_after_its_transformation(folder, times, scale):
+    write(folder / "mesh.obj", UV * times)
+    placed = paint(f'<transform name="to_uv"><scale x="{scale}" y="{scale}"/></transform>')
+    if times > 1:
+        assert warnings_of(folder, obj("quad", placed), KEY) == []
+    else:
+        with pytest.raises(InputError, match="texture coordinate of vertex . is beyond ±1000"):
+            warnings_of(folder, obj("quad", placed), KEY)
+
+
 def test_a_run_says_and_records_what_is_wrong_with_its_meshes(folder, capsys):
     write(folder / "mesh.obj", UV * [2, 1], [[0, 1, 2], [0, 2, 3], [1, 1, 2]])
     (folder / "scene.xml").write_text(SCENE.format(shapes=obj("quad", paint())))

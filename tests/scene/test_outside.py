@@ -2,6 +2,7 @@
 differentiated without bias."""
 
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,12 +11,14 @@ from problems_for_tests import built, configured
 import isas_cli
 from isas_cli import losses
 from isas_cli.cli.app import main
-from isas_cli.config.schema import ExternalConfig
+from isas_cli.config.schema import ExternalConfig, SceneConfig
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.rendering.renderer import Renderer
 from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
-from isas_cli.scene import outside
+from isas_cli.scene import export, outside
+from isas_cli.unknowns.kind import Loaded
+from isas_cli.unknowns.outer import Outer
 
 WIDTH, HEIGHT = 12, 8
 FEW = ["frames.views=0", "report=false", "evaluation.count=2", "evaluation.pixels=96"]
@@ -80,6 +83,24 @@ def test_its_pictures_come_through_pixel_by_pixel(words):
         np.testing.assert_allclose(made.target_image(view), steps(truth, 0, view), atol=1e-6)
         shown = Renderer(made).view(view, 1, lambda sample: 3)
         np.testing.assert_allclose(shown, steps(truth, 0, view), atol=1e-6)
+
+
+def test_small_parameters_are_rounded_by_their_own_size():
+    """Which a blur that is as narrow needs."""
+    for value, scale in ((2e-6, 2e-6), (30.0, 1.0), (0.0, 1.0)):
+        values = {"x": np.array(value, np.float32)}
+        made = Outer("x", Loaded(None, outside=SimpleNamespace(values=values)))
+        assert made.scale == pytest.approx(scale)
+
+
+def test_targets_that_are_given_are_of_no_film(words, tmp_path):
+    """Whose filter isas would have to doubt."""
+    files = [str(tmp_path / f"{view}.exr") for view in (0, 1)]
+    for file in files:
+        images.write_exr(file, np.full((HEIGHT, WIDTH, 3), 0.5), [*"RGB"], {})
+    made = problem(*words[:-2], words[-1], f"scene.targets=[{','.join(files)}]")
+    assert not [each for each in made.warnings if "films' filter" in each]
+    assert np.array_equal(made.target_image(1), images.read(files[1]))
 
 
 def test_targets_are_as_clean_as_asked(words):
@@ -196,6 +217,26 @@ def test_a_command_that_writes_an_exr(tmp_path, monkeypatch):
     assert (shown[:, :9] == 1).all() and (shown[:, 9:] == 0).all()
 
 
+def test_colours_that_a_command_writes_and_cannot_be_heeded_are_said(tmp_path, monkeypatch):
+    monkeypatch.setenv("ISAS_ALLOW", sys.executable)
+    script = tmp_path / "draw.py"
+    script.write_text(
+        "import sys\nimport numpy as np\nimport OpenImageIO as oiio\n"
+        "spec, out = oiio.ImageSpec(12, 8, 3, 'float'), sys.argv[1]\n"
+        "odd = 0.5, 0.3, 0.3, 0.5, 0.2, 0.1, 0.3, 0.3\n"
+        "spec.attribute('chromaticities', oiio.TypeDesc('float[8]'), odd)\n"
+        "image = oiio.ImageOutput.create(out)\nimage.open(out, spec)\n"
+        "image.write_image(np.full((8, 12, 3), 0.5, np.float32))\nimage.close()\n"
+    )
+    made = built(
+        *("scene=external", f"external.command={sys.executable} {script} {{out}}", *FEW),
+        *("external.parameters={x: 0.5}", "external.width=12", "external.height=8"),
+        'scene.unknowns={"x": {"start": 0.4, "range": [0, 1], "blur": {"start": 0.2, "end": 0.1}}}',
+    )
+    (told,) = (line for line in made.warnings if "cannot be heeded" in line)
+    assert "the primaries that it names of {out} cannot be heeded" in told
+
+
 @pytest.mark.parametrize(
     "changes, told",
     [
@@ -216,8 +257,10 @@ def test_a_command_that_writes_an_exr(tmp_path, monkeypatch):
         (["external.width=13"], "gives (8, 12, 3), not (8, 13, 3)"),
         (["external.parameters={x: wide}"], "scene.external.parameters.x=wide: a number"),
         (['scene.unknowns={"z": {"start": 1}}'], "'z' is no differentiable parameter"),
-        (["effects.max_depth=2"], "effects.…"),
+        (["effects.max_depth=2"], "scene=external has pictures, and no paths"),
         (["external.heigth=8"], "did you mean"),
+        (["scene.max_depth=3"], "scene.max_depth=3: scene=external has none"),
+        (["scene.path=a.xml"], "scene=external has none"),
     ],
 )
 def test_what_cannot_be_is_one_line(words, tmp_path, capsys, changes, told):
@@ -255,6 +298,15 @@ def test_what_can_be_unknown_is_listed(words, capsys):
     assert main(["unknowns", *words]) == 0
     rows = [line.split() for line in capsys.readouterr().out.splitlines() if "renderer" in line]
     assert [row[0] for row in rows] == ["x", "y"] and all("plateau" in row for row in rows)
+
+
+@pytest.mark.parametrize("made", [export.write, export.result])
+def test_its_result_is_no_scene(made, tmp_path):
+    scene = SceneConfig(name="external")
+    folders = [tmp_path / "result"] if made is export.write else []
+    with pytest.raises(InputError, match=r"no scene for Mitsuba: isas_cli.load\(DIR\)"):
+        made(scene, {}, *folders)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_others_have_no_renderer_of_their_own(capsys):

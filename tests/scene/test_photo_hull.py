@@ -56,7 +56,7 @@ def mesh_of(taken) -> trimesh.Trimesh:
     return trimesh.Trimesh(taken.surface.vertices, taken.surface.faces)  # which it welds
 
 
-def test_a_ball_from_all_sides(ball):  # noqa: F811
+def test_a_ball_from_all_sides(ball, quick):  # noqa: F811
     """A hull holds what it is of, and is little larger."""
     around(ball)
     for settings in ({}, {"start": "hull", "voxels": 32}):
@@ -70,7 +70,7 @@ def test_a_ball_from_all_sides(ball):  # noqa: F811
         assert 0.99 * RADIUS < radius.mean() < 1.05 * RADIUS
 
 
-def test_large_pictures_are_made_smaller(ball, monkeypatch):  # noqa: F811
+def test_large_pictures_are_made_smaller(ball, quick, monkeypatch):  # noqa: F811
     around(ball)
     monkeypatch.setattr(outlines, "_LARGE", WIDTH // 2)
     monkeypatch.setattr(hull, "_FORMAT", 0)  # none that is kept
@@ -96,7 +96,7 @@ def test_texture_coordinates_are_of_one_place_each(ball):  # noqa: F811
     assert filled.mean() > 0.85 * area
 
 
-def test_it_is_right_side_out_wherever_it_stands(ball):  # noqa: F811
+def test_it_is_right_side_out_wherever_it_stands(ball, quick):  # noqa: F811
     """By a sum over its triangles around the world's origin every third such ball was inside
     out."""
     around(ball)
@@ -116,7 +116,7 @@ def test_it_is_right_side_out_wherever_it_stands(ball):  # noqa: F811
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1e4])
-def test_any_unit_of_length(ball, unit):  # noqa: F811
+def test_any_unit_of_length(ball, quick, unit):  # noqa: F811
     """Of a set of another unit the hull is as large as that says, and unwrapped all the same."""
     around(ball)
     usual = load(ball, voxels=16).surface
@@ -280,7 +280,7 @@ def test_inverted_masks_are_refused(ball):  # noqa: F811
 
 
 @pytest.mark.parametrize("step, said", [(16, True), (30, False)])
-def test_views_of_one_side_are_said(ball, step, said):  # noqa: F811
+def test_views_of_one_side_are_said(ball, quick, step, said):  # noqa: F811
     content = json.loads((ball / "transforms.json").read_text())
     for number, frame in enumerate(content["frames"]):
         frame["transform_matrix"] = pose(np.radians(step * number)).tolist()
@@ -321,7 +321,7 @@ def test_an_unknown_margin_ends_nothing(ball):  # noqa: F811
     np.testing.assert_allclose(hull.bounds(shown), before)
 
 
-def test_specks_are_left_out_and_said(ball):  # noqa: F811
+def test_specks_are_left_out_and_said(ball, quick):  # noqa: F811
     around(ball)
     rng = np.random.default_rng(0)
     for number in range(14):
@@ -390,7 +390,7 @@ def test_a_mesh_and_a_hull_are_one_too_many():
         PhotosConfig(start="sphere")
 
 
-def test_one_command_finds_shape_colour_and_light(ball, tmp_path):  # noqa: F811
+def test_one_command_finds_shape_colour_and_light(ball, quick, tmp_path):  # noqa: F811
     around(ball)
     out = tmp_path / "run"
     words = ["scene=photos", f"photos.path={ball}", "photos.texture=32", "photos.voxels=16"]

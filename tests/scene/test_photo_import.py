@@ -143,7 +143,7 @@ def test_saturated_is_what_the_file_says_whatever_the_exposure(tmp_path):
 def test_raw_files_are_full_in_light():
     """Not at 0.99, as an sRGB file is, whose 0.995 is 0.989 of light."""
     grey = np.full((1, 1, 3), 0.99, np.float32)
-    raw, nearly = lens(image=Path("a.NEF")), images.Picture(grey, grey[..., 0], None)
+    raw, nearly = lens(image=Path("a.NEF")), images.Picture(grey, grey[..., 0], None, grey)
     for encoding in ("auto", "linear"):
         settings = PhotosConfig(encoding=encoding)
         assert importing._mask(raw, nearly, None, settings, None, None)[0].all()

@@ -269,7 +269,7 @@ def test_a_band_of_middle_grey_is_told(tmp_path, taken, wide, said):
 
 
 @pytest.mark.parametrize("grown", [-4, 0, 3])
-def test_masks_that_end_beside_the_object_are_told(tmp_path, grown):
+def test_masks_that_end_beside_the_object_are_told(tmp_path, quick, grown):
     """Of real photographs."""
     shutil.copytree(library.ASSETS / "head", tmp_path / "head")
     for path in (tmp_path / "head/mask").iterdir():
@@ -297,7 +297,7 @@ def test_where_a_mask_ends_beside_an_edge_is_measured(rng):
 
 
 @pytest.mark.parametrize("views, told", [(0, False), (2, True), (8, False)])
-def test_holes_that_few_masks_have_are_told(tmp_path, views, told):
+def test_holes_that_few_masks_have_are_told(tmp_path, quick, views, told):
     """Those of most are the object's own."""
     shutil.copytree(library.ASSETS / "head", tmp_path / "head")
     for path in sorted((tmp_path / "head/mask").iterdir())[:views]:

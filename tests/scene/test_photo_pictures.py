@@ -308,13 +308,16 @@ def test_no_pixel_of_a_float_file_is_full(tmp_path):
         assert each.mask.all() and each.image.max() == 3
 
 
-def light_of_its_own(path) -> None:
-    """A floating-point file of primaries that nobody has."""
+ODD = (0.5, 0.3, 0.3, 0.5, 0.2, 0.1, 0.3, 0.3)
+REC2020 = (0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329)
+
+
+def light_of_its_own(path, primaries=ODD, pixels=RAMP) -> None:
+    """A floating-point file of other primaries, or of some that nobody has."""
     spec = oiio.ImageSpec(*SIZE, 3, oiio.FLOAT)
-    odd = (0.5, 0.3, 0.3, 0.5, 0.2, 0.1, 0.3, 0.3)
-    spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), odd)
+    spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), primaries)
     output = oiio.ImageOutput.create(str(path))
-    assert output.open(str(path), spec) and output.write_image(RAMP.astype(np.float32))
+    assert output.open(str(path), spec) and output.write_image(pixels.astype(np.float32))
     output.close()
 
 
@@ -364,3 +367,23 @@ def test_light_that_a_float_file_cuts_off_does_not_count(tmp_path, rng):
     assert first.lost["saturated"] == (bright >= 0.9).any(axis=2).sum() > 12
     assert whole.mask.all() and "saturated" not in whole.lost
     assert all(each.mask.all() for each in loaded(tmp_path, saturated=None).shown)
+
+
+def test_light_is_cut_off_in_a_file_s_own_primaries(tmp_path, rng):
+    bright = RAMP * rng.uniform(0.6, 2.4, RAMP.shape).astype(np.float32)
+    names = [f"{number}.exr" for number in range(3)]
+    listed(tmp_path, "transforms", names)
+    for name in names:
+        light_of_its_own(tmp_path / name, REC2020, np.minimum(bright, 0.9))
+    for each in loaded(tmp_path).shown:
+        assert ((each.mask == 0) == (bright >= 0.9).any(axis=2)).all()
+
+
+def test_photographs_of_several_parts_are_said_once(tmp_path):
+    names = [f"{number}.exr" for number in range(3)]
+    listed(tmp_path, "transforms", names)
+    ramp = RAMP.astype(np.float32)
+    for name in names:
+        photo_sets.in_parts(tmp_path / name, albedo=("RGB", ramp), beauty=("RGB", 2 * ramp))
+    (told,) = loaded(tmp_path).warnings
+    assert "0.exr and 2 more hold several parts (albedo, beauty)" in told

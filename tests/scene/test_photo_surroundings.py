@@ -57,6 +57,14 @@ def test_light_that_whole_numbers_cut_off(tmp_path):
     assert "sky.png" in line and "is cut off" in line and "EXR" in line
 
 
+def test_a_light_whose_colours_cannot_be_heeded(tmp_path):
+    lit = tmp_path / "sky.png"
+    Image.new("RGB", (16, 8), (255, 255, 255)).save(lit, icc_profile=b"x")
+    (line,) = told(tmp_path, environment=str(lit))
+    assert line.startswith("a colour profile")
+    assert line.endswith(f" of {lit} cannot be heeded: convert it to sRGB")
+
+
 @pytest.mark.parametrize("wide, high", [(16, 16), (24, 32), (32, 24)])
 def test_a_light_of_another_shape(tmp_path, wide, high):
     (line,) = told(tmp_path, environment=sky(tmp_path / "probe.exr", wide, high))

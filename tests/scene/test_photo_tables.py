@@ -140,12 +140,12 @@ def test_the_command_line_runs(called, tmp_path):
     assert called("my set")[-1] == "isas run scene=photos 'photos.path=my set' photos.mesh=FILE"
 
 
-def test_two_hundred_pictures_stay_readable(called, tmp_path):
+def test_many_pictures_stay_readable(called, tmp_path):
     """Those alike are told by their ranges; one that looks elsewhere stands out."""
     content = photo_sets.transforms(Files(tmp_path, POSES))
     away = np.array(content["frames"][0]["transform_matrix"]) @ np.diag([-1.0, 1, -1, 1])
     frames = []
-    for number in range(200):
+    for number in range(90):
         frame = dict(content["frames"][number % 3])
         name = f"{number:03d}.exr"
         shutil.copy(tmp_path / frame["file_path"], tmp_path / name)
@@ -156,11 +156,11 @@ def test_two_hundred_pictures_stay_readable(called, tmp_path):
     photo_sets.write(tmp_path / "transforms.json", {**content, "frames": frames})
     lines = called(".", "photos.sphere=[0,0,0,0.4]")
     assert len(lines) < 30
-    assert "40×30 │ 55.0 to 57.0 │ none │ none │ none" in row(lines, "200: 000.exr … 199.exr")
+    assert "40×30 │ 55.0 to 55.9 │ none │ none │ none" in row(lines, "90: 000.exr … 089.exr")
     assert "│ 0% │" in row(lines, "077.exr")
-    rest = row(lines, "199 views: 000.exr … 199.exr")
-    assert "55.0 to 57.0" in rest and "100%" in rest
-    assert any("sheet: " in line and "(60 of 200 views)" in line for line in lines)
+    rest = row(lines, "89 views: 000.exr … 089.exr")
+    assert "55.0 to 55.9" in rest and "100%" in rest
+    assert any("sheet: " in line and "(60 of 90 views)" in line for line in lines)
 
 
 def test_numbers_of_a_lens_as_ranges():

@@ -475,6 +475,14 @@ def test_files_beside_a_link_are_its_own(folder, rng):
     assert np.array(mi.traverse(loaded)[KEY]).min() < 0.99
 
 
+def test_files_beside_an_earlier_scene_are_not_taken(folder):
+    scene_file.load("own/scene.xml", None)
+    (folder / "other").mkdir()
+    (folder / "other/scene.xml").write_text(xml())
+    with pytest.raises(InputError, match="scene.path=other/scene.xml: Mitsuba cannot load it"):
+        scene_file.load("other/scene.xml", None)
+
+
 GROUP = """<shape type="shapegroup" id="clouds"><shape type="cube" id="cloud"><bsdf type="null"/>
   <medium type="heterogeneous" name="interior">
   <volume type="gridvolume" name="sigma_t"><string name="filename" value="grid.vol"/></volume>

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -91,3 +92,32 @@ def test_what_is_measured_is_the_weighted_mean_of_the_views_own():
     p.weigh([3, 1])
     assert np.allclose(measured(p), 0.75 * single[0] + 0.25 * single[1], rtol=1e-4, atol=0)
     assert np.abs(single[0] / single[1] - 1).min() > 0.02, "the case shows nothing"
+
+
+def test_what_counts_much_is_measured_as_much_however_few_pixels_are_drawn(monkeypatch):
+    """One pixel that counts as much as all others, and alone shows anything."""
+    p = problem({TEXTURE: 0.5})
+    mask = np.ones(p.views.total, np.float32)
+    mask[7] = mask.size - 1
+    p.set_targets(p.targets, mi.Float(mask), "test")
+
+    def halves(self, values, renderer=None):
+        shown = dr.select(self.pixels == 7, mi.Color3f(1), 0)
+        return (shown, shown) if renderer is None else (0 * shown, 0 * shown)
+
+    monkeypatch.setattr(Evaluator, "_halves", halves)
+    for seed in range(8):
+        evaluator = Evaluator(p, L2(), 64, 2, seed)
+        assert abs(np.mean(np.array(evaluator.pixels) == 7) - 0.5) <= 1 / 64
+        evaluator.target = dr.zeros(mi.Color3f, 64)
+        evaluator.references = evaluator.target, evaluator.target
+        found, apart = evaluator(p.unknowns.starts()), evaluator.apart(p, {})
+        for each in (found["loss"], found["image_rmse"] ** 2, apart**2):
+            assert each == pytest.approx(0.5, abs=1.01 / 64)
+
+
+def test_pixels_that_count_alike_are_drawn_as_without_weights():
+    p = problem({TEXTURE: 0.5})
+    evenly = np.array(Evaluator(p, L2(), 64, 2, 1).pixels)
+    p.set_targets(p.targets, dr.ones(mi.Float, p.views.total), "test")
+    assert np.array_equal(np.array(Evaluator(p, L2(), 64, 2, 1).pixels), evenly)

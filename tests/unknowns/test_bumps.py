@@ -45,6 +45,17 @@ def test_a_range_would_not_be_kept(bumps):
         parse(loaded(bumps).params, {KEY: UnknownConfig(range=[0.2, 1.0])}, False)
 
 
+def test_a_start_of_no_length_is_refused(bumps):
+    """But not of the scene's own texels, which may lie where nothing shows them."""
+    bumps[0, 0] = 0.5
+    for truth_known in (False, True):
+        params = loaded(bumps).params
+        with pytest.raises(InputError, match=r"no length: give \[0.5, 0.5, 1\], which is flat"):
+            parse(params, {KEY: UnknownConfig(start=0.5)}, truth_known)
+        assert parse(params, {KEY: UnknownConfig(start=[0.5, 0.5, 1.0])}, truth_known)
+    assert parse(params, {KEY: UnknownConfig()}, False)
+
+
 def test_lengths_are_no_unknowns(bumps):
     """Of what the scene has, and after a step: directions stay, none is turned under."""
     kind = Bumps(KEY, loaded(bumps))

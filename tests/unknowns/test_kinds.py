@@ -27,7 +27,7 @@ from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns import registry
 from isas_cli.unknowns.kind import Loaded
-from isas_cli.unknowns.parameters import as_numpy
+from isas_cli.unknowns.parameters import as_numpy, owner
 from isas_cli.unknowns.specs import parse
 
 GRID, LOG = "floor.bsdf.reflectance.volume.data", "floor.bsdf.reflectance.volume.log"
@@ -178,6 +178,30 @@ def test_a_texture_knows_whether_its_edges_meet(mode, wraps, channels, turned):
     }
     found = kind_of(scene, f"floor.bsdf.{name}.data")
     assert found.axes == ((0, wraps), (1, wraps))
+
+
+def test_textures_of_one_colour_know_it_as_well():
+    """And stay what they are, with the lamp's odds of each place."""
+    wraps, scene = {"base_color": False, "roughness": True}, dictionary()
+    for name, mode, channels in (("base_color", "clamp", 3), ("roughness", "repeat", 1)):
+        texels = mi.TensorXf(np.full((4, 5, channels), 0.3, np.float32))
+        bitmap = {"type": "bitmap", "data": texels, "raw": True, "wrap_mode": mode}
+        scene["floor"]["bsdf"][name] = bitmap
+    loaded = Loaded(mi.traverse(mi.load_dict(scene, optimize=False)))
+    middle = dr.zeros(mi.SurfaceInteraction3f)
+
+    def shown(key: str) -> list[np.ndarray]:
+        texture, place = owner(loaded.params, key), mi.Point2f(0.2, 0.7)
+        told = texture.mean(), texture.eval_1(middle), texture.pdf_position(place)
+        return [np.array(loaded.params[key]), *map(np.array, told)]
+
+    for name in wraps:
+        key = f"floor.bsdf.{name}.data"
+        before = shown(key)
+        found = registry.offered(loaded)[key](key, loaded)
+        assert found.axes == ((0, wraps[name]), (1, wraps[name]))
+        for a, b in zip(before, shown(key), strict=True):
+            np.testing.assert_array_equal(a, b)
 
 
 def test_neighbours_of_other_kinds():

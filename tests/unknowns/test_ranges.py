@@ -4,6 +4,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import trimesh
+from icc import P3, profile
 from PIL import Image
 
 from isas_cli.config.schema import UnknownConfig
@@ -129,6 +130,15 @@ def test_a_truth_beyond_the_range_is_told_the_range_that_holds_it():
     with pytest.raises(InputError, match=r"outside its range \[0, 1\]; give range: \[0, 1.75\]"):
         parse(params, specs, True)
     assert ranges.around(0.0, 1.0, np.float32([-0.3105, 1.3612])) == "[-0.311, 1.37]"
+
+
+@pytest.mark.parametrize("g", [0.9905, 0.9962, 0.9999, -0.9999, 0.999999])
+def test_a_range_that_is_told_does_not_come_to_what_cannot_be_rendered(g):
+    """A phase function's g of 1, which is refused, or an index of 1."""
+    low, high = map(float, ranges.around(-0.99, 0.99, np.float32([g]))[1:-1].split(", "))
+    assert -1 < low <= np.float32(g) <= high < 1
+    low, high = ranges.around(1.001, np.inf, np.float32([1.0004]))[1:-1].split(", ")
+    assert 1 < float(low) <= np.float32(1.0004) and high == "inf"
 
 
 def test_what_an_object_lacks_at_present_is_no_unknown():
@@ -267,6 +277,12 @@ def test_what_thin_glass_lets_through_is_a_colour():
     assert ranges.role(params, key) == "colour"
 
 
+def test_a_material_s_specular_number_is_no_colour():
+    params = ball(type="principled", specular=0.5)
+    assert ranges.role(params, "ball.bsdf.specular") == ""
+    assert ranges.role(params, "ball.bsdf.base_color.value") == "colour"
+
+
 def test_a_list_is_that_of_each_vertex_or_of_none():
     mesh = trimesh.creation.icosphere(1)
     found = mi.Mesh("m", len(mesh.vertices), len(mesh.faces))
@@ -315,6 +331,28 @@ def test_a_start_picture_of_what_is_no_colour_is_taken_as_stored(tmp_path, word,
     (made,) = parse(params, {key: UnknownConfig(start=str(tmp_path / "start.png"))}, False)
     assert made.start.shape == (2, 2, channels)
     np.testing.assert_allclose(made.start[0, 0], flat[0, 0, :channels] / 255, atol=1 / 255)
+    assert not made.kind.colours
+
+
+def test_a_start_picture_of_a_program_s_colours_is_decoded(tmp_path):
+    """Of numbers in memory `raw` says that they are linear, not that files are data."""
+    Image.new("RGB", (2, 2), (128, 128, 128)).save(tmp_path / "start.png")
+    params = ball(type="diffuse", reflectance=bitmap(3))
+    spec = UnknownConfig(start=str(tmp_path / "start.png"))
+    (made,) = parse(params, {"ball.bsdf.reflectance.data": spec}, False)
+    np.testing.assert_allclose(made.start, 0.2158605, atol=1e-5)
+    assert made.kind.colours
+
+
+@pytest.mark.parametrize("colour", [(255, 255, 255), (255, 0, 0)])
+def test_a_start_picture_of_a_wide_gamut_is_taken(tmp_path, colour):
+    """What lies beyond our colours, by rounding or more, is brought back."""
+    file = tmp_path / "start.png"
+    Image.new("RGB", (2, 2), colour).save(file, icc_profile=profile(P3))
+    params = ball(type="diffuse", reflectance=bitmap(3))
+    key = "ball.bsdf.reflectance.data"
+    (made,) = parse(params, {key: UnknownConfig(start=str(file))}, False)
+    np.testing.assert_allclose(made.start[0, 0], np.array(colour) / 255, atol=1e-3)
 
 
 def test_one_colour_is_that_of_every_vertex():
@@ -335,6 +373,62 @@ def test_a_texture_s_own_file_is_a_start_at_its_truth(tmp_path, raw, rng):
     params = ball(type="principled", roughness=described)
     (made,) = parse(params, {"ball.bsdf.roughness.data": UnknownConfig(start=str(file))}, True)
     np.testing.assert_allclose(made.start, made.truth, atol=1e-3)
+
+
+@pytest.mark.parametrize("size", [(5, 1), (1, 5), (1, 1)])
+def test_a_file_of_a_single_row_is_a_start_at_its_truth(tmp_path, size, rng):
+    """Mitsuba holds the row twice."""
+    file = tmp_path / "row.png"
+    Image.fromarray(rng.integers(20, 250, (*size, 3), np.uint8)).save(file)
+    described = {"type": "bitmap", "filename": str(file), "format": "variant"}
+    params = ball(type="diffuse", reflectance=described)
+    (made,) = parse(params, {"ball.bsdf.reflectance.data": UnknownConfig(start=str(file))}, True)
+    np.testing.assert_allclose(made.start, made.truth, atol=1e-3)
+
+
+@pytest.mark.parametrize("shape", [(1, 4, 3), (4, 1, 1)])
+def test_numbers_of_a_single_row_are_no_texture_to_find(shape):
+    texels = mi.TensorXf(np.full(shape, 0.5, np.float32))
+    params = ball(type="diffuse", reflectance={"type": "bitmap", "data": texels, "raw": True})
+    with pytest.raises(InputError, match="a single row or column: give it twice"):
+        parse(params, {"ball.bsdf.reflectance.data": UnknownConfig(start=0.5)}, True)
+
+
+def test_a_start_lies_as_mitsuba_takes_the_scene_s_own_file(tmp_path):
+    """Whatever its Orientation tag asks, which is heeded where the scene has no file."""
+    file, exif = tmp_path / "upside_down.jpg", Image.Exif()
+    pixels = np.zeros((16, 16, 3), np.uint8)
+    pixels[8:] = 200
+    exif[0x112] = 3
+    Image.fromarray(pixels).save(file, exif=exif, quality=100, subsampling=0)
+    own = {"type": "bitmap", "filename": str(file), "format": "variant"}
+    held = {"type": "bitmap", "data": mi.TensorXf(np.full((16, 16, 3), 0.5, np.float32))}
+    paint, sky = "ball.bsdf.reflectance.data", {"type": "envmap", "filename": str(file)}
+    scenes = [
+        (ball(type="diffuse", reflectance=own), paint),
+        (mi.traverse(mi.load_dict({"type": "scene", "sky": sky}, optimize=False)), "sky.data"),
+        (ball(type="diffuse", reflectance=held | {"raw": True}), paint),
+    ]
+    spec = UnknownConfig(start=str(file))
+    made = [parse(params, {key: spec}, True)[0] for params, key in scenes]
+    for each in made[:2]:
+        np.testing.assert_allclose(each.start, each.truth, atol=0.02)
+        assert each.start[0].max() < 0.1 < 0.5 < each.start[-1].min()
+    np.testing.assert_allclose(made[2].start, made[0].start[::-1, ::-1], atol=0.02)
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_a_start_whose_colours_cannot_be_heeded_is_said(tmp_path, raw):
+    file = tmp_path / "rough.png"
+    Image.new("L", (4, 4), 100).save(file)
+    described = {"type": "bitmap", "filename": str(file), "raw": raw, "format": "variant"}
+    params = ball(type="principled", roughness=described)
+    Image.new("L", (4, 4), 100).save(file, icc_profile=b"x")
+    key = "ball.bsdf.roughness.data"
+    (made,) = parse(params, {key: UnknownConfig(start=str(file))}, True)
+    told = made.kind.unheeded
+    assert len(told) == (not raw)
+    assert all(f"['{key}'].start: a colour profile" in each for each in told)
 
 
 @pytest.mark.parametrize("light, role", [("cutoff_angle", ""), ("intensity.value", "light")])

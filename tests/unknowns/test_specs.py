@@ -176,3 +176,12 @@ def test_blurs_narrower_than_single_precision_resolves_are_told():
     assert found[1e-3] == []
     (told,) = found[1e-9]
     assert f"scene.unknowns['{key}'].blur.end=1e-09" in told and "3.1e-05" in told
+
+
+def test_a_light_of_small_numbers_is_blurred_as_narrowly_as_its_own_size_allows():
+    key, scene = "bulb.intensity.value", lit("map")
+    scene["bulb"]["intensity"] = {"type": "rgb", "value": [1e-6, 2e-6, 1e-6]}
+    spec = {"start": 1e-6, "blur": BlurConfig(start=5e-7, end=1e-7)}
+    found = parsed(scene, {key: spec})
+    assert narrow_blurs(list(found.values())) == []
+    assert found[key].scale == pytest.approx(2e-6)

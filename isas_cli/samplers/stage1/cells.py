@@ -47,9 +47,11 @@ class Cells:
 
     @property
     def finest(self) -> float:
-        """The shortest side of any cell, in pixels."""
+        """The shortest side of any cell, in pixels, but of a view that is one: its border cuts
+        tiles off."""
         sides = zip(self.film_sizes, self.sizes)
-        return min(min(w / c, h / r) for (w, h), (c, r) in sides)
+        several = ((w / c, h / r) for (w, h), (c, r) in sides if c * r > 1)
+        return min(map(min, several), default=math.inf)
 
     def place(self, pixels: Views, samples: int, seed: mi.UInt32) -> tuple:
         """``samples`` random pixels of each cell: (view, column, row), cell after cell. Traced."""

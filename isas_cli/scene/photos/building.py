@@ -36,9 +36,9 @@ _WITH_SIZE = 3
 # What an unknown environment starts at; where pictures are darker or brighter by more than these,
 # it starts as bright as they are beside the grey that colours start at.
 _LIGHT, _USUAL, _GREY = 1.0, (1 / 16, 4.0), 0.5
-# Rates: of a hull's vertices, of a shift and a size, as shares of the object's size; of a turn, in
+# Rates: of a shape's vertices, of a shift and a size, as shares of the object's size; of a turn, in
 # degrees. And the share of the budget in which shapes and poses follow the outline alone.
-_GROWTH, _STEP, _DEGREES, _BY_OUTLINE = 0.002, 0.003, 0.3, 0.25
+GROWTH, _STEP, _DEGREES, _BY_OUTLINE = 0.002, 0.003, 0.3, 0.25
 _DEPTH = 3
 # From Mitsuba's environments, whose up is y, to another axis: axis and angle of a rotation.
 _TURNS = {
@@ -123,7 +123,7 @@ def unknowns(taken: Photographs, own: dict, poses: dict[str, PoseConfig]) -> dic
         _check_parts(settings, list(parts), found)
     size = float(np.linalg.norm(np.ptp(taken.surface.vertices, axis=0)))
     if not own and settings.start is not None:
-        found[f"{OBJECT}.vertices"] = UnknownConfig(lr=_GROWTH * size)
+        found[f"{OBJECT}.vertices"] = UnknownConfig(lr=GROWTH * size)
     for name, part in parts.items():
         usual = {} if own else material.unknown(settings, name, part)
         for key, spec in (usual | material.asked(settings, name)).items():

@@ -72,6 +72,7 @@ def load(
     as_linear = linear(camera.image, settings.encoding)
     picture = images.load(camera.image, finite=False, linear=as_linear, turned=turned)
     image, bad = picture.image, images.emptied(picture.image)
+    images.emptied(picture.stored)
     camera = turns.resized(camera, image.shape[1::-1], settings)
     alpha, part = images.read_alpha(camera.image, turned), None
     given = None if camera.mask is None else _given_mask(camera, settings, turned, across)
@@ -202,7 +203,7 @@ def _mask(
         # Said of the file's numbers, not of light.
         counted = images.counted(camera.image)
         full = picture.brightest >= np.float32(settings.saturated)
-        full = full if counted else clipped.cut_off(picture.image)
+        full = full if counted else clipped.cut_off(picture.stored)
         if part is not None:
             full &= part > 0
         if counted or full.any():

@@ -49,11 +49,7 @@ def colour(settings: PhotosConfig) -> tuple[np.ndarray | None, list[str]]:
             f"photos.texture={settings.colour}: holds values from {found.image.min():.3g} to "
             f"{most:.3g}: a base colour lies between 0 and 1"
         )
-    told = []
-    if found.doubt is not None:
-        kind = "sRGB" if images.counted(settings.colour) else "linear Rec. 709"
-        told = [f"{found.doubt} of {settings.colour} cannot be heeded: convert it to {kind}"]
-    return found.image, told
+    return found.image, images.unheeded([settings.colour], [found.doubt])
 
 
 def check(settings: PhotosConfig, parts: dict[str, Surface]) -> list[str]:

@@ -275,4 +275,4 @@ def _doubts(every: list[Photograph]) -> list[str]:
         f"{doubt} of {len(files)} pictures, first {files[0]}, cannot be heeded, and their numbers "
         f"are taken as {taken}: convert them to {taken}, or say photos.encoding={encoding}"
         for (doubt, taken, encoding), files in found.items()
-    ]
+    ] + images.partly(each.camera.image for each in every)

@@ -42,6 +42,7 @@ def doubts(
             "a picture is twice as wide as high: convert a light probe's angular map or a cube's "
             "sides to that"
         )
+    found += images.unheeded([file], [images.doubted(file)])
     if images.counted(file):
         full = images.load(file).brightest >= 1
         if full.any() and not full.all():
