@@ -70,13 +70,18 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _scenes_leave_between_modules():
+def _scenes_leave_between_modules(request: pytest.FixtureRequest):
     """Python's collector rests while a module's tests run: when it takes a scene of an earlier
     test in the middle of a frozen kernel, Dr.Jit finds other objects after the call than before.
-    Building a problem collects, too."""
+    Building a problem collects, too. What a module's own functions remember goes with it: kernels
+    hold the calls of every object that there is."""
     gc.collect()
     gc.disable()
     yield
+    for each in vars(request.module).values():
+        own = getattr(each, "__module__", "") == request.module.__name__
+        if own and hasattr(each, "cache_clear"):
+            each.cache_clear()
     gc.enable()
 
 
@@ -115,6 +120,20 @@ def two_threads():
     with pytest.MonkeyPatch.context() as patch, backend.loading():
         patch.setattr(backend, "_every_thread", lambda: 2)  # also of runs, and after these
         yield
+
+
+@pytest.fixture
+def no_plots(monkeypatch):
+    """Of comparisons, which have tests of their own."""
+    monkeypatch.setattr("isas_cli.report.compare.page.plots.write_plots", lambda *_: [])
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Hulls whose outlines are compared at few points, where nothing is asked of that."""
+    monkeypatch.setattr("isas_cli.scene.photos.coherence._COARSE", 20)
+    monkeypatch.setattr("isas_cli.scene.photos.coherence._FINE", 36)
+    monkeypatch.setattr("isas_cli.scene.photos.hull._FORMAT", -1)  # kept apart from others
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import drjit as dr
 import numpy as np
 import pytest
 from hydra import compose as hydra_compose
@@ -12,6 +13,7 @@ from hydra.core.hydra_config import HydraConfig
 import isas_cli
 from isas_cli.cli import one
 from isas_cli.cli.run import folder_of
+from isas_cli.engine import experiment
 from isas_cli.runtime.errors import InputError
 
 SMALL = [
@@ -37,6 +39,11 @@ def test_a_run_comes_back_as_its_record(run):
     assert run.frame("result_v00").shape[2] == 3
     with pytest.raises(InputError, match="no such frame; did you mean 'result_v00'"):
         run.frame("result_v0")
+
+
+def test_records_have_a_type(run):
+    assert "Run" in isas_cli.__all__ and type(run) is isas_cli.Run
+    assert not hasattr(isas_cli, "Runs")
 
 
 def test_a_record_is_loaded_again(run):
@@ -73,3 +80,40 @@ def test_bad_settings_are_errors_of_one_line(tmp_path):
     with pytest.raises(InputError, match="did you mean 'pottery'") as refused:
         isas_cli.run("scene=potery")
     assert "\n" not in str(refused.value)
+
+
+def test_settings_that_are_no_texts_are_refused():
+    for wrong in (SMALL, {"scene": "pottery"}, Path("a")):
+        with pytest.raises(InputError, match="give texts"):
+            isas_cli.run(wrong)
+
+
+def test_a_process_makes_one_run_at_a_time(monkeypatch):
+    def within(settings):
+        with pytest.raises(InputError, match="another run goes on in this process"):
+            isas_cli.run(*settings)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("isas_cli.cli.run.folder_of", within)
+    for _ in range(2):  # the first was broken off
+        with pytest.raises(KeyboardInterrupt):
+            isas_cli.run("scene=pottery")
+
+
+def test_a_run_that_is_broken_off_leaves_its_scene_as_it_was_loaded(tmp_path, monkeypatch):
+    """Of its gradients other scenes would hear, and of its values who holds its objects."""
+    left = []
+
+    def broken(recorder, begin):
+        left.append(recorder.loop.problem.unknowns)
+        left[0].attach(left[0].starts())
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(experiment, "_go", broken)
+    with pytest.raises(KeyboardInterrupt):
+        isas_cli.run(*SMALL, f"hydra.run.dir={tmp_path / 'run'}")
+    (unknowns,) = left
+    assert not any(map(dr.grad_enabled, unknowns.leaves.values()))
+    found = unknowns.arrays(unknowns.leaves)[KEY]
+    np.testing.assert_array_equal(found, unknowns[KEY].truth)
+    assert not np.array_equal(found, unknowns[KEY].start)

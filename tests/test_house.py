@@ -97,6 +97,7 @@ TYPED = "from isas_cli.cli.app import main; main({})".format
 UNIMPORTED = {
     "import isas_cli.runtime.backend, isas_cli.cli.doctor": "mitsuba drjit numpy",
     "import isas_cli.cli.watch": "mitsuba drjit OpenImageIO",
+    "import isas_cli.scene.photos.photographs": "mitsuba drjit",
     "import isas_cli.report": "mitsuba drjit matplotlib.pyplot",
     "import isas_cli.report.compare": "mitsuba drjit",
     "import isas_cli.report.compare.page": "mitsuba drjit matplotlib.pyplot",

@@ -86,8 +86,8 @@ _EFFECTS_HELP = """\
 usage: isas effects scene=NAME [KEY=VALUE ...]
 
 Say which light transport a run would simulate, and why: what a probe of at most 3 seconds, and 5 %
-of budget.seconds, measures of the images, of the gradient and of the time, with 95 % bounds.
-Nothing is optimised.
+of budget.seconds, measures of the images, of the gradient and of the time, with 95 % bounds; checks
+of what is met take up to half as long again. Nothing is optimised.
 
   isas effects scene=pottery
   isas effects scene=earth effects.tolerance=0.02
@@ -186,7 +186,10 @@ def _parser() -> argparse.ArgumentParser:
         "folders", type=_path, nargs="+", metavar="DIR", help="runs, or folders of runs"
     )
     compare.add_argument(
-        "--output", type=_path, metavar="DIR", help="where to (default: DIR/comparison)"
+        "--output",
+        type=_path,
+        metavar="DIR",
+        help="where to (default: DIR/comparison; of several, in the folder that holds them all)",
     )
     compare.add_argument(
         "--baseline", metavar="METHOD", help="what others are set against (default: uniform)"
@@ -274,8 +277,6 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:
         return _deaf()
     except Exception as error:
-        if interrupt.asked():  # it may come out as another exception
-            return _interrupted()
         if memory.exhausted(error):
             print(f"isas: {memory.EXHAUSTED}", file=sys.stderr)
             return InputError.status

@@ -15,7 +15,9 @@ from rich.table import Column, Table
 
 from ..engine.display import say
 from ..report import compare
+from ..report.compare.facts import number
 from ..report.compare.tables import NOT_REACHED
+from . import one
 
 
 def main(
@@ -27,9 +29,10 @@ def main(
     """Compare, print a short table for each scene and, as the last line, where the page is.
 
     Warnings, and those of whoever calls, go to standard error and into the page. Returns 0; raises
-    InputError like `compare.compare`.
+    InputError like `compare.compare`, before anything is read where nothing can be written.
     """
     target = compare.output_of(folders, output)
+    one.check_writable(target, "give another with --output DIR")
     comparison = compare.build(folders, baseline, warnings)
     page = compare.write(comparison, target)
     for warning in comparison.warnings:
@@ -87,4 +90,4 @@ def _cost(own: pandas.DataFrame, level: float) -> str:
     seconds, ratio = own.loc[level, "seconds"], own.loc[level, "ratio"]
     if math.isinf(seconds):
         return NOT_REACHED
-    return f"{seconds:.3g} (×{ratio:.2f})" if math.isfinite(ratio) else f"{seconds:.3g}"
+    return number(seconds) + (f" (×{ratio:.2f})" if math.isfinite(ratio) else "")

@@ -57,10 +57,7 @@ def run(cfg: DictConfig, name: str) -> int:
 
 def check_folder(folder: Path, overwrite: bool) -> None:
     """Refuse an unusable output folder before anything is computed, and leave nothing there."""
-    existing = folder.absolute()
-    while not existing.exists() and existing != existing.parent:
-        existing = existing.parent
-    check_writable(existing, f"choose another than {folder} with hydra.run.dir=DIR")
+    check_writable(folder, f"choose another than {folder} with hydra.run.dir=DIR")
     if any((folder / name).exists() for name in RECORD_FILES) and not overwrite:
         raise InputError(
             f"{folder} already holds a run: choose another folder with hydra.run.dir=DIR, "
@@ -69,7 +66,10 @@ def check_folder(folder: Path, overwrite: bool) -> None:
 
 
 def check_writable(folder: Path, cure: str) -> None:
-    """Raises InputError where nothing can be written into ``folder``, and says the ``cure``."""
+    """Raises InputError where nothing can be written into ``folder``, or what there is above it,
+    and says the ``cure``."""
+    while not folder.exists():
+        folder = folder.absolute().parent
     try:
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:

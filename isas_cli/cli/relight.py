@@ -58,6 +58,8 @@ def main(
         own = typed.scene.photos
         cameras, over = _cameras(pictures, own)
         across, doubts = turns.across(cameras, over)
+        files = [camera.image for camera in cameras]
+        doubts += images.unheeded(files, [images.doubted(f, _linear(f, own)) for f in files])
         rendering = [relit.cut(camera, width) for camera in cameras]
         lights = _lights(light, [camera.name for camera in cameras])
         how = own.up if up is None else up, own.turn if turn is None else turn
@@ -132,14 +134,19 @@ def _score(
     """Of what a ``seen`` camera renders, beside the picture of the ``camera`` that it stands for;
     ``ways``: whether that is turned, and whether its mask lies otherwise. Raises InputError."""
     from ..measure import relighting
-    from ..scene.photos import importing
 
     mask = None if camera.hides else camera.mask  # which is to say where the object is
-    linear = None  # of which files the run's encoding says nothing
-    if importing.of_light(camera.image) is None:
-        linear = importing.linear(camera.image, own.encoding)
     turned, across = ways[0], None if mask is None else ways[1]
+    linear = _linear(camera.image, own)
     return relighting.of_picture(image, seen, camera, mask, where, turned, fitted, linear, across)
+
+
+def _linear(file: Path, own: PhotosConfig) -> bool | None:
+    """As ``images.load`` has it: of files of light the encoding of the run's ``own`` says
+    nothing."""
+    from ..scene.photos import importing
+
+    return None if importing.of_light(file) else importing.linear(file, own.encoding)
 
 
 def _cameras(pictures: Path, own: PhotosConfig) -> tuple[list, set[str]]:

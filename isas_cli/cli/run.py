@@ -10,7 +10,7 @@ from hydra.types import RunMode
 from omegaconf import open_dict
 
 from ..config.compose import compose, translate
-from ..runtime import interrupt
+from ..runtime import backend, interrupt
 from ..runtime.errors import InputError
 from . import one
 from .sweeps import sweep
@@ -41,11 +41,12 @@ def folder_of(settings: list[str]) -> str:
     of its record. Raises IsasError."""
     continued = [each for each in settings if each.startswith("resume=")]
     if len(continued) == 1:
-        _resume(settings, continued[0], [each for each in settings if each not in continued])
+        with backend.lent():
+            _resume(settings, continued[0], [each for each in settings if each not in continued])
         return os.path.expanduser(continued[0].partition("=")[2].strip("\"'"))
     if flags := [each for each in settings if each.startswith("-")]:
         raise InputError(f"{flags[0]}: a program makes one run at a time, of settings alone")
-    with one.argv(["isas", "run", *settings]), interrupt.prompt():
+    with one.argv(["isas", "run", *settings]), interrupt.prompt(), backend.lent():
         cfg = compose(translate(settings), hydra=True)
         return _one(cfg)[1]
 

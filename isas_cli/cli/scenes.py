@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rich.console import Console
 from rich.table import Column, Table
+from rich.text import Text
 
 from ..config import method, searchpath
 
@@ -27,11 +28,12 @@ def main() -> int:
         own = method.flat(method.said(name, "method"))
         if words := [f"{group}={own[group]}" for group in ("estimator", "sampler") if group in own]:
             problem += f" Takes {' '.join(words)}."
-        table.add_row(name, problem, unknowns, "\n".join(node.get("sizes") or []))
+        row = name, problem, unknowns, "\n".join(node.get("sizes") or [])
+        table.add_row(*map(Text, row))  # as they are written
     console.print(table)
     for group in ("sampler", "loss"):
         table = Table(group, "what it does", title=f"{group}=NAME")
         for name, file in searchpath.files(group).items():
-            table.add_row(name, _comment(file.read_text(encoding="utf-8")))
+            table.add_row(*map(Text, (name, _comment(file.read_text(encoding="utf-8")))))
         console.print(table)
     return 0

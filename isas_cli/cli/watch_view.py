@@ -56,9 +56,9 @@ def ending(follower: Follower) -> list[str]:
     report = follower.folder / "report.html"
     if report.is_file():
         said.append(f"report: {report}")
-    elif alive(run.manifest):
+    elif status != "failed" and alive(run.manifest):
         said.append(f"report: {report}, which is being written")
-    elif not run.complete:
+    elif not run.complete and (follower.folder / "manifest.json").is_file():
         said.append(f"pictures and report are missing; make them with: {resume}")
     return said
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import dataclasses
 import json
@@ -16,7 +17,7 @@ from hydra import compose as hydra_compose
 from hydra import initialize_config_dir, version
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import ChoiceSweep
+from hydra.core.override_parser.types import ChoiceSweep, RangeSweep
 from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -62,10 +63,10 @@ _LABELS = tuple(f"{choice}.{label}" for choice in _CHOICES for label in ("name",
 def translate(overrides: Iterable[str]) -> list[str]:
     """Overrides as typed → overrides as Hydra's grammar takes them.
 
-    ``scene.unknowns={"a.b": {"start": 0.5}}`` is JSON, whose quoted keys Hydra's grammar does not
-    know: it is rewritten with bare keys. Otherwise nothing can be added with '+', as what is not in
-    the configuration has no effect, or removed with '~', as all that is in it is needed, but for
-    unknowns, poses and what the scene takes by itself.
+    ``scene.unknowns={"a.b": {"start": 0.5}}`` is JSON, or as Python prints it, whose quoted keys
+    Hydra's grammar does not know: it is rewritten with bare keys. Otherwise nothing can be added
+    with '+', as what is not in the configuration has no effect, or removed with '~', as all that is
+    in it is needed, but for unknowns, poses and what the scene takes by itself.
     """
     return [_translate(override) for override in presets.unpacked(list(overrides), _BASE)]
 
@@ -124,9 +125,20 @@ def _translate(override: str) -> str:
 def _unquoted(text: str) -> str:
     """JSON as Hydra's grammar has it; what is none stays."""
     try:
-        return literal(json.loads(text, object_pairs_hook=_once))
+        return literal(_read(text))
     except json.JSONDecodeError:
         return text
+
+
+def _read(text: str):
+    """JSON, or a dictionary as Python prints it. Raises JSONDecodeError for what is neither."""
+    try:
+        return json.loads(text, object_pairs_hook=_once)
+    except json.JSONDecodeError:
+        if text.startswith("{'"):
+            with contextlib.suppress(ValueError, TypeError, SyntaxError, RecursionError):
+                return json.loads(json.dumps(ast.literal_eval(text)))
+        raise
 
 
 def _once(pairs: list[tuple]) -> dict:
@@ -154,11 +166,12 @@ def _inner(key: str, value: str, setting: str) -> list[str]:
     except json.JSONDecodeError:
         try:
             read = OverridesParser.create().parse_override(f"x={value}")
-        except HydraException:
+            several = isinstance(read.value(), ChoiceSweep | RangeSweep)
+            values = list(read.sweep_iterator()) if several else [read.value()]
+        except (HydraException, ValueError):
             return []
-        if read.is_sweep_override() and not isinstance(read.value(), ChoiceSweep):
+        if read.is_sweep_override() and not several:
             return []
-        values = read.value().list if read.is_sweep_override() else [read.value()]
     entries = ({field: plain(each)} for each in values)
     return [json.dumps({name: {"blur": each} if within else each}) for each in entries]
 
@@ -172,9 +185,9 @@ def _translate_named(override: str, setting: str, entry_type: type) -> str:
     """``setting={name: entry, …}`` in JSON, each an ``entry_type``."""
     text = override[len(setting) :]
     try:
-        parsed = json.loads(text, object_pairs_hook=_once)
+        parsed = _read(text)
     except json.JSONDecodeError as error:
-        if re.match(r'\{\s*"', text):
+        if re.match(r"\{\s*[\"']", text):
             raise InputError(f"{override}: no valid JSON: {error}") from error
         return "++" + override  # perhaps it is in Hydra's own notation
     entries = list(parsed.values()) if isinstance(parsed, dict) else []

@@ -291,7 +291,8 @@ class BudgetConfig:
 
 @dataclass
 class OptimizerConfig:
-    """Adam. ``lr``: of unknowns without a rate of their own; ``factor``: on all rates, those too;
+    """Adam. ``lr``: of unknowns without a rate of their own, of shapes times a tenth of their
+    size; ``factor``: on all rates, those too;
     ``schedule``: constant, cosine or exponential over the budget, down to ``final`` of the rates
     (None: 0.02), or inverse, halved after ``half`` steps; None: inverse, but exponential for
     unknowns that move objects, or whose blur, levels or stages follow the budget, and for all where
@@ -317,8 +318,11 @@ class OptimizerConfig:
                     f"optimizer.{name}={getattr(self, name)}: must be a finite number above 0"
                 )
         for name in ("beta_1", "beta_2"):
-            if not 0 <= getattr(self, name) < 1:
-                raise InputError(f"optimizer.{name}={getattr(self, name)}: must lie in [0, 1)")
+            if not 0 <= getattr(self, name) <= 0.999999:
+                raise InputError(
+                    f"optimizer.{name}={getattr(self, name)}: must lie in [0, 0.999999]: numbers "
+                    "of 32 bits hardly tell what is nearer to 1 from it"
+                )
         factor(*self.falling(), self.half)
 
     def falling(
@@ -406,6 +410,9 @@ class Config:
             raise InputError(f"photos.…: only scene=photos has it, not scene={scene.name}")
         elif scene.name == "external":
             scene.external.check()
+            for name in ("builder", "path", "max_depth"):
+                if (value := getattr(scene, name)) is not None:
+                    raise InputError(f"scene.{name}={value}: scene=external has none: leave it out")
         elif scene.builder is None and scene.path is None:
             raise InputError(f"scene={scene.name} needs a file: give scene.path=FILE.xml")
         if scene.name != "external" and scene.external != ExternalConfig():

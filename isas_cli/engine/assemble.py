@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..config.schema import SceneConfig, TargetConfig
+from ..config.schema import OptimizerConfig, SceneConfig, TargetConfig
 from ..rendering import black_box, coverage, integrators, light, picture_edges, targets, trial
 from ..rendering.black_box import Places
 from ..runtime import backend
@@ -83,6 +83,7 @@ def bare(
         of_views = {"outside": other}
     truth_known = taken is None and scene.targets is None
     found = parsed(params, wanted, truth_known, poses, of_views)
+    _pace(found)
     if taken is not None:
         for each in found:
             each.asked = each.key in scene.unknowns
@@ -118,10 +119,11 @@ def bare(
         content,
         warnings=[
             *(taken.warnings if taken is not None else ()),
+            *(other.warnings if other is not None else ()),
             *mesh_checks.check_scene(loaded, unknowns.textures),
             *_other_pictures(loaded, adapted),
             *narrow_blurs(found),
-            *(warning for each in found for warning in each.kind.warnings()),
+            *(line for each in found for line in (*each.kind.unheeded, *each.kind.warnings())),
             *_doubtful_starts(found),
             *_wrong(params, found),
             *_flat_densities(found, adapted),
@@ -147,7 +149,9 @@ def _loaded(
             return scene_file.load(scene.path, scene.max_depth)
         else:
             described = built.description(scene, taken)
-            loaded = built.load(described)
+            where = f"scene.builder={scene.builder}" if taken is None else where_of(scene)
+            with scene_file.said(where):
+                loaded = built.load(described)
             description = f"{scene.photos.up} {scene.photos.turn:g}"
             if taken is None:
                 arguments = dict(scene.arguments)
@@ -180,7 +184,7 @@ def problem(
     elif scene.targets is not None:
         phase("targets")
         result.set_targets(*targets.load(result, scene.targets, scene.masks))
-        result.warnings += _greys(result)
+        result.warnings += _greys(result) + _hidden(result)
     phase("coverage")
     # Not the run's own seed: runs are compared over the same entries.
     coverage.fill_in(result, target.seed)
@@ -246,6 +250,14 @@ def _compare(problem: Problem) -> None:
         unknown.kind.compare(counts)
 
 
+def _pace(found: list[Unknown]) -> None:
+    """Let shapes without a rate move by a share of their size, whatever the scene's unit is."""
+    for each in (each for each in found if each.kind.deforms and each.lr is None):
+        if (surface := each.kind.surface(each.kind.present, None)) is not None:
+            size = np.linalg.norm(np.ptp(surface.vertices[surface.faces.ravel()], axis=0))
+            each.speed = building.GROWTH / OptimizerConfig().lr * float(size)
+
+
 def _untold(taken: photographs.Photographs, unknowns: Unknowns) -> list[str]:
     """Of shapes and poses that are unknown, what of the photographs does not tell them."""
     moving = [unknown for unknown in unknowns if unknown.kind.moves_geometry]
@@ -284,6 +296,23 @@ def _untold(taken: photographs.Photographs, unknowns: Unknowns) -> list[str]:
             "photos.background=false, unless photos.environment shows it"
         )
     return found
+
+
+def _hidden(problem: Problem) -> list[str]:
+    """Of shapes and poses that are unknown, that masks of targets do not tell where they end."""
+    unknowns, shapes = problem.unknowns, {shape.id() for shape in problem.scene.shapes()}
+    moving = [
+        key
+        for key in unknowns.moving
+        if any(written.rpartition(".")[0] in shapes for written in unknowns.written(key))
+    ]
+    if not moving or problem.mask is None or (np.array(problem.mask) > 0).all():
+        return []
+    return [
+        f"'{moving[0]}': pixels that scene.masks hide do not count, so where its outline passes "
+        "through such nothing tells it: let those beside it count, in targets black where the "
+        "scene shows nothing behind it, or take scene=photos and photos.background=black"
+    ]
 
 
 def _greys(problem: Problem) -> list[str]:

@@ -12,7 +12,7 @@ from ..unknowns.unknowns import Unknown, Unknowns
 from .evaluate import OUTLINE
 from .optimiser import FEW, Stepper
 
-_NEAR = 1e-6
+_NEAR = 2e-6  # of an unknown's size, what is at an end
 # Of an outline's distance from alpha or masks, as a share of their area: what is said.
 _OFF = 0.05
 # Of the way that steps could have gone, all in one direction, what is said; after so many.
@@ -35,13 +35,13 @@ def reached(unknowns: Unknowns, values: dict) -> list[str]:
         for word, end in (("low", unknown.low), ("high", unknown.high)):
             if not np.isfinite(end):
                 continue
-            there = _at(found, end)
+            there = _at(found, end, unknown)
             if unknown.truth is not None:
-                there &= ~_at(unknown.truth.reshape(-1), end)
+                there &= ~_at(unknown.truth.reshape(-1), end, unknown)
             if not there.any():
                 continue
             which = "" if there.all() else f", {there.sum()} of its {there.size} numbers"
-            stayed = _at(begun, end)[there].all()
+            stayed = _at(begun, end, unknown)[there].all()
             more = (
                 ", where it began: there may be a better place that no small step leads to, "
                 "which a start inside may find"
@@ -55,16 +55,17 @@ def reached(unknowns: Unknowns, values: dict) -> list[str]:
 
 def _bright(unknown: Unknown, found: np.ndarray) -> list[str]:
     """Where many texels ``(H, W, C)`` that views see came to the high end of their range."""
-    there = _at(found, unknown.high) & ~_at(unknown.start, unknown.high)
+    high = unknown.high
+    there = _at(found, high, unknown) & ~_at(unknown.start, high, unknown)
     if unknown.truth is not None:
-        there &= ~_at(unknown.truth, unknown.high)
+        there &= ~_at(unknown.truth, high, unknown)
     seen = np.ones(found.shape, bool) if unknown.seen is None else unknown.seen
     share = (there & seen).any(axis=2).sum() / max(seen.any(axis=2).sum(), 1)
     if share <= _BRIGHTEST:
         return []
     return [
         f"'{unknown.key}': {share:.0%} of its texels that views see ended at the high end of its "
-        f"range, {unknown.high:.4g}: the light is probably too dark for the images, or in another "
+        f"range, {high:.4g}: the light is probably too dark for the images, or in another "
         "unit than they are"
     ]
 
@@ -80,7 +81,8 @@ def underway(stepper: Stepper) -> list[str]:
         moved = float(np.abs(now - begun).max())
         # A way that is shorter the other way round, or that ended at an end, is another matter.
         period = unknown.kind.period
-        ended = any(_at(now, x).any() for x in (unknown.low, unknown.high) if np.isfinite(x))
+        both = [x for x in (unknown.low, unknown.high) if np.isfinite(x)]
+        ended = any(_at(now, x, unknown).any() for x in both)
         if (period and moved > period / 2) or ended or key in led:
             continue
         if moved > _STRAIGHT * reach > 0:
@@ -142,5 +144,10 @@ def astray(first: dict, last: dict) -> list[str]:
     ]
 
 
-def _at(numbers: np.ndarray, end: float) -> np.ndarray:
-    return np.abs(numbers - end) <= 2 * _NEAR * max(1.0, abs(end))
+def _at(numbers: np.ndarray, end: float, unknown: Unknown) -> np.ndarray:
+    """Which ``numbers`` are at an end of the unknown's range, by the size of that, or of what is
+    known of the unknown, where that is less."""
+    known = (each for each in (unknown.start, unknown.truth) if each is not None)
+    sizes = unknown.high - unknown.low, max(float(np.abs(each).max()) for each in known)
+    size = min((each for each in sizes if 0 < each < np.inf), default=0.0)
+    return np.abs(numbers - end) <= _NEAR * max(size, abs(end))

@@ -71,8 +71,8 @@ class Stepper:
       reach a moment: one NaN would poison its entry for good.
     - Adam divides by √v̂ + ε with ε = 1e-8. A loss that is a mean over millions of pixels has
       gradients of that size, and ε would slow it silently. ``scale`` (per unknown, fixed for the
-      run, from a rehearsal's root mean square) brings them to order 1; Adam is invariant to it
-      but for ε.
+      run, from a rehearsal's root mean square, or where that met none from the first gradient)
+      brings them to order 1; Adam is invariant to it but for ε.
     - What has neighbours may be filtered over them (``filter``).
     - Where one number divides all entries of an unknown, larger ones than ``_OUTLIER`` allows are
       cut.
@@ -141,8 +141,8 @@ class Stepper:
 
     @property
     def scale(self) -> dict[str, float]:
-        """Of the present level, by key."""
-        return self.scales[self.level]
+        """Of the present level, by key; 1 for what has had no gradient yet."""
+        return {key: each or 1.0 for key, each in self.scales[self.level].items()}
 
     def refine(self, level: int) -> None:
         """Go on at a finer level. What the images show stays, or nearly: where a level between two
@@ -199,14 +199,16 @@ class Stepper:
         """The learning rate of unknowns without one of their own, or of the first where all have
         one, at this share of the budget, falling as the first of them says."""
         unrated = [u.key for u in self.unknowns if u.lr is None]
-        first = (unrated or self.unknowns.keys)[0]
-        usual = self.unknowns[first].lr or self.settings.lr
-        return usual * self.settings.factor * self._fallen(first, spent)
+        first = self.unknowns[(unrated or self.unknowns.keys)[0]]
+        return self._usual(first) * self._fallen(first.key, spent)
 
     def _rate(self, unknown: Unknown, spent: float) -> float:
         """0 while it rests."""
-        usual = (unknown.lr or self.settings.lr * unknown.speed) * self.settings.factor
-        return usual * self._fallen(unknown.key, spent) * unknown.moves(spent)
+        return self._usual(unknown) * self._fallen(unknown.key, spent) * unknown.moves(spent)
+
+    def _usual(self, unknown: Unknown) -> float:
+        """Before it falls."""
+        return (unknown.lr or self.settings.lr * unknown.speed) * self.settings.factor
 
     def _fallen(self, key: str, spent: float) -> float:
         """What an unknown's rate is multiplied with at present."""
@@ -219,6 +221,11 @@ class Stepper:
             few = (u.key for u in self.unknowns if u.start.size <= FEW and not u.doubled)
             self.begun = {key: as_numpy(dr.detach(self.adam[key])) for key in few}
             self.since = self.steps
+        for key, known in self.scales[self.level].items():
+            unknown = self.unknowns[key]
+            if not (known or unknown.unseen) and unknown.moves(spent):
+                self._scale(key, gradients)
+        scale = self.scale
         rates, gradient, touched = {}, {}, mi.UInt64(0)
         for unknown in self.unknowns:
             key = unknown.key
@@ -227,7 +234,7 @@ class Stepper:
             rates[key] = self._rate(unknown, spent)
             self.reach[key] += rates[key]
             # Opaque, because the factor differs from run to run and would compile anew.
-            entries = flat(gradients[key]) * dr.opaque(mi.Float, self.scale[key])
+            entries = flat(gradients[key]) * dr.opaque(mi.Float, scale[key])
             finite = dr.abs(entries) < _LARGEST  # NaN is not
             self.nonfinite[key] += mi.UInt64(dr.count(~finite))
             touched += mi.UInt64(dr.count(~finite | (entries != 0)))
@@ -308,17 +315,30 @@ class Stepper:
     def calibrate(self, gradients: list[dict], later: list[dict] = ()) -> None:
         """Fix ``scale`` as 1 / (root mean square of the non-zero finite entries), per unknown; of
         one that is no finer than at the level before, whose moments go on, as it was there.
-        ``later``: estimates of later stages, for unknowns of which the first know nothing."""
+        ``later``: estimates of later stages, for unknowns of which the first know nothing. 0 where
+        these do not either: ``step`` fixes it."""
         shapes, gradients = self.unknowns.shapes, [self._directed(g) for g in gradients]
+        scales = self.scales[self.level]
         for key in self.unknowns.keys:
             if self.level and shapes(self.level)[key] == shapes(self.level - 1)[key]:
-                self.scale[key] = self.scales[self.level - 1][key]
+                scales[key] = self.scales[self.level - 1][key]
                 continue
             squares, count = self._squares(key, gradients)
             if not count:
                 squares, count = self._squares(key, [self._directed(g) for g in later])
-            size = math.sqrt(squares / count) if count else 0.0
-            self.scale[key] = 1.0 / size if size > 0 else 1.0
+            scales[key] = 1 / math.sqrt(squares / count) if count else 0.0
+
+    def _scale(self, key: str, gradients: dict) -> None:
+        """Fix ``scale`` by the first of ``gradients`` that is not zero: all moments are until then.
+        Waits."""
+        entries = flat(gradients[key])
+        if not dr.any(dr.isfinite(entries) & (entries != 0)):
+            return
+        squares, count = self._squares(key, [gradients])
+        shapes = self.unknowns.shapes
+        for level in range(self.level, len(self.scales)):  # where its moments go on
+            if shapes(level)[key] == shapes(self.level)[key]:
+                self.scales[level][key] = 1 / math.sqrt(squares / count)
 
     def _squares(self, key: str, gradients: list[dict]) -> tuple[float, int]:
         """Of entries that are finite and not zero, the sum of their squares, and how many."""
@@ -345,6 +365,7 @@ class Stepper:
         the schedule: others' means stand still. On the host.
         """
         total, count, gradients = 0.0, 0, self._directed(gradients, spent)
+        scale = self.scale
         for key in (unknown.key for unknown in self.unknowns if unknown.moves(spent)):
             first = np.array(flat(self.adam.state[key][3][1]))
             every, visits = self._along(key, gradients[key]), np.array(self.visits[key])
@@ -353,7 +374,7 @@ class Stepper:
                 touched = np.isfinite(entries) & (entries != 0) & (steps > 1)
                 weight = 1 - self.settings.beta_1 ** steps[touched]
                 smoothed = first[part][touched].astype(np.float64) / weight
-                total += float(np.sum((smoothed / self.scale[key] - entries[touched]) ** 2))
+                total += float(np.sum((smoothed / scale[key] - entries[touched]) ** 2))
                 count += int(touched.sum())
         return total / count if count else float("nan")
 
@@ -361,10 +382,12 @@ class Stepper:
         """Adam's moments after at least one step, as samplers read them. Evaluates."""
         first, second, noise = {}, {}, {}
         β = self.settings.beta_1
+        sizes = {key: 1 / each for key, each in self.scales[self.level].items() if each}
+        largest = max(sizes.values(), default=1.0)
         for key in self.unknowns.keys:
             t, m, v, _ = self.adam.state[key][3]
             m, v, steps = flat(m), flat(v), max(int(t[0]), 1)  # 0 before its stage
-            unit = dr.opaque(mi.Float, 1 / self.scale[key])
+            unit = dr.opaque(mi.Float, sizes.get(key, largest) / largest)
             took_part = self.visits[key] * dr.opaque(mi.Float, 1 / steps)
             forgotten = dr.power(mi.Float(β), self.visits[key])
             part = 1 - forgotten
@@ -378,7 +401,7 @@ class Stepper:
             noise[key] = dr.select(part > 0, dr.square(took_part) * share * touched, 0)
         dr.eval(first, second, noise)
         rates = {u.key: self._rate(u, spent) for u in self.unknowns}
-        return Moments(first, second, noise, rates)
+        return Moments(first, second, noise, rates, largest)
 
     def export(self) -> tuple[dict[str, np.ndarray], dict]:
         """Values and moments as arrays; step counts, scales and counters as JSON."""

@@ -30,6 +30,8 @@ _CHECKPOINT_SECONDS = 5.0
 _CHECKPOINT_SHARE = 0.01
 # Of the images' error, what is much to be left out of them.
 _MUCH = 0.5
+# effects.derivative_tolerance, where none was set, of runs that earlier commits began.
+_ONCE = 0.3
 # What other commands make of a result, below its record.
 _DERIVED = "result/scene.xml", "relit/scores.json", "landscape.csv"
 
@@ -59,6 +61,7 @@ class Recorder:
         self._snapshots = 0
         # Of what may be doubted, the last row and value that were not.
         self._good: dict[str, tuple[dict, np.ndarray]] = {}
+        self._doubted: set[str] = set()  # at the last evaluation
         self.held_out: dict | None = None  # errors of views held out, once pictured
         self.left_out: float | None = None  # by the plan of effects, once the run has ended
         self.profile: Profile | None = None  # once made, where the configuration asks for it
@@ -150,11 +153,17 @@ class Recorder:
         self._first = self._first or row
         loop = self.loop
         with loop.clock.unbilled("evaluation"):
+            doubted = set()
             for unknown in (u for u in loop.problem.unknowns if u.kind.doubtful):
                 array = unknown.kind.whole(loop.stepper.values[unknown.key])
-                if not unknown.kind.doubt(array):
+                if unknown.kind.doubt(array):
+                    doubted.add(unknown.key)
+                else:
                     self._good[unknown.key] = row, array
         with loop.clock.unbilled("writing"):
+            if doubted != self._doubted:  # a kill leaves no time for it later
+                self._doubted = doubted
+                self._keep_good()
             self.writer.evaluation(row)
             self.tracker.evaluation(row)
         due = self._snapshots_due(loop.position.evaluations)
@@ -205,6 +214,12 @@ class Recorder:
 
         ``given_up``: asked now and then; what is not made yet is left to a continuation.
         """
+        try:
+            return self._illustrated(given_up)
+        finally:
+            self.writer.release()
+
+    def _illustrated(self, given_up: Callable[[], bool]) -> Path:
         loop = self.loop
         done = self._status == "done" and loop.position.iteration > 0
         if self.typed.profile and done and not given_up():
@@ -223,7 +238,6 @@ class Recorder:
 
             self.display.phase("report")
             page = write(self.folder)
-        self.writer.release()
         return page
 
     def _measure(self) -> None:
@@ -362,7 +376,8 @@ class Recorder:
             )
         for name in ("tolerance", "derivative_tolerance"):
             asked = self.cfg.effects.get(name, usual := getattr(Effects(), name))
-            if asked != usual and not self.loop.plan.seconds:
+            before = self._resumed and name == "derivative_tolerance" and asked == _ONCE
+            if asked != usual and not (before or self.loop.plan.seconds):
                 notes.append(
                     f"effects.{name}={asked:g} has no effect: nothing was measured that it decides "
                     "on, which takes effects=auto and a budget of 10 seconds or more, of time alone"

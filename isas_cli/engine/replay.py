@@ -140,12 +140,15 @@ def _bad_paths(loop: Loop, of: TwoPath, iteration: int) -> Iterator[tuple[str, n
 
         def look(integrator, scene, streams, rays, adjoints, key=key, found=found):
             again = [stream.clone() for stream in streams]
-            parts = adjoints(integrator.radiances(scene, streams, rays), finite=False)
+            radiances = integrator.radiances(scene, streams, rays)
+            dr.eval(radiances)
+            parts = adjoints(radiances, finite=False)
             if key is not None:
                 paths = zip(reversed(again), reversed(rays))
                 parts = [a * integrator.forward(scene, *path) for a, path in zip(parts, paths)]
             with np.errstate(invalid="ignore"):  # what is looked for
-                found.append(sum(np.array(part) for part in parts))
+                sums = [sum(np.array(part) for part in each) for each in (parts, radiances)]
+            found.extend(~np.all(np.isfinite(each), axis=0) for each in sums)
 
         estimator = TwoPath(problem, of.loss, of.batch, False, look)
         if key is None:
@@ -160,5 +163,10 @@ def _bad_paths(loop: Loop, of: TwoPath, iteration: int) -> Iterator[tuple[str, n
             continue
         estimator.accumulate(loop.distribution, loop.seed, iteration)
         what = "residual" if key is None else f"gradient by {key}"
-        yield what, ~np.all(np.isfinite(found[0]), axis=0)
+        bad, own = found
+        if (windows := of.loss.windows) is not None:
+            # One path spoils all of its window: it alone is to blame, where there is one.
+            own = np.broadcast_to(own, bad.shape).reshape(-1, windows.count)
+            bad = np.where(own.any(axis=1, keepdims=True), own, bad.reshape(own.shape)).ravel()
+        yield what, bad
     problem.unknowns.write(values)

@@ -87,6 +87,11 @@ def prepare(folder: Path, changes: dict) -> Continuation:
         raise InputError(f"{folder} is still being written: its process has not ended")
     cfg, before = configuration(folder, run, changes)
     arrays, state = records.load_checkpoint(folder)
+    if state["iteration"] > 0 and run.history.empty:
+        # What was found so far would count as the start.
+        raise InputError(
+            f"{folder}: its history.csv is gone, or has no rows: put it back, or start a new run"
+        )
     budget = _budget(cfg)
     spent = (sum(state["billed"].values()), state["iteration"], state["paths"])
     if run.complete and budget.spent(*spent) >= 1:

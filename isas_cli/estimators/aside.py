@@ -53,8 +53,8 @@ class Aside:
                 radiance = rays.radiance(integrator, scene, sensors, views, place, stream)
                 dr.eval(radiance)
                 target = dr.gather(mi.Color3f, targets, pixel)
-                residual = loss.derivative(radiance, target) / (probability * batch)
-                residual = rays.masked(residual, mask, pixel)
+                residual = rays.sound(loss.derivative(radiance, target), radiance)
+                residual = rays.masked(residual / (probability * batch), mask, pixel)
                 dr.eval(residual)
             return radiance, residual
 

@@ -12,6 +12,7 @@ import numpy as np
 from ..rendering import rays
 from ..rendering.kernels import recorded
 from ..runtime.errors import InputError
+from ..scene import lenses
 from ..scene.problem import Problem
 from ..unknowns.blur import Blur
 from ..unknowns.smoothing import Pair
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from ..unknowns.poses import Pose
 
 _MOST_LANES = 1 << 28  # a few gigabytes
+# Whose pixels each see along one ray, or nearly.
+_SHARP = {"PerspectiveCamera", "OrthographicCamera", "RadianceMeter"}
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,12 @@ def _items(problem: Problem, blur: Blur, batch: int):
             if problem.unknowns.moved & {sensor.id() for sensor in problem.scene.sensors()}:
                 # Near on one side of a pair would not be near on the other.
                 raise InputError(f"{where}: only where no pose moves a camera")
+            for number, sensor in enumerate(problem.scene.sensors()):
+                if not {each.class_name() for each in lenses.side_by_side(sensor)} <= _SHARP:
+                    raise InputError(
+                        f"{where}: one ray does not tell what a pixel of sensor {number} sees: "
+                        "leave reach out"
+                    )
             lanes = pose.parts * batch
             if lanes > _MOST_LANES:
                 raise InputError(

@@ -200,7 +200,8 @@ class WholeImages(Gradients):
         first = sum(w * h for w, h in p.film_sizes[:view])
         pixel = dr.arange(mi.UInt32, width * height)
         target = dr.gather(mi.Color3f, p.targets, first + pixel)
-        adjoint = self.loss.derivative(dr.unravel(mi.Color3f, image.array), target) * p.share
+        shown = dr.unravel(mi.Color3f, image.array)
+        adjoint = rays.sound(self.loss.derivative(shown, target), shown) * p.share
         adjoint = rays.masked(adjoint, p.mask, first + pixel)
         whole = dr.all(dr.isfinite(adjoint))
         adjoint = dr.ravel(dr.select(whole, adjoint, 0))

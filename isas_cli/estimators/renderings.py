@@ -180,8 +180,8 @@ def _adjoint_kernel(loss):
     """∂ℒ/∂I at the mean of two renderings."""
 
     def kernel(targets, pixel, middle):
-        a, b = middle
-        found = loss.derivative((a + b) / 2, dr.gather(mi.Color3f, targets, pixel))
+        mean = (middle[0] + middle[1]) / 2
+        found = rays.sound(loss.derivative(mean, dr.gather(mi.Color3f, targets, pixel)), mean)
         dr.eval(found)
         return found
 
@@ -201,7 +201,7 @@ def _loss_kernel(loss, batch: int):
     def kernel(targets, mask, drawn, sides, share, lost):
         pixel, probability = drawn
         target = dr.gather(mi.Color3f, targets, pixel)
-        plus, minus = (loss.measured(a, b, target) for a, b in sides)
+        plus, minus = (rays.sound(loss.measured(a, b, target), a + b) for a, b in sides)
         return _terms(plus - minus, pixel, probability, mask, share, batch, lost)
 
     return kernel

@@ -161,7 +161,7 @@ class TwoPath(Gradients):
                         seen = radiance * weight
                         if windows is not None:
                             dr.eval(seen)
-                        residual = loss.derivative(seen, target)
+                        residual = rays.sound(loss.derivative(seen, target), seen)
                         residual = rays.masked(residual, mask, pixel, windows)
                         residuals.append(residual)
                         missed.append(~dr.all(dr.isfinite(residual)))

@@ -39,10 +39,13 @@ def safe_name(key: str) -> str:
     return quote(key, safe="")
 
 
-def walked(folder: Path) -> Iterator[tuple[Path, list[str], list[str]]]:
-    """As `os.walk`, in order, through links as well, and into no folder twice."""
+def walked(
+    folder: Path, refused: Callable[[OSError], Any] | None = None
+) -> Iterator[tuple[Path, list[str], list[str]]]:
+    """As `os.walk`, in order, through links as well, and into no folder twice. ``refused`` is
+    called for each that cannot be read."""
     seen = set()
-    for place, folders, files in os.walk(folder, followlinks=True):
+    for place, folders, files in os.walk(folder, onerror=refused, followlinks=True):
         folders.sort()
         if (real := os.path.realpath(place)) in seen:
             folders.clear()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
+import os
 import platform
 import time
 from dataclasses import dataclass, fields
@@ -17,7 +18,7 @@ from ..runtime.budget import Budget
 from ..runtime.errors import InputError
 from . import Run
 from .files import walked
-from .reader import read_json
+from .reader import load_failed, read_json
 
 RUNNING, KILLED, UNREADABLE = "running", "killed", "unreadable"
 _READ = ("manifest.json", "config.yaml", "history.csv", "summary.json")
@@ -27,13 +28,21 @@ _TRIES, _PAUSE_SECONDS = 3, 0.1
 
 
 def find(folder: Path) -> list[Path]:
-    """The folders of all runs at or below `folder`, sorted; none lies within another."""
-    found = []
-    for place, folders, files in walked(folder):
+    """The folders of all runs at or below `folder`, sorted; none lies within another. Among them
+    are jobs that failed before they had a record, and folders that cannot be read."""
+    found: list[Path] = []
+
+    def unread(error: OSError) -> None:
+        if not isinstance(error, FileNotFoundError):  # it went away meanwhile
+            found.append(Path(error.filename))
+
+    for place, folders, files in walked(folder, unread):
         if "manifest.json" in files:
             folders.clear()
             if not measures(place):
                 found.append(place)
+        elif "summary.json" in files and failed(place):
+            found.append(place)
     return sorted(found)
 
 
@@ -41,6 +50,14 @@ def measures(folder: Path) -> bool:
     """Whether this is what `isas variance` wrote: a measurement, not a run."""
     try:
         return "variance" in read_json(folder / "manifest.json")
+    except InputError:
+        return False
+
+
+def failed(folder: Path) -> bool:
+    """Whether this is what a sweep's job left that failed before it had a record."""
+    try:
+        return read_json(folder / "summary.json").get("status") == "failed"
     except InputError:
         return False
 
@@ -140,8 +157,14 @@ def _stamp(path: Path) -> tuple[int, int, int] | None:
 
 def _read(folder: Path) -> Run | None:
     for attempt in range(_TRIES):
-        if not (folder / "manifest.json").is_file():
+        try:
+            files = os.listdir(folder)
+        except FileNotFoundError:
             return None
+        except OSError as error:
+            raise InputError(f"{folder}: {error.strerror}") from error
+        if "manifest.json" not in files:
+            return load_failed(folder) if failed(folder) else None
         try:
             return records.load(folder)
         except InputError:

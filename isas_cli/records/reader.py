@@ -53,20 +53,28 @@ class Run:
     def parameters(self) -> dict[str, np.ndarray]:
         """The unknowns where the run stands, by key, float32 in their own shapes; of one that has
         not come to its last level as coarse as it is. Raises InputError where there is no
-        checkpoint."""
+        checkpoint, or the folder was written by another run, or went on, since it was loaded."""
+        self._check_same()
         arrays, _ = load_checkpoint(self.folder)
         return {k[len(_VALUE) :]: array for k, array in arrays.items() if k.startswith(_VALUE)}
 
     def frame(self, name: str) -> np.ndarray:
         """frames/``name``.exr, such as ``result_v00``: ``(H, W, 3) float32``, linear. Raises
-        InputError, naming what there is, where there is none of this name."""
+        InputError like ``parameters`` and, naming what there is, where there is none of this
+        name."""
         from ..runtime import images  # loads OpenImageIO, which who reads numbers need not wait for
 
+        self._check_same()
         path = self.folder / "frames" / f"{name}.exr"
         if not path.is_file():
             names = sorted(each.stem for each in path.parent.glob("*.exr"))
             raise InputError(f"{path}: no such frame; {nearest(name, names)}")
         return images.read(path, finite=False)
+
+    def _check_same(self) -> None:
+        """A manifest is written when a run begins and when it goes on."""
+        if read_json(self.folder / "manifest.json") != self.manifest:
+            raise InputError(f"{self.folder} was written again since it was loaded: load it anew")
 
     @property
     def parameter_rmse_is(self) -> str:
@@ -87,7 +95,17 @@ def load(folder: Path) -> Run:
         raise InputError(f"{folder}: no such run folder")
     if not (folder / "manifest.json").is_file():
         raise InputError(f"{folder} holds no run: it has no manifest.json")
-    manifest = read_json(folder / "manifest.json")
+    return _run(folder, read_json(folder / "manifest.json"))
+
+
+def load_failed(folder: Path) -> Run:
+    """What is known of a sweep's job that failed before it had a record: its settings and, in its
+    summary, why and by which process. Raises InputError for a file that is damaged."""
+    summary = read_json(Path(folder) / "summary.json")
+    return _run(Path(folder), summary.get("process") or {})
+
+
+def _run(folder: Path, manifest: dict[str, Any]) -> Run:
     has_summary = (folder / "summary.json").is_file()
     return Run(
         folder=folder,

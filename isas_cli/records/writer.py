@@ -216,10 +216,11 @@ class RunWriter:
     def good(self, name: str, files: dict[str, bytes]) -> None:
         """meshes/good_<name>.<extension>, in place of such as there are: a shape as it was before
         it was doubted; ``files`` by extension, none of one that is not."""
-        for old in self.folder.glob(f"{_GOOD}{name}.*"):
-            old.unlink()
         for extension, content in files.items():
             self.mesh(f"good_{name}.{extension}", content)
+        for old in self.folder.glob(f"{_GOOD}{name}.*"):
+            if old.suffix[1:] not in files:
+                old.unlink()
 
     def mesh(self, name: str, content: bytes) -> None:
         """meshes/<name>: a shape for other programs."""

@@ -188,4 +188,4 @@ def log_ticks(low: float, high: float) -> dict[float, str]:
 
 def _short(value: float) -> str:
     """0.002, 50, 200k, 5M, or a power of ten."""
-    return EngFormatter(sep="")(value) if 1e3 <= value < 1e12 else f"{value:g}"
+    return EngFormatter(sep="", usetex=False)(value) if 1e3 <= value < 1e12 else f"{value:g}"

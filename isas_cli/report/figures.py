@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import matplotlib
+import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -43,6 +44,12 @@ class Picture:
     caption: str
 
 
+def styled(grid: bool = True) -> AbstractContextManager[None]:
+    """Within the context pictures have ``STYLE`` and otherwise Matplotlib's own defaults, whatever
+    a program or a user's file has set."""
+    return matplotlib.style.context(["default", {**STYLE, "axes.grid": grid}])
+
+
 def figure(width: float, height: float, layout: str | None = "constrained") -> Figure:
     """An empty figure of the given size in inches, drawn without pyplot's global state."""
     made = Figure(figsize=(width, height), dpi=_DPI, layout=layout)
@@ -57,7 +64,7 @@ def save(made: Figure, path: Path) -> None:
     the same figure; IsasError when the disk refuses."""
     kind = path.suffix.removeprefix(".")
     dateless = {"Date": None} if kind == "svg" else None
-    with matplotlib.rc_context(STYLE):
+    with styled():
         write_atomically(
             path, lambda temporary: made.savefig(temporary, format=kind, metadata=dateless)
         )

@@ -9,13 +9,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
 from ..records import key_of
 from . import cells
-from .figures import STYLE, Picture, figure, save
+from .figures import Picture, figure, save, styled
 
 _VIEW = re.compile(r"(target|start|result|error|density)_v(\d+)$")
 _HELD = re.compile(r"held_(target|result|weight)_v(\d+)$")
@@ -32,7 +31,7 @@ def write_sheets(folder: Path) -> list[Picture]:
     """
     views, textures = read(folder)
     made = []
-    with matplotlib.rc_context({**STYLE, "axes.grid": False}):
+    with styled(grid=False):
         if views:
             made.append(_views_sheet(views, Path(folder) / "plots" / "sheet.png"))
         if textures:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pandas
 
 from .. import records
 from ..records import VALUE_PREFIX
-from .figures import COLOURS, STYLE, figure, save
+from .figures import COLOURS, figure, save, styled
 
 
 def draw(folder: Path, note: str = "") -> Path:
@@ -22,7 +21,7 @@ def draw(folder: Path, note: str = "") -> Path:
     losses = [c for c in table.columns if c not in names]
     way = run.history[[f"{VALUE_PREFIX}{name}" for name in names]].to_numpy()
     path = folder / "plots" / "landscape.png"
-    with matplotlib.rc_context(STYLE):
+    with styled():
         (_curves if len(names) == 1 else _maps)(table, names, losses, way, note, path)
     return path
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -10,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from .chart import GREY, Bars, Chart, Panel, Points, Rule, Style
-from .figures import STYLE, figure, fit
+from .figures import figure, fit, styled
 
 _WIDTH = 10  # inches
 _LINES = ("-", "--", ":", "-.")
@@ -20,7 +19,7 @@ _HATCHES = ("", "//", "..", "xx")
 def draw(chart: Chart) -> Figure:
     """The chart with all its panels, alternatives side by side, and one legend below them."""
     heights = [max(panel.height for panel in row) for row in chart.grid]
-    with matplotlib.rc_context(STYLE):
+    with styled():
         named = len(chart.styles) > 1
         below = 0.2 + 0.2 * -(-len(chart.styles) // _columns(chart)) if named else 0.0
         canvas = figure(_WIDTH, sum(heights) + below)

@@ -40,7 +40,7 @@ BAD_SETTINGS = {
     "scene=pottery seed=-1": ["seed=-1: at least 0"],
     "scene=pottery optimizer.lr=abc": ["optimizer.lr=abc", "Float"],
     "scene=pottery optimizer.lr=-1": ["optimizer.lr=-1.0", "above 0"],
-    "scene=pottery optimizer.beta_1=1": ["optimizer.beta_1=1.0", "[0, 1)"],
+    "scene=pottery optimizer.beta_1=1": ["optimizer.beta_1=1.0", "[0, 0.999999]"],
     "scene=pottery optimizer.final=0": ["optimizer.final=0.0"],
     "scene=pottery optimizer.schedule=cosin": ["did you mean 'cosine'?"],
     "scene=pottery sampler.floor=2": ["sampler.floor=2.0", "[0, 1]"],
@@ -205,10 +205,13 @@ def test_what_fails_at_the_end_costs_no_result(isas, monkeypatch):
 
     import isas_cli.engine.pictures  # noqa: F401  (so that it can be patched)
 
+    released = []
+    monkeypatch.setattr("isas_cli.records.RunWriter.release", lambda self: released.append(self))
     monkeypatch.setattr("isas_cli.engine.pictures.Pictures.density", full)
     status, out, err = isas("run", *TINY, "sampler=gradient", "hydra.run.dir=r")
     assert (status, out) == (1, "")
     assert err.splitlines()[-1] == "isas: x.png: cannot be written: No space left on device"
+    assert len(released) == 1, "a program may go on with it"
     assert records.load(Path("r")).summary["status"] == "done"
     arrays, state = records.load_checkpoint(Path("r"))
     assert arrays and state["iteration"] == 2

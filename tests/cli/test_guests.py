@@ -1,5 +1,6 @@
 """Parts from outside: an installed package's, and those of a folder that is named."""
 
+import importlib.util
 import json
 import os
 import shutil
@@ -41,7 +42,9 @@ def folder(tmp_path):
     return made
 
 
-def test_a_folder_s_choices_are_found_by_every_command(folder, tmp_path, capsys, monkeypatch):
+def test_a_folder_s_choices_are_found_by_every_command(
+    folder, tmp_path, capsys, monkeypatch, no_plots
+):
     monkeypatch.chdir(tmp_path)
     flag = ["--config-dir", str(folder)]
     chosen = ["scene=small", "sampler=uniform", "loss=soft", *TINY]
@@ -53,9 +56,9 @@ def test_a_folder_s_choices_are_found_by_every_command(folder, tmp_path, capsys,
     assert "scene=small: no such scene" in capsys.readouterr().err
     race = ["race", *chosen[:1], *chosen[2:], "samplers=[uniform,relevant]", "hydra.run.dir=race"]
     assert main([*race, f"hydra.searchpath=[file://{folder}]"]) == 0
-    sweep = [f"--config-dir={folder}", "-m", *chosen, "seed=1,2", "hydra.sweep.dir=sweep"]
+    sweep = [f"--config-dir={folder}", "-m", *chosen, "seed=2", "hydra.sweep.dir=sweep"]
     assert main(["run", *sweep]) == 0
-    assert len(list(Path("sweep").rglob("summary.json"))) == 2
+    assert len(list(Path("sweep").rglob("summary.json"))) == 1
     capsys.readouterr()
     assert main(["scenes", *flag]) == 0
     told = capsys.readouterr().out
@@ -121,6 +124,7 @@ def test_an_entry_point_that_cannot_be_imported_names_its_package(tmp_path, monk
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[isas.kinds]\nworse = not_there.at_all:Kind\n")
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delenv(guests.ALLOW)
     guests.points.cache_clear()
     try:
         assert guests.installed() == {"broken": "1.0"}
@@ -151,6 +155,22 @@ def test_changed_code_is_another_version(tmp_path, monkeypatch):
     monkeypatch.undo()
     guests.points.cache_clear()
     assert found[0] == found[2] != found[1] and all(each.startswith("1.0+") for each in found)
+
+
+def test_changed_code_that_is_allowed_is_another_version(tmp_path, monkeypatch):
+    """Of a module that this process has imported; programs have none."""
+    monkeypatch.setenv(guests.ALLOW, "loss_of_mine.Loss, ./draw, no_such")
+    name, file = "loss_of_mine", tmp_path / "loss_of_mine.py"
+    assert guests.installed() == {}
+    spec = importlib.util.spec_from_file_location(name, file)
+    monkeypatch.setitem(sys.modules, name, importlib.util.module_from_spec(spec))
+    found = []
+    for power in (1, 2, 1):
+        file.write_text(f"POWER = {power}\n")
+        guests._digest.cache_clear()
+        found.append(guests.installed())
+    assert all(each.keys() == {"loss_of_mine"} for each in found)
+    assert found[0] == found[2] != found[1]
 
 
 @pytest.fixture(scope="module")
@@ -195,8 +215,8 @@ def test_the_example_is_found_by_every_command(beside):
     beside("run", "resume=run", "budget.iterations=3")
     assert records.load(beside.root / "run").summary["iterations"] == 3
     beside("race", "scene=dodoco", *TINY, "samplers=[dark,uniform]", "hydra.run.dir=race")
-    beside("run", "-m", *chosen, "sampler.power=1,2", "hydra.sweep.dir=sweep")
-    assert len(list((beside.root / "sweep").rglob("summary.json"))) == 2
+    beside("run", "-m", *chosen, "sampler.power=2", "hydra.sweep.dir=sweep")
+    assert len(list((beside.root / "sweep").rglob("summary.json"))) == 1
 
 
 def test_the_example_s_kind_finds_what_it_stands_for(beside):
@@ -221,7 +241,7 @@ def test_what_is_not_kept_is_noticed(beside):
 
 
 def test_a_race_goes_on_with_the_folders_and_the_slice_that_it_began_with(
-    folder, tmp_path, monkeypatch
+    folder, tmp_path, monkeypatch, no_plots
 ):
     """One of its runs was killed before its record: what it is composed of lies in the folder."""
     monkeypatch.chdir(tmp_path)
@@ -268,6 +288,22 @@ def test_a_scene_may_take_a_budget_alone(folder, capsys):
     file.write_text(file.read_text() + "\nmethod: {budget: {iterations: 5}}\n")
     assert main(["scenes", f"--config-dir={folder}"]) == 0
     assert "small" in capsys.readouterr().out
+
+
+def test_brackets_of_one_s_own_are_listed_as_they_are(folder, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "300")
+    file = folder / "scene/small.yaml"
+    own = {
+        "description": "a [red] [/]",
+        "unknowns": {"wall[blue].data": None},
+        "sizes": {"[b]": {}},
+    }
+    file.write_text(yaml.safe_dump(yaml.safe_load(file.read_text()) | own))
+    (folder / "loss/soft.yaml").write_text("# sum [red] [/]\n")
+    assert main(["scenes", f"--config-dir={folder}"]) == 0
+    out = capsys.readouterr().out
+    for text in ("a [red] [/]", "wall[blue].data", "[b]", "sum [red] [/]"):
+        assert text in out
 
 
 def test_home_is_a_folder_s_beginning(folder, monkeypatch, capsys):

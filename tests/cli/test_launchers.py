@@ -132,7 +132,9 @@ def test_submitit_slurm(tmp_path, monkeypatch, cluster):
         assert option in asked
 
 
-def test_a_job_that_slurm_preempts_is_queued_again_and_resumed(tmp_path, cluster):
+@pytest.mark.parametrize("warned", [False, True])
+def test_a_job_that_slurm_preempts_is_queued_again_and_resumed(tmp_path, cluster, warned):
+    """``warned``: SIGTERM comes first, as on a partition that gives jobs time to end."""
     environment = dict(os.environ, PATH=f"{cluster}:{os.environ['PATH']}")
     settings = [o for o in TINY if not o.startswith(("budget", "scene.builder"))]
     command = [sys.executable, "-m", "isas_cli", "run", *settings, "budget.seconds=5"]
@@ -146,6 +148,12 @@ def test_a_job_that_slurm_preempts_is_queued_again_and_resumed(tmp_path, cluster
     job = psutil.Process(int((tmp_path / "pid_77").read_text()))
     for process in [job, *job.children(recursive=True)]:
         if "submitit.core._submit" in process.cmdline():
+            if warned:
+                process.send_signal(signal.SIGTERM)
+                # Its worker ends before it waits.
+                while process.children():
+                    assert sweep.poll() is None, sweep.stderr.read()
+                    time.sleep(0.05)
             process.send_signal(signal.SIGUSR2)
     _, err = sweep.communicate()
     assert sweep.returncode == 0 and list(table(err).values()) == ["resumed"], err

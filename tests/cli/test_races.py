@@ -22,11 +22,7 @@ TINY = ["size=tiny", "estimator.batch=256", "evaluation.pixels=64", "evaluation.
 TINY += ["frames.views=0", "frames.snapshots=0", "target.spp=4", "effects=full", "report=false"]
 TINY += ["threads=1", "samplers=uniform,relevant", "hydra.run.dir=all"]
 
-
-@pytest.fixture(autouse=True)
-def no_plots(monkeypatch):
-    """Of comparisons, which have tests of their own."""
-    monkeypatch.setattr("isas_cli.report.compare.page.plots.write_plots", lambda *_: [])
+pytestmark = pytest.mark.usefixtures("no_plots")
 
 
 def begin(*arguments: str) -> tuple[subprocess.Popen, Path]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
+import OpenImageIO as oiio
 import photo_sets
 import pytest
 from photo_sets import FOCAL, SIZE, Files, look_at
@@ -416,14 +417,20 @@ def test_cameras_without_a_size_are_of_pictures_as_the_run_turns_them(tmp_path):
         assert cameras[0].fx == pytest.approx(focal)
 
 
-def test_pictures_are_read_as_the_run_reads_them(tmp_path):
-    """Files of whole numbers by its encoding, from which light in floating point has none."""
+def test_pictures_are_read_as_the_run_reads_them(tmp_path, capsys):
+    """Files of whole numbers by its encoding, from which light in floating point has none; what
+    these say of their colours and cannot be heeded is said."""
     folder, own = tmp_path / "set", tmp_path / "own"
     (folder / "masks").mkdir(parents=True)
     own.mkdir()
     photo_sets.blender(Files(own, photo_sets.POSES[:2]))
     content = photo_sets.blender(Files(folder, photo_sets.POSES[:2]))
-    images.write_exr(folder / "light.exr", np.full((30, 40, 3), 0.3, np.float32), [*"RGB"], {})
+    spec = oiio.ImageSpec(40, 30, 3, oiio.FLOAT)
+    odd = 0.5, 0.3, 0.3, 0.5, 0.2, 0.1, 0.3, 0.3
+    spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), odd)
+    output = oiio.ImageOutput.create("light.exr")
+    assert output.open(str(folder / "light.exr"), spec)
+    assert output.write_image(np.full((30, 40, 3), 0.3, np.float32)) and output.close()
     content["frames"][1]["file_path"] = "light.exr"
     photo_sets.write(folder / "transforms_train.json", content)
     for name in ("view_0.png", "light.png"):
@@ -440,6 +447,8 @@ def test_pictures_are_read_as_the_run_reads_them(tmp_path):
         file.write_text(file.read_text().replace("encoding: linear", f"encoding: {encoding}"))
         assert main(["relight", str(tmp_path / "run"), str(folder), "--spp", "4"]) == 0
         found[encoding] = json.loads((tmp_path / "run/relit/scores.json").read_text())["views"]
+        told = f"the primaries that it names of {folder / 'light.exr'} cannot be heeded"
+        assert told in capsys.readouterr().err
     assert found["linear"]["light.exr"] == found["srgb"]["light.exr"]
     cameras, _ = as_asked(folder)
     shown = images.read(tmp_path / "run/relit/view_0.exr")

@@ -1,29 +1,35 @@
 """Sweeps: what becomes of jobs that fail, are done already or were interrupted."""
 
+import copy
+import enum
 import errno
 import io
 import json
 import pickle
+import random
 import re
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import flaky_scene
 import joblib
 import psutil
 import pytest
 import runs_for_tests
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 from processes import begun, started, until
 
 from isas_cli import records
-from isas_cli.cli.sweeps import fingerprint, launchers, outcome, worker
+from isas_cli.cli.sweeps import fingerprint, launchers, outcome, search, sweep, worker
 from isas_cli.cli.sweeps.job import DONE, OTHER, UNFINISHED, Job, Report, supervise
 from isas_cli.cli.sweeps.outcome import Outcome, exit_status
 from isas_cli.config import schema
-from isas_cli.config.compose import compose
+from isas_cli.config.compose import compose, translate
 from isas_cli.runtime import guests
 from isas_cli.runtime.errors import InputError
 
@@ -137,7 +143,7 @@ def test_what_is_done_is_skipped_with_a_word_on_files_that_changed_since(isas, m
 
 def test_side_by_side_a_job_that_dies_ends_no_other(isas):
     killed = flaky_scene.KILLED
-    status, _, err = isas("run", *TINY, "-m", *JOBLIB, textures(killed, 8))
+    status, _, err = isas("run", *TINY, "report=false", "-m", *JOBLIB, textures(killed, 8))
     assert status == 1
     assert list(table(err).values()) == ["failed", "done"]
     places = folders()
@@ -148,9 +154,18 @@ def test_side_by_side_a_job_that_dies_ends_no_other(isas):
     assert "param" in (places[8] / "log.txt").read_text()
 
 
+def test_side_by_side_a_folder_that_cannot_be_written_is_said(tmp_path, capfd):
+    (tmp_path / "file").touch()
+    job = Job("a", [], tmp_path / "file" / "run", compose(TINY))
+    end = supervise(job, ["isas"], None, True, lambda: False)
+    assert (end.status, end.code) == ("failed", 2)
+    assert end.error == f"{job.folder}: cannot be written: Not a directory"
+    assert capfd.readouterr().err == ""
+
+
 def test_ctrl_c_lets_jobs_side_by_side_finish_their_records(isas):
     settings = [o for o in TINY if not o.startswith(("budget", "scene.builder"))]
-    sweep = ["run", *settings, "budget.seconds=60", "-m", *JOBLIB, "seed=1,2,3"]
+    sweep = ["run", *settings, "report=false", "budget.seconds=60", "-m", *JOBLIB, "seed=1,2,3"]
     process, (folder, *_) = begun(Path(), *sweep, rows=0)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate()
@@ -162,6 +177,7 @@ def test_ctrl_c_lets_jobs_side_by_side_finish_their_records(isas):
 
 def test_interrupted_and_killed_jobs_go_on_where_they_were(isas):
     settings = [o for o in TINY if not o.startswith(("budget", "scene.builder"))]
+    settings.append("report=false")
     sweep = ["run", *settings, "budget.seconds=3", "-m", "seed=1,2"]
     process, (folder,) = begun(Path(), *sweep, rows=0)
     process.send_signal(signal.SIGINT)
@@ -372,6 +388,33 @@ def test_a_job_whose_worker_is_lost_is_recorded_and_ends_no_other(isas, monkeypa
     assert "its worker was lost: OSError: no more processes" in summary(calls[0].folder)["error"]
 
 
+def test_a_job_that_slurm_tells_to_stop_waits_to_be_queued_again(monkeypatch):
+    """What it returned would be submitit's success."""
+    waited = []
+    monkeypatch.setattr(launchers.time, "sleep", waited.append)
+    for status, code, waits in (("done", 0, 0), ("interrupted", 130, 1), ("not begun", 130, 1)):
+        end = Outcome("a", Path("a"), status, code)
+        for preemptable in (False, True):
+            waited.clear()
+            do = launchers._Resumed(lambda job, stop, end=end: end, preemptable)
+            assert do(None) is end and len(waited) == waits * preemptable
+            assert all(600 >= seconds > 60 for seconds in waited), "more than SLURM's KillWait"
+
+
+def test_a_job_that_was_stopped_before_its_worker_was_lost_is_interrupted(isas, monkeypatch):
+    """As by `scancel`, which kills what has finished its record."""
+
+    def attempt(job, command, threads, quiet, stop):
+        runs_for_tests.begin(job.folder).summary({"status": "interrupted"})
+        raise OSError("gone")
+
+    monkeypatch.setattr(worker, "run", attempt)
+    status, _, err = isas("run", *TINY, "-m", "seed=1")
+    assert status == 130 and [*table(err).values()] == ["interrupted"] and "lost" not in err
+    (path,) = Path("runs").rglob("summary.json")
+    assert "error" not in summary(path.parent)
+
+
 def test_every_launcher_and_sweeper_composes_and_is_built(monkeypatch):
     names = [path.stem for path in Path(schema.folder(), "hydra/launcher").glob("*.yaml")]
     assert {"joblib", "ray", "submitit_local", "submitit_slurm"} == set(names)
@@ -385,6 +428,110 @@ def test_every_launcher_and_sweeper_composes_and_is_built(monkeypatch):
         )
     cfg = compose(["scene=dodoco", "hydra/sweeper=optuna"], hydra=True)
     assert cfg.hydra.sweeper.n_trials == 20
+
+
+class Optuna:
+    """As much of the package as a search asks for, with one study, which a storage keeps."""
+
+    def __init__(self):
+        self.kept, self.samplers = [], SimpleNamespace(TPESampler=lambda seed: random.Random(seed))
+        states = enum.Enum("TrialState", "RUNNING COMPLETE PRUNED FAIL WAITING")
+        self.trial, self.logging = SimpleNamespace(TrialState=states), MagicMock()
+
+    def create_study(self, storage, **more):
+        if storage == "none":
+            raise RuntimeError("no such\nstorage")
+        return self
+
+    @property
+    def trials(self):
+        return [copy.copy(trial) for trial in self.kept]
+
+    def enqueue_trial(self, params):
+        trial = SimpleNamespace(state=self.trial.TrialState.WAITING, params={}, value=None)
+        trial.number, trial.system_attrs = len(self.kept), {"fixed_params": params}
+
+        def suggest(name, low, high, log):
+            trial.params[name] = params.get(name) or self.sampler.uniform(low, high)
+            return trial.params[name]
+
+        trial.suggest_float = suggest
+        self.kept.append(trial)
+
+    def ask(self):
+        states = self.trial.TrialState
+        if all(trial.state != states.WAITING for trial in self.kept):
+            self.enqueue_trial({})
+        trial = next(trial for trial in self.kept if trial.state == states.WAITING)
+        trial.state = states.RUNNING
+        return trial
+
+    def tell(self, trial, value, state):
+        trial.value, trial.state = value, state
+
+    @property
+    def best_trial(self):
+        return min((t for t in self.kept if t.value is not None), key=lambda trial: trial.value)
+
+    best_params = property(lambda self: self.best_trial.params)
+    best_value = property(lambda self: self.best_trial.value)
+
+
+def searched(launch, space: str = "optimizer.factor=interval(0.1,1)", **changed) -> None:
+    settings = {"study_name": "a", "storage": "sqlite:///a.db", "direction": "minimize"}
+    settings |= {"n_trials": 3, "n_jobs": 1, "sampler": {"seed": 1}, **changed}
+    spaces = [OverridesParser.create().parse_override(space)]
+    search.search(OmegaConf.create(settings), spaces, launch, lambda: False)
+
+
+def test_a_search_goes_on_with_what_its_storage_keeps(tmp_path, monkeypatch, capfd):
+    monkeypatch.setitem(sys.modules, "optuna", Optuna())
+    tried, ends = [], ["done", "failed", None, "done", "done", "done"]
+
+    def launch(jobs):
+        ((setting,),) = jobs
+        tried.append(setting)
+        if not (status := ends.pop(0)):
+            raise KeyboardInterrupt  # and nobody tells the study
+        return [Outcome(setting, tmp_path / "runs" / "1", status, image=0.1 * len(tried))]
+
+    with pytest.raises(KeyboardInterrupt):
+        searched(launch)
+    searched(launch)
+    assert len(set(tried[:3])) == 3 and tried[3:] == tried[1:3], "in the folders that they began"
+    searched(launch, n_trials=4)
+    assert len(tried) == 6 and tried[5] not in tried[:5], "another seed"
+    capfd.readouterr()
+    searched(launch, n_trials=4)
+    said = [
+        "4 of 4 trials were done by earlier starts",
+        f"best, by an earlier start: {tried[0]}: 0.1",
+    ]
+    assert capfd.readouterr().err.splitlines() == said and not ends
+    assert (tmp_path / "runs" / "optimization_results.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    "changed, told",
+    [
+        ({"n_jobs": -1}, "hydra.sweeper.n_jobs=-1: give a number, at least 1"),
+        ({"n_trials": 0}, "hydra.sweeper.n_trials=0: give a number, at least 1"),
+        ({"n_trials": "many"}, "hydra.sweeper.n_trials=many: give a number"),
+        ({"storage": "none"}, "optuna: no such storage"),
+    ],
+)
+def test_a_search_that_cannot_be_is_refused(monkeypatch, changed, told):
+    monkeypatch.setitem(sys.modules, "optuna", Optuna())
+    with pytest.raises(InputError, match=told):
+        searched(lambda jobs: pytest.fail("was begun"), **changed)
+
+
+def test_a_setting_of_one_unknown_can_be_searched():
+    key = "jar.bsdf.base_color.data"
+    typed = translate([f"scene.unknowns.{key}.lr=interval(0.005,0.1)"])
+    (space,) = sweep.parsed(typed)
+    for setting, rate in ((sweep._first(space), 0.005), (search.setting(space, 0.05), 0.05)):
+        assert compose(["scene=pottery", setting]).scene.unknowns[key].lr == rate
 
 
 def test_outcomes_count_as_what_a_search_minimises():

@@ -15,7 +15,7 @@ from runs_for_tests import begin, followed, gone, process, row, run
 
 from isas_cli import records
 from isas_cli.cli import watch
-from isas_cli.records import follow
+from isas_cli.records import files, follow
 from isas_cli.runtime.errors import InputError
 
 WATCH = "import sys\nfrom pathlib import Path\nfrom isas_cli.cli.watch import main\n"
@@ -133,6 +133,17 @@ def test_how_a_run_ended_is_said(tmp_path, capsys, summary, said):
         assert watch.main(tmp_path, once) == 0
         *_, last, report = capsys.readouterr().out.replace("\n/", "/").splitlines()
         assert last.startswith(said) and report == f"report: {tmp_path / 'report.html'}"
+
+
+def test_jobs_that_failed_before_they_had_a_record_are_not_waited_for(tmp_path, capsys, script):
+    files.write_json(tmp_path / "a/summary.json", {"status": "failed", "error": "no such scene"})
+    (tmp_path / "a/config.yaml").write_text("scene: {name: pottery}\nseed: 3\n")
+    assert watch.main(tmp_path) == watch.main(tmp_path / "a") == 0
+    labels, end = "pottery  seed 3", "failed: no such scene"
+    lines = [f"a: {labels}", f"a: {end}", labels, end]
+    assert capsys.readouterr().out.splitlines() == lines
+    assert watch.main(tmp_path, once=True) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"a: {end}"
 
 
 def test_once_shows_the_present_state_and_leaves(tmp_path, capsys, script):

@@ -52,6 +52,23 @@ def test_a_truth_at_the_end_is_no_news():
     assert p.unknowns[ROUGHNESS].high == pytest.approx(1.0) and said(p, 1.0) == []
 
 
+def test_a_dim_light_is_not_at_the_end_of_its_range():
+    """Which lies at 0: numbers of 1e-6 do not, where the light began as small."""
+    sky = "sky.radiance.value"
+    description = dictionary()
+    description["sky"]["radiance"] = 1e-6
+    p = without_targets(description, {sky: UnknownConfig(start=5e-7)})
+
+    def said(value: float) -> list[str]:
+        array = np.full_like(p.unknowns[sky].start, value)
+        return ends.reached(p.unknowns, p.unknowns.values_of({sky: array}))
+
+    (text,) = said(p.unknowns[sky].low)
+    assert "ended at the low end" in text
+    p.unknowns[sky].truth = None
+    assert said(1.5e-6) == []
+
+
 def test_texels_are_not_counted():
     p = without_targets(dictionary(), {TEXTURE: 0.5})
     black = np.zeros_like(p.unknowns[TEXTURE].start)
@@ -187,6 +204,29 @@ def test_a_grey_where_targets_have_colours_is_said(tmp_path, colour, count):
     found = built(*run, "scene.unknowns={wall.bsdf.reflectance.value: {start: 0.5}}")
     told = [each for each in found.warnings if "one number for all channels" in each]
     assert len(told) == count
+
+
+REFLECTANCE = "wall.bsdf.reflectance.value"
+
+
+@pytest.mark.parametrize(
+    "key, hidden, count", [("move", True, 1), ("move", False, 0), (REFLECTANCE, True, 0)]
+)
+def test_an_outline_that_masks_hide_is_said(tmp_path, key, hidden, count):
+    (tmp_path / "wall.xml").write_text(GREY)
+    images.write_exr(tmp_path / "a.exr", np.full((16, 16, 3), 0.4, np.float32), [*"RGB"], {})
+    mask = np.full((16, 16, 1), 255, np.uint8)
+    mask[:, :4] = 0 if hidden else 255
+    images.write_png(tmp_path / "mask.png", mask)
+    run = ["scene=file", f"scene.path={tmp_path / 'wall.xml'}", "estimator.batch=256"]
+    run += [f"scene.targets=[{tmp_path / 'a.exr'}]", f"scene.masks=[{tmp_path / 'mask.png'}]"]
+    run.append(f"scene.unknowns={{{key}: {{start: 0.5}}}}")
+    if key == "move":
+        pose = "{kind: translation, objects: [wall], directions: [[1, 0, 0]]}"
+        run[-1] = "scene.unknowns={move: {start: 0.1, blur: {start: 0.1, end: 0.01}}}"
+        run += [f"scene.poses={{move: {pose}}}", "sampler=plateau"]
+    told = [each for each in built(*run).warnings if "through such nothing tells it" in each]
+    assert len(told) == count and all(each.startswith("'move': ") for each in told)
 
 
 def test_what_becomes_finer_is_not_asked_how_it_moved():

@@ -37,6 +37,14 @@ BLOCK = 20  # iterations
 BYTES, OBJECTS = 16 << 20, 10  # in all, and of Python's objects per iteration
 
 
+@pytest.fixture(autouse=True, scope="module")
+def frozen_again():
+    """What ``recordings`` unfreezes, when the last test's objects are gone."""
+    yield
+    gc.collect()
+    gc.freeze()
+
+
 def loop(p, name: str) -> Loop:
     sampler = instantiate(compose(["scene=pottery", f"sampler={name}"]).sampler, "sampler")
     loss, batch = losses.L2(), 256
@@ -177,10 +185,10 @@ def objects_kept(i: int) -> None:
 
 
 def memory_kept(i: int) -> None:
-    """A megabyte per iteration that Python does not know of; fresh from the system, as memory
+    """Two megabytes per iteration that Python does not know of; fresh from the system, as memory
     that earlier tests gave back would hide it."""
-    kept.append(mmap.mmap(-1, 1 << 20))
-    kept[-1].write(b"x" * (1 << 20))
+    kept.append(mmap.mmap(-1, 2 << 20))
+    kept[-1].write(b"x" * (2 << 20))
 
 
 @pytest.mark.parametrize(
@@ -196,7 +204,7 @@ def memory_kept(i: int) -> None:
 )
 def test_growth_is_noticed(leak, seen):
     try:
-        found = set(growth(leak))
+        found = set(growth(leak, 2 * BLOCK))
     finally:
         kept.clear()
         frozen.clear()

@@ -51,6 +51,47 @@ def test_scaling_the_loss_changes_nothing(size):
         assert not np.allclose(ours[key], raw[key], atol=1e-3), key
 
 
+def test_what_the_rehearsal_did_not_reach_is_scaled_by_its_first_gradient():
+    """An object that comes into view later: its steps are as long as any, however small its
+    gradients are, and after a checkpoint too."""
+    p, ends = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}), []
+    for size in (1.0, 1e-9):
+        rng = np.random.default_rng(1)
+        stepper, again = (Stepper(p.unknowns, settings()) for _ in range(2))
+        nothing = gradients(p, rng, 0.0)
+        stepper.calibrate([nothing])
+        stepper.step(nothing, 0.0)
+        assert set(stepper.scale.values()) == {1.0}
+        again.restore(*stepper.export())
+        batches = [gradients(p, rng, size) for _ in range(5)]
+        for each in (stepper, again):
+            for batch in batches:
+                each.step(batch, 0.0)
+        assert stepper.scales == again.scales and min(stepper.scale.values()) > 0.1 / size
+        first, second = ({k: as_numpy(v) for k, v in e.values.items()} for e in (stepper, again))
+        assert all(np.array_equal(first[key], second[key]) for key in first)
+        ends.append(first)
+    for key in ends[0]:
+        assert np.allclose(ends[0][key], ends[1][key], atol=1e-6), key
+
+
+def test_moments_of_small_gradients_keep_their_squares():
+    p, found = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}), []
+    for size in (1.0, 1e-24):
+        rng = np.random.default_rng(1)
+        stepper = Stepper(p.unknowns, settings())
+        batches = [gradients(p, rng, size) for _ in range(3)]
+        stepper.calibrate(batches)
+        for batch in batches:
+            stepper.step(batch, 0.0)
+        found.append(stepper.moments(0.0))
+    assert found[1].unit / found[0].unit == pytest.approx(1e-24, rel=1e-5, abs=0)
+    for name in ("first", "second", "noise"):
+        for key in (TEXTURE, ROUGHNESS):
+            one, other = (np.array(getattr(each, name)[key]) for each in found)
+            assert np.all(one != 0) and np.allclose(one, other, rtol=1e-3, atol=1e-6)
+
+
 def test_an_unknown_rests_until_its_stage_and_then_begins_as_if_nothing_had_been():
     """Resting costs no bias correction: the first steps are as long as they are at the start."""
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.5})
@@ -252,7 +293,9 @@ def test_what_falls_how_where_nothing_is_said(given, own, at_half):
 
 def test_bad_settings_are_refused():
     p = problem({TEXTURE: 0.5})
-    for bad in ({"lr": 0.0}, {"beta_1": 1.0}, {"schedule": "cosin"}, {"final": 0.0}, {"half": 0.0}):
+    near = {"beta_1": 0.99999999}, {"beta_2": 0.99999999}  # of which float32 makes 1
+    ends = {"lr": 0.0}, {"beta_1": 1.0}, {"schedule": "cosin"}, {"final": 0.0}, {"half": 0.0}
+    for bad in (*ends, *near):
         with pytest.raises(InputError, match=f"optimizer.{next(iter(bad))}"):
             Stepper(p.unknowns, settings(**bad))
 

@@ -63,7 +63,7 @@ def test_edges_that_nothing_follows_are_refused(tmp_path, capsys):
         assert told in " ".join(capsys.readouterr().err.split())
 
 
-def test_a_box_from_nothing_but_pictures(tmp_path):
+def test_a_box_from_nothing_but_pictures(tmp_path, quick):
     """Its hull first, then shape, colour and light in one command."""
     drawn_box.photographed(tmp_path, 8, "alpha")
     found = run(

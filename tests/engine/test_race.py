@@ -130,7 +130,7 @@ def test_a_turn_is_about_a_slice_long_and_the_order_rotates(monkeypatch, tmp_pat
     assert iterations > 1.5, "several iterations a turn"
 
 
-def test_a_race_leaves_ordinary_runs(tmp_path, monkeypatch, capsys):
+def test_a_race_leaves_ordinary_runs(tmp_path, monkeypatch, capsys, no_plots):
     def written(folder: Path) -> Path:
         """Pages have tests of their own."""
         (folder / "report.html").touch()

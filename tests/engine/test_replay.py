@@ -70,8 +70,9 @@ def test_of_a_loss_of_windows_the_pixels_of_these_are_named(tmp_path):
     wall = np.full((16, 16, 3), 0.5)
     wall[:, 8:] = np.nan
     assert run(tmp_path, wall, "budget.iterations=2", "loss=structure", "loss.side=3") == 0
-    columns = [place.column for place in replay.of(tmp_path / "run", 1).places]
-    assert len(columns) > 3 and min(columns) >= 6
+    again = replay.of(tmp_path / "run", 1)
+    columns = [place.column for place in again.places]
+    assert len(columns) > 3 and min(columns) >= 8, "not what else is in their windows"
 
 
 def test_a_sound_run_has_nothing_to_show(tmp_path, capsys):

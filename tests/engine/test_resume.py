@@ -22,7 +22,8 @@ from scenes_for_tests import ROUGHNESS, problem
 import isas_cli
 from isas_cli import records
 from isas_cli.cli import app, landscape, one
-from isas_cli.engine import experiment, resumption
+from isas_cli.engine import experiment, race, resumption
+from isas_cli.engine.recorder import Recorder
 from isas_cli.records import manifest
 from isas_cli.runtime.errors import InputError
 
@@ -82,14 +83,14 @@ def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(
     tmp_path, chosen, number, fixed_order
 ):
     whole, cut = tmp_path / "whole", tmp_path / "cut"
-    common = ["run", *chosen, *TINY, "budget.iterations=300", "report=false"]
+    common = ["run", *chosen, *TINY, "budget.iterations=200", "report=false"]
     assert isas(tmp_path, *common, f"hydra.run.dir={whole}", by=OFTEN).returncode == 0
-    broken, _ = begun(tmp_path, *common, f"hydra.run.dir={cut}", rows=12, below="cut", by=OFTEN)
+    broken, _ = begun(tmp_path, *common, f"hydra.run.dir={cut}", rows=10, below="cut", by=OFTEN)
     broken.send_signal(number)
     broken.communicate(timeout=120)
     assert broken.returncode == (130 if number == signal.SIGINT else -signal.SIGKILL)
     _, state = records.load_checkpoint(cut)
-    assert 0 < state["iteration"] < 300, "stopped in the middle"
+    assert 0 < state["iteration"] < 200, "stopped in the middle"
     rows = (cut / "history.csv").read_text()
     assert app.main(["run", f"resume={cut}", "budget.iterations=1"]) == 2
     assert (cut / "history.csv").read_text() == rows, "a smaller budget costs no row"
@@ -109,15 +110,28 @@ def test_a_resumed_run_ends_bit_identical_to_one_that_was_not(
     both = [h[h["iteration"].isin(shared[0])].drop(columns=timed) for h in histories]
     assert both[0].reset_index(drop=True).equals(both[1].reset_index(drop=True))
     run = records.load(cut)
-    assert run.summary["status"] == "done" and run.summary["iterations"] == 300
+    assert run.summary["status"] == "done" and run.summary["iterations"] == 200
     assert run.manifest["resumed"][0]["iteration"] == state["iteration"]
     assert run.history["seconds"].is_monotonic_increasing
+
+
+def written(folder: Path) -> Path:
+    """Pages have tests of their own."""
+    (folder / "report.html").touch()
+    return folder / "report.html"
+
+
+@pytest.fixture
+def no_page(monkeypatch):
+    monkeypatch.setattr("isas_cli.report.write", written)
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("finished") / "run"
-    ran(folder, *DODOCO, "budget.iterations=4", "optimizer.schedule=exponential")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("isas_cli.report.write", written)
+        ran(folder, *DODOCO, "budget.iterations=4", "optimizer.schedule=exponential")
     return folder
 
 
@@ -148,7 +162,7 @@ def test_a_recorded_configuration_of_no_run_is_one_line():
         assert "\n" not in str(error.value)
 
 
-def test_a_larger_budget_goes_on_where_the_run_ended(finished, capsys):
+def test_a_larger_budget_goes_on_where_the_run_ended(finished, no_page):
     before = records.load(finished)
     spent = before.summary["seconds_billed"]
     after = resumed(finished, "budget.iterations=9")
@@ -165,7 +179,25 @@ def test_a_larger_budget_goes_on_where_the_run_ended(finished, capsys):
     assert after.manifest["resumed"][0]["earlier_budget"] == "iterations=4"
 
 
-def test_other_versions_than_a_run_began_with_are_told(finished, tmp_path):
+def test_a_run_goes_on_by_the_plan_that_it_began_with(tmp_path, monkeypatch, capsys):
+    """Also in a race. A probe might find another one now."""
+    ran(tmp_path, *DODOCO, "scene.arguments.views=3", "report=false", "budget.iterations=2")
+    content = json.loads((tmp_path / "manifest.json").read_text())
+    content["plan"] |= {"views": [0, 2], "light_samples": [4, 4]}
+    (tmp_path / "manifest.json").write_text(json.dumps(content))
+    plans, reopen = [], Recorder.reopen
+    monkeypatch.setattr(
+        Recorder, "reopen", lambda self, *more: plans.append(self.loop.plan) or reopen(self, *more)
+    )
+    resumed(tmp_path, "budget.iterations=4")
+    assert "views: 2 of 3" in capsys.readouterr().err
+    entry = race.continued("again", tmp_path, {"budget.iterations": 6})
+    assert race.run([entry], 1.0, lambda: None) == 0
+    assert [(each.views, each.paths.lights) for each in plans] == [((0, 2), (4, 4))] * 2
+
+
+def test_other_versions_than_a_run_began_with_are_told(finished, no_page, tmp_path, monkeypatch):
+    monkeypatch.delenv("ISAS_ALLOW")
     folder = tmp_path / "copy"
     shutil.copytree(finished, folder)
     content = json.loads((folder / "manifest.json").read_text())
@@ -176,7 +208,7 @@ def test_other_versions_than_a_run_began_with_are_told(finished, tmp_path):
     assert any(told in each for each in warnings)
 
 
-def test_a_program_goes_on_with_a_run(finished, tmp_path):
+def test_a_program_goes_on_with_a_run(finished, no_page, tmp_path):
     folder = tmp_path / "copy"
     shutil.copytree(finished, folder)
     after = isas_cli.run(f"resume={folder}", "budget.iterations=40")
@@ -185,7 +217,7 @@ def test_a_program_goes_on_with_a_run(finished, tmp_path):
         isas_cli.run("-m", *DODOCO)
 
 
-def test_what_was_made_of_an_earlier_end_is_told_and_its_error_goes(finished, tmp_path):
+def test_what_was_made_of_an_earlier_end_is_told_and_its_error_goes(finished, no_page, tmp_path):
     folder = tmp_path / "copy"
     shutil.copytree(finished, folder)
     (folder / "error.txt").write_text("of an earlier attempt")
@@ -305,6 +337,20 @@ def test_two_processes_cannot_write_one_record(finished):
     (finished / "summary.json").write_text(text)
 
 
+def test_without_its_history_a_run_does_not_go_on(finished, refused, tmp_path_factory):
+    """What it had found would be taken for its start."""
+    folder = tmp_path_factory.mktemp("copy") / "run"
+    shutil.copytree(finished, folder)
+    path = folder / "history.csv"
+    columns, *_ = path.read_text().splitlines(keepends=True)
+    path.write_text(columns)
+    told = refused(["run", f"resume={folder}", "budget.iterations=90"])
+    assert f"{folder}: its history.csv is gone, or has no rows" in told
+    path.unlink()
+    assert refused(["run", f"resume={folder}", "budget.iterations=90"]) == told
+    assert not path.exists()
+
+
 def test_a_changed_scene_and_a_living_process_are_refused(finished, refused):
     path, ended = finished / "manifest.json", finished / "summary.json"
     text, summary = path.read_text(), ended.read_text()
@@ -341,7 +387,7 @@ def test_a_process_of_which_nothing_is_known_does_not_count():
     assert not manifest.alive({**manifest.process(), "host": "elsewhere", "pid": os.getppid()})
 
 
-def test_a_run_that_had_failed_and_goes_on_says_so(finished, tmp_path):
+def test_a_run_that_had_failed_and_goes_on_says_so(finished, no_page, tmp_path):
     folder = tmp_path / "copy"
     shutil.copytree(finished, folder)
     summary = json.loads((folder / "summary.json").read_text())

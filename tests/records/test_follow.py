@@ -10,6 +10,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from disk import lock
 from rich.console import Console
 from runs_for_tests import begin, followed, gone, process, row, run
 
@@ -57,6 +58,26 @@ def test_runs_are_found_below_a_folder_but_not_within_a_run(tmp_path):
         (tmp_path / name / "manifest.json").write_text("{}")
     assert follow.find(tmp_path) == [tmp_path / "a", tmp_path / "b" / "seed1"]
     assert follow.find(tmp_path / "a") == [tmp_path / "a"]
+
+
+def test_a_folder_that_may_not_be_read_is_among_them_and_says_why(tmp_path, monkeypatch):
+    run(tmp_path / "a", status="done")
+    run(tmp_path / "b" / "seed1", status="done")
+    lock(monkeypatch, tmp_path / "b")
+    assert follow.find(tmp_path) == [tmp_path / "a", tmp_path / "b"]
+    follower = followed(tmp_path / "b")
+    assert follower.status() == follow.UNREADABLE
+    assert follower.problem == f"{tmp_path / 'b'}: Permission denied"
+
+
+def test_of_what_has_no_manifest_only_a_job_that_failed_is_found(tmp_path):
+    for name, status in (("failed", "failed"), ("other", "done")):
+        files.write_json(tmp_path / name / "summary.json", {"status": status})
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "summary.json").write_text("[1]")
+    assert follow.find(tmp_path) == [tmp_path / "failed"]
+    assert followed(tmp_path / "failed").status() == "failed"
+    assert followed(tmp_path / "other").status() == follow.RUNNING
 
 
 def test_a_follower_reads_only_what_has_changed(tmp_path, monkeypatch):

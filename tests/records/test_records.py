@@ -273,3 +273,18 @@ def test_every_key_has_a_file_name_of_its_own_that_gives_it_back():
     names = [records.safe_name(key) for key in keys]
     assert [records.key_of(name) for name in names] == keys
     assert len(set(names)) == len(keys) and not any("/" in name for name in names)
+
+
+def test_a_record_is_not_read_where_another_has_taken_its_place(tmp_path):
+    """Nor where it went on: its history would be of another length."""
+    writer = records.RunWriter(tmp_path)
+    writer.manifest({"seeds": {"run": 1}})
+    writer.checkpoint({"value/a": np.zeros(2, np.float32)}, {"iteration": 0})
+    run = records.load(tmp_path)
+    writer.checkpoint({"value/a": np.ones(2, np.float32)}, {"iteration": 1})
+    assert run.parameters()["a"].tolist() == [1, 1], "it goes on while it is read"
+    for other in ({"seeds": {"run": 2}}, {"seeds": {"run": 1}, "resumed": [{"iteration": 1}]}):
+        writer.manifest(other)
+        for read in (run.parameters, lambda: run.frame("result_v00")):
+            with pytest.raises(InputError, match="was written again since it was loaded"):
+                read()

@@ -10,7 +10,7 @@ import pytest
 import synthetic_runs as synthetic
 from scipy import stats
 
-from isas_cli.report.compare import across, build, facts, write
+from isas_cli.report.compare import across, build, facts, read_accuracy, tables, write
 from isas_cli.report.compare.series import Series
 
 SECONDS = np.concatenate([[0.0], np.geomspace(0.5, 32, 49)])
@@ -69,7 +69,7 @@ def test_the_run_that_gives_a_level_reaches_it(tmp_path, rng):
     assert table(tmp_path).loc["uniform", "reached"] == 1
 
 
-def test_a_table_of_all_scenes_does_not_outlive_them(tmp_path):
+def test_a_table_of_all_scenes_does_not_outlive_them(tmp_path, no_plots):
     """And why there is none is said."""
     speeds = {"uniform": [4.0], "ours": [8.0], "gradient": [2.0]}
     recorded(tmp_path / "runs", {"bowl": speeds, "pottery": speeds})
@@ -288,6 +288,17 @@ def test_one_scene_or_one_method_is_no_comparison_of_scenes(tmp_path):
     assert build([tmp_path]).across == []
     recorded(tmp_path, {"pottery": {"uniform": [4.0]}})
     assert build([tmp_path]).across == []
+
+
+def test_the_table_reads_back_as_it_was(tmp_path):
+    speeds = {"uniform": [4.0] * 2, "ours": [0.5] * 2}  # which never arrives at the later levels
+    recorded(tmp_path / "runs", {"bowl": speeds, "pottery": speeds})
+    comparison = build([tmp_path / "runs"])
+    tables.write(comparison, tmp_path)
+    wanted = across.table(comparison.across)
+    assert {"", "at least"} <= set(wanted["bound_0.75"])
+    read = read_accuracy(tmp_path / "across.csv")
+    pandas.testing.assert_frame_equal(read, wanted, check_dtype=False, check_exact=True)
 
 
 def test_page_table_and_plots_are_written(tmp_path):

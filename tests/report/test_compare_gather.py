@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import synthetic_runs as synthetic
+from disk import lock
 
 from isas_cli.records.files import OWN_UNIT, SCHEMA_VERSION
 from isas_cli.report.compare import content, labels
@@ -185,6 +186,12 @@ def without_columns(folder: Path) -> None:
     )
 
 
+def without_its_start(folder: Path) -> None:
+    path = run(folder) / "history.csv"
+    columns, _, *rows = path.read_text().splitlines(keepends=True)
+    path.write_text("".join([columns, *rows]))
+
+
 def failed_before_its_record(folder: Path) -> None:
     run(folder, status="failed", summary={"error": "no such scene"})
     (folder / "manifest.json").unlink()
@@ -196,6 +203,7 @@ def failed_before_its_record(folder: Path) -> None:
         (unreadable, "history.csv: cannot be read"),
         (older, "schema version 99"),
         (without_columns, "no column image_rmse, parameter_rmse"),
+        (without_its_start, "history.csv does not begin at the start"),
         (failed_before_its_record, "failed: no such scene"),
         (lambda f: run(f, status="failed", summary={"error": "bo\nom"}), "failed: bo om"),
         (lambda f: synthetic.write(f, [0], [1.0]), "1 evaluations: two are needed"),
@@ -277,6 +285,16 @@ def test_a_folder_without_runs_is_refused_even_beside_good_ones(tmp_path, name, 
     with pytest.raises(InputError, match=reason) as error:
         gather([tmp_path / "1", tmp_path / name], None)
     assert "\n" not in str(error.value)
+
+
+def test_folders_that_may_not_be_read_are_named(tmp_path, monkeypatch):
+    run(tmp_path / "a", seed=1)
+    run(tmp_path / "b" / "1", seed=2)
+    lock(monkeypatch, tmp_path / "b")
+    assert found(tmp_path) == [("pottery", "ours", [1])]
+    assert warnings(tmp_path) == [f"left out: {tmp_path / 'b'}: Permission denied"]
+    with pytest.raises(InputError, match="holds no run.*; left out: .*/b: Permission denied"):
+        gather([tmp_path / "b"], None)
 
 
 def chosen(folder: Path, wanted: str | None) -> dict[str, str]:

@@ -133,6 +133,13 @@ def test_a_table_sorts_by_the_heading_that_is_clicked(opened):
     until(opened, lambda d: first_column(table) == ["gradient", "ours", "uniform"])
 
 
+def test_the_best_of_a_column_is_told_by_more_than_its_colour(opened):
+    best = opened.find_elements(By.CSS_SELECTOR, "table.accuracy td.best")
+    starred = opened.find_elements(By.CSS_SELECTOR, "span[title='the soonest median']")
+    assert len(best) == len(starred) > 0
+    assert all("★" in cell.text for cell in best)
+
+
 def test_a_slider_follows_the_mouse_and_the_keys(opened):
     slider = show(opened, opened.find_element(By.CSS_SELECTOR, "img-comparison-slider"))
     exposed = lambda: opened.execute_script("return arguments[0].value", slider)
@@ -222,9 +229,10 @@ def test_effects_integrator_and_path_depth_are_shown_where_they_are_recorded(tmp
 
 
 def test_numbers_and_intervals_in_words():
-    values = [math.nan, math.inf, 0.0, 12.0, 0.12345, 1234.5, 26214400, -0.214, 1e-9]
+    values = [math.nan, math.inf, 0.0, 12.0, 0.12345, 999.4, 999.6, 1234.5, 26214400, -0.214, 1e-9]
     assert [facts.number(value) for value in values] == [
-        *("not known", "infinite", "0", "12", "0.123", "1,234", "26,214,400", "−0.214", "1e−09")
+        *("not known", "infinite", "0", "12", "0.123", "999", "1,000", "1,234", "26,214,400"),
+        *("−0.214", "1e−09"),
     ]
     row = pandas.Series({"seconds_low": 1.5, "seconds_high": math.inf, "runs": 3})
     assert facts.interval(row, "seconds", " s") == "[1.5, not reached]"

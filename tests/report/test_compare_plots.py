@@ -89,6 +89,10 @@ def test_a_method_has_one_style_in_all_scenes_and_no_two_share_one(comparison):
     assert [style.colour for style in own.values()] == list(COLOURS[:3])
     many = [styles._style(index) for index in range(4 * 13)]
     assert len({(style.colour, style.kind) for style in many}) == len(many)
+    named = {str(number): style for number, style in enumerate(many)}
+    assert styles.repeated(named) == []
+    (warning,) = styles.repeated(named | {"one more": many[0]})
+    assert warning == "53 methods: after 52 their colours and dashes begin again"
     for drawer in (static._LINES, static._HATCHES, interactive._DASHES, interactive._PATTERNS):
         assert len(set(drawer)) == styles._KINDS
 
@@ -283,6 +287,24 @@ def test_a_picture_that_was_not_saved_leaves_a_gap(comparison, folder, tmp_path)
     assert "start against result" in titles[2], "without a truth the start stands in"
     assert "exposure" in reason
     assert all(len(group.slides) == 2 for group in groups)
+
+
+def test_of_very_many_methods_the_first_are_pictured(comparison, tmp_path, monkeypatch):
+    monkeypatch.setattr(typical, "_PICTURED", 2)
+    methods = by_scene(comparison.methods)["pottery"]
+    told = " The first 2 of 3 methods."
+    groups, exposure = slides.groups(methods)
+    assert exposure.endswith(f".{told}")
+    assert [[slide.method for slide in group.slides] for group in groups] == (
+        [["uniform", "gradient"]] * len(groups)
+    )
+    own = styles.styles(comparison)
+    pictures = sheet.write_sheets(methods, own, tmp_path)
+    pictures.append(animation.write_animation(methods, own, tmp_path))
+    for picture in pictures:
+        assert told in picture.caption and "ours seed" not in picture.caption
+    monkeypatch.undo()
+    assert "first" not in slides.groups(methods)[1]
 
 
 def frames_of(path: Path) -> list[tuple[np.ndarray, int]]:

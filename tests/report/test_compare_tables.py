@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas
@@ -10,6 +12,7 @@ import pytest
 import synthetic_runs as synthetic
 
 from isas_cli.cli import compare as command
+from isas_cli.cli import one
 from isas_cli.report import compare
 from isas_cli.report.compare import tables
 from isas_cli.runtime.errors import InputError, IsasError
@@ -135,6 +138,19 @@ def test_an_output_that_cannot_be_made_is_one_line(tmp_path, runs):
         compare.compare([runs], tmp_path / "taken" / "below")
 
 
+def test_the_command_reads_nothing_where_it_cannot_write(runs, tmp_path, monkeypatch):
+    def readonly(dir):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(one, "tempfile", SimpleNamespace(TemporaryFile=readonly))
+    monkeypatch.setattr(compare, "build", lambda *_: pytest.fail("was read"))
+    for output in (None, tmp_path / "no" / "such"):
+        there = runs if output is None else tmp_path
+        told = f"folder {there}: Read-only file system; give another with --output DIR"
+        with pytest.raises(InputError, match=told):
+            command.main([runs], output)
+
+
 def test_few_seeds_are_warned_of(runs):
     single, few = compare.build([runs]).warnings
     assert "one run have no intervals" in single
@@ -162,6 +178,13 @@ def test_the_short_table_shows_how_far_the_baseline_gets_and_anyone(tmp_path):
     assert list(cells)[-3:] == ["s to 1/4", "s to 1/8", "s to 1/64"]
     assert cells["s to 1/8"] == ["64 (×1.00)", "0.64 (×100.00)"]
     assert cells["s to 1/64"] == ["not reached", "41"]
+
+
+def test_the_short_table_has_no_powers_of_ten_for_seconds(tmp_path):
+    synthetic.write(tmp_path / "1", [0, 1234, 2345], [1.0, 0.5, 0.4])
+    table = command.short_table(compare.build([tmp_path]), "pottery", "ours")
+    cells = {column.header: list(column.cells) for column in table.columns}
+    assert cells["s to 1/2"] == ["1,234 (×1.00)"]
 
 
 def test_the_short_table_of_runs_that_got_nowhere_says_so(tmp_path):

@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
 
+import matplotlib
 import numpy as np
 import pytest
 import synthetic_runs as synthetic
@@ -141,6 +142,17 @@ def test_a_report_can_be_made_again(tmp_path):
     summarise(writer)
     first = report.write(tmp_path).read_text()
     assert report.write(tmp_path).read_text() == first
+
+
+def test_what_a_user_has_set_for_plots_of_his_own_does_not_count(tmp_path):
+    writer = begin(tmp_path)
+    evaluate(writer, 3)
+    summarise(writer)
+    save_frames(writer)
+    first = report.write(tmp_path).read_text()
+    with matplotlib.rc_context({"text.usetex": True, "image.origin": "lower", "font.size": 20}):
+        assert report.write(tmp_path).read_text() == first
+        assert matplotlib.rcParams["text.usetex"]
 
 
 def test_a_run_without_truth_shows_no_parameter_error(tmp_path):

@@ -1,6 +1,7 @@
 """The scenes: each builds, and has an unknown; broken meshes are refused. What their views show:
 test_tiny_scenes.py."""
 
+import dataclasses
 import fnmatch
 import importlib
 import re
@@ -18,6 +19,8 @@ from isas_cli.scenes.subdivide import subdivide
 
 from isas_cli.config import schema
 from isas_cli.config.compose import compose
+from isas_cli.engine import assemble
+from isas_cli.runtime import backend
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene import built
 
@@ -105,6 +108,57 @@ def test_builders_are_deterministic(loaded):
 def test_the_depth_of_paths_is_a_setting():
     scene = schema.typed(compose(["scene=pottery", "size=tiny", "scene.max_depth=2"])).scene
     assert built.load(built.description(scene)).integrator().max_depth == 2
+
+
+@pytest.fixture
+def by(monkeypatch):
+    """→ the settings of a scene of a ``build`` of one's own, with these arguments."""
+
+    def scene(build, max_depth=None, **arguments) -> schema.SceneConfig:
+        monkeypatch.setattr(built.allowed, "named", lambda *_: build)
+        usual = schema.typed(compose(["scene=pottery", "size=tiny"])).scene
+        own = {"builder": "own.build", "arguments": arguments, "max_depth": max_depth}
+        return dataclasses.replace(usual, **own)
+
+    return scene
+
+
+def test_a_builder_may_keep_what_it_gives(by):
+    held = {"type": "scene", "integrator": {"type": "prb"}}
+    made = built.description(by(lambda: held, max_depth=2))
+    assert made["integrator"] == {"type": "prb", "max_depth": 2}
+    assert held["integrator"] == {"type": "prb"}
+
+
+def test_a_builder_may_take_any_arguments_and_be_annotated_by_any_names(by):
+    def build(first: int, *rest, **more) -> dict:
+        return {"type": "scene", "first": first, **more}
+
+    build.__annotations__["return"] = "nowhere.Scene"
+    made = built.description(by(build, first=1, other=2))
+    assert made == {"type": "scene", "first": 1, "other": 2}
+    with pytest.raises(InputError, match="scene.arguments.first is missing"):
+        built.description(by(build, other=2))
+
+
+def test_what_a_builder_gives_is_checked(by):
+    for wrong in (None, [], {"type": "sphere"}, mi.ScalarTransform4f()):
+        with pytest.raises(InputError, match="scene.builder=own.build: gives no scene"):
+            built.description(by(lambda: wrong))
+    made = {"type": "scene", "integrator": mi.load_dict({"type": "prb"})}
+    assert built.description(by(lambda: made)) is made
+    with pytest.raises(InputError, match="scene.max_depth=2: .* has made its integrator already"):
+        built.description(by(lambda: made, max_depth=2))
+    slip = {"type": "scene", "ball": {"type": "sphere", "radios": 1.0}}
+    with pytest.raises(InputError, match="scene.builder=own.build: Mitsuba cannot .*radios"):
+        assemble.bare(by(lambda: slip))
+
+
+def test_a_builder_s_files_are_not_looked_for_beside_an_earlier_scene(by, tmp_path):
+    backend.look_beside(tmp_path)
+    assert str(tmp_path) in list(mi.file_resolver())
+    built.description(by(lambda: {"type": "scene"}))
+    assert str(tmp_path) not in list(mi.file_resolver())
 
 
 def test_surfaces_are_principled_or_clear_glass(loaded):

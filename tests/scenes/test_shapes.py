@@ -11,6 +11,7 @@ from runs_for_tests import resumed
 from test_tiny_scenes import SHAPES, SMALL
 
 import isas_cli
+from isas_cli.engine.recorder import Recorder
 from isas_cli.runtime.errors import InputError
 from isas_cli.scene import shape_error
 from isas_cli.scene.shape_error import Sampled
@@ -80,6 +81,24 @@ def test_a_rate_of_100_ends_with_finite_numbers_and_says_what_happened(tmp_path)
     assert (tmp_path / "meshes" / "good_figure.vertices.ply").read_bytes() == kept
     (said,) = (text for text in again.summary["warnings"] if "folded" in text)
     assert said.endswith("meshes/good_figure.vertices.* is as it was before this run went on")
+
+
+def test_what_a_shape_was_before_it_crumpled_outlives_a_kill(tmp_path, monkeypatch):
+    class Killed(BaseException):
+        pass
+
+    def kill(*_) -> None:
+        raise Killed
+
+    monkeypatch.setattr(Recorder, "close", kill)
+    with pytest.raises(Killed):
+        isas_cli.run(
+            *("scene=kirby", "sampler=uniform", "estimator=silhouettes", *SETTINGS),
+            "scene.unknowns={figure.vertices: {start: sphere, lr: 100}}",
+            *("estimator.batch=1024", "budget.iterations=10", f"hydra.run.dir={tmp_path}"),
+        )
+    good = trimesh.load(tmp_path / "meshes" / "good_figure.vertices.ply", process=False)
+    assert good.is_watertight and np.ptp(good.vertices, axis=0).max() < 10
 
 
 def test_samplers_that_read_moments_are_refused(tmp_path):

@@ -28,11 +28,11 @@ def _shape(
     vertices, faces = truth
     mesh = '<shape type="ply" id="thing"><string name="filename" value="thing.ply"/>{bsdf}</shape>'
     return Case(
-        *(name, provokes, start("thing.vertices", "{folder}/start.ply"), within),
+        *(name, provokes, start("thing.vertices", "{folder}/start.ply", lr=rate), within),
         shapes=mesh,
         warns=warns,
         sure=sure,
-        settings=("optimizer.schedule=cosine", f"optimizer.lr={rate}"),
+        settings=("optimizer.schedule=cosine",),
         meshes={"thing.ply": truth, "start.ply": (np.asarray(begins), faces)},
         estimator=SHAPES,
     )

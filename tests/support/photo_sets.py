@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 
 from isas_cli.runtime import images
 
@@ -53,6 +54,24 @@ class Files:
                 images.write_png(self.folder / name, images.to_display(pixels))
             found.append(name)
         return found
+
+
+def in_parts(path: Path, **parts: tuple[str, np.ndarray]) -> Path:
+    """An EXR of several parts, by name: letters of its channels, and pixels ``(H, W, C)``."""
+    specs = []
+    for name, (letters, pixels) in parts.items():
+        height, width, count = pixels.shape
+        specs.append(oiio.ImageSpec(width, height, count, oiio.FLOAT))
+        specs[-1].channelnames = tuple(letters)
+        specs[-1].attribute("oiio:subimagename", name)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), specs)
+    for number, (_, pixels) in enumerate(parts.values()):
+        if number:
+            assert output.open(str(path), specs[number], "AppendSubimage")
+        assert output.write_image(pixels)
+    output.close()
+    return path
 
 
 def transforms(files: Files, **more) -> dict:

@@ -158,6 +158,7 @@ class Job:
             **((read_summary(self.folder) or {}) if begun else {}),
             "overrides": self.overrides,
             "error": report.error,
+            "process": manifest.process(),
         }
         if report.killed:
             summary["killed"] = True

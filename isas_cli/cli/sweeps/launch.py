@@ -16,7 +16,7 @@ from ...runtime import interrupt
 from ...runtime.errors import InputError
 from .job import DONE, Job, Report, supervise
 from .launchers import Launcher
-from .outcome import Outcome, outcome, shown
+from .outcome import Outcome, outcome, read_summary, shown
 
 
 def planned(overrides: list[str], label: str, number: int) -> Job:
@@ -110,11 +110,14 @@ class Sweep:
         return outcome(job.label, job.folder, "done")
 
     def _lost(self, job: Job, error: Exception) -> Outcome:
-        """Of a job whose worker was lost; recorded."""
+        """Of a job whose worker was lost; recorded, unless it had been told to stop before."""
+        begun = job.stamp() != self.stamps[job.folder]
+        if begun and (read_summary(job.folder) or {}).get("status") == "interrupted":
+            return outcome(job.label, job.folder, "interrupted", interrupt.STATUS)
         text = " ".join(str(error).split("\n")[0].split())
         report = Report(1, f"its worker was lost: {type(error).__name__}: {text}", killed=True)
         if not job.written:
-            job.record_failure(report, begun=job.stamp() != self.stamps[job.folder])
+            job.record_failure(report, begun)
         return outcome(job.label, job.folder, "failed", 1, report.error)
 
 

@@ -12,6 +12,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 from omegaconf import DictConfig, OmegaConf
 
+from ...runtime import interrupt
 from ...runtime.errors import InputError
 from .job import Job
 from .outcome import Outcome
@@ -29,6 +30,7 @@ _OF_ALL = ("name", "timeout_min", "mem_gb", "nodes", "cpus_per_task", "gpus_per_
 _OF_ALL += ("tasks_per_node", "stderr_to_stdout")
 _POLL_SECONDS = 0.5
 _LAST_SECONDS = 60.0  # for what has been told to stop
+_PREEMPTED_SECONDS = 600.0  # between SIGTERM and what SLURM does then
 
 Stop = Callable[[], bool]
 Do = Callable[[Job, Stop | None], Outcome]
@@ -124,7 +126,7 @@ class Submitit:
         try:
             executor = submitit.AutoExecutor(self.folder, cluster=self.cluster, **most)
             executor.update_parameters(**self.parameters)
-            submitted = executor.map_array(_Resumed(do), jobs)
+            submitted = executor.map_array(_Resumed(do, self.cluster == "slurm"), jobs)
         except Exception as error:
             raise _refused("submitit", error) from error
         for job in submitted:
@@ -140,11 +142,16 @@ class Submitit:
 class _Resumed:
     """What submitit calls for each job, and asks for what is to be queued again."""
 
-    def __init__(self, do: Do):
-        self.do = do
+    def __init__(self, do: Do, preemptable: bool):
+        self.do, self.preemptable = do, preemptable
 
     def __call__(self, job: Job) -> Outcome:
-        return self.do(job, None)
+        found = self.do(job, None)
+        if self.preemptable and found.code == interrupt.STATUS:
+            # SIGTERM comes first: with a result submitit would take the job for done before it is
+            # queued again. After scancel it is killed here.
+            time.sleep(_PREEMPTED_SECONDS)
+        return found
 
     def checkpoint(self, job: Job):
         from submitit.helpers import DelayedSubmission

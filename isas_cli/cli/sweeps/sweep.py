@@ -29,7 +29,7 @@ from .. import one
 from . import fingerprint, launchers, outcome
 from .launch import Sweep, planned, say
 from .outcome import Outcome, shown
-from .search import search
+from .search import search, setting
 
 _MULTIRUN = {"-m", "--multirun"}
 
@@ -112,7 +112,7 @@ def _first(override: Override) -> str:
         return override.input_line
     discrete = override.is_discrete_sweep()
     value = next(override.sweep_string_iterator()) if discrete else override.value().start
-    return f"{override.get_key_element()}={value}"
+    return setting(override, value)
 
 
 def _combinations(overrides: list[Override]) -> list[list[str]]:

@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator
 from multiprocessing.connection import wait
 
 from ...runtime import interrupt
+from ...runtime.errors import InputError
 from .job import Job, Report, attempt
 
 _POLL_SECONDS = 0.2
@@ -90,14 +91,22 @@ def main(sink: int) -> None:
     interrupt.once_seconds = math.inf
     job, command, threads, quiet = pickle.load(sys.stdin.buffer)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    if quiet:
-        job.folder.mkdir(parents=True, exist_ok=True)
-        log = os.open(job.folder / "log.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
-        os.dup2(log, sys.stderr.fileno())
+    report = _logged(job) if quiet else None
     faulthandler.enable()
-    report = attempt(job, command, threads)
+    report = report or attempt(job, command, threads)
     with os.fdopen(sink, "wb") as reports:
         reports.write(pickle.dumps(report))
+
+
+def _logged(job: Job) -> Report | None:
+    """Lets what is printed go to log.txt; a report where that cannot be."""
+    try:
+        job.folder.mkdir(parents=True, exist_ok=True)
+        log = os.open(job.folder / "log.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+    except OSError as error:
+        return Report(InputError.status, f"{job.folder}: cannot be written: {error.strerror}")
+    os.dup2(log, sys.stderr.fileno())
+    return None
 
 
 def _end_with_parent() -> None:

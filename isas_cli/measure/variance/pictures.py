@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from ...rendering.pixels import PixelDistribution
 from ...report import cells
 from ...report.chart import GREY
-from ...report.figures import COLOURS, STYLE, figure, log_values, save
+from ...report.figures import COLOURS, figure, log_values, save, styled
 from ...runtime import images
 from ...scene.problem import Problem
 from .table import BEST
@@ -32,7 +32,7 @@ def bars(table: list[dict], folder: Path, title: str) -> None:
     known = [row for row in table if row["ratio_to_uniform"] > 0]
     if not known:
         return
-    with matplotlib.rc_context(STYLE):
+    with styled():
         canvas = figure(10, 5)
         left, right = canvas.subplots(1, 2)
         _bars(left, known, "ratio_to_uniform", "variance (uniform: 1)")
@@ -109,7 +109,7 @@ def densities(
         span = f"viridis, logarithmic, {scale.norm.vmin:.3g} to {scale.norm.vmax:.3g}"
         coloured = cells.colours(density, 1.0, scale)
         images.write_png(path.with_suffix(".png"), coloured, {**stated, "scale": span})
-    with matplotlib.rc_context({**STYLE, "axes.grid": False}):
+    with styled(grid=False):
         for view in views:
             own = {label: maps[label, view] for label in distributions}
             _sheet(problem.target_image(view), own, scale, folder / f"densities_v{view:02d}.png")

@@ -21,13 +21,12 @@ from ..chart import Style
 from ..figures import Picture
 from . import labels
 from .gather import Method
-from .typical import typical_run, words
+from .typical import pictured, typical_run, words
 
 _SIDE = 256  # pixels of the longer side of each picture
 _MARGIN, _TITLE, _STAMP = 8, 22, 44  # pixels: around pictures, above them, below them
 _FRAMES = 60  # at most
 _MILLISECONDS, _LAST_MILLISECONDS = 150, 2500
-_METHODS = 24  # at most, side by side: a WebP is at most 16,383 pixels wide
 _LARGEST = 3_000_000  # bytes: the page holds the file
 _QUALITIES = (85, 70, 50, 30, 15)
 
@@ -49,13 +48,11 @@ def write_animation(
     methods: those of one scene; one whose run saved none is left out. Raises IsasError when
     the disk refuses.
     """
+    methods, more = pictured(methods)
     runs = {method.label: typical_run(method) for method in methods}
     films = {label: film for label, run in runs.items() if len(film := _film(run)) > 1}
     if not films:
         return None
-    shown = dict(list(films.items())[:_METHODS])
-    more = f" The first {len(shown)} of {len(films)} methods." if len(shown) < len(films) else ""
-    films = shown
     targets = (
         cells.read_reduced(runs[label].folder / "frames" / "target_v00.exr") for label in films
     )

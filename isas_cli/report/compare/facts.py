@@ -222,7 +222,7 @@ def number(value: float | None) -> str:
         return "not known"
     if math.isinf(value):
         return "infinite"
-    whole = abs(value) >= 1e3 or float(value).is_integer()
+    whole = abs(value) >= 999.5 or float(value).is_integer()
     shown = f"{value:,.0f}" if whole and abs(value) < 1e15 else f"{value:.3g}"
     return shown.replace("-", "−")
 

@@ -128,9 +128,13 @@ def _usable(folders: list[Path], warnings: list[str]) -> Iterator[Run]:
     for folder in folders:
         if not folder.is_dir():
             raise InputError(f"{folder}: no such folder: give runs' folders or folders of runs")
-        below = list(_find(folder))
+        refused: list[OSError] = []
+        below = list(_find(folder, refused))
+        unread = [f"left out: {error.filename}: {error.strerror}" for error in refused]
         if not below:
-            raise InputError(f"{folder} holds no run, nor does any folder below it")
+            none = f"{folder} holds no run, nor does any folder below it"
+            raise InputError("; ".join([none, *unread]))
+        warnings += unread
         for path in below:
             if path.resolve() in seen:
                 continue
@@ -146,9 +150,10 @@ def _usable(folders: list[Path], warnings: list[str]) -> Iterator[Run]:
                 yield run
 
 
-def _find(folder: Path) -> Iterator[Path]:
-    """Folders that hold (part of) a run, in order; hidden ones are not searched."""
-    for path, names, files in walked(folder):
+def _find(folder: Path, refused: list[OSError]) -> Iterator[Path]:
+    """Folders that hold (part of) a run, in order; hidden ones are not searched. ``refused`` gets
+    why others could not be."""
+    for path, names, files in walked(folder, refused.append):
         names[:] = [name for name in names if not name.startswith(".")]
         if _MARKS & set(files) and not measures(path):
             yield path
@@ -177,6 +182,8 @@ def _unusable(run: Run) -> str | None:
         return f"damaged: history.csv has no column {', '.join(missing)}"
     if len(history) < 2:
         return f"{len(history)} evaluations: two are needed"
+    if history["iteration"].iloc[0] != 0:
+        return "damaged: history.csv does not begin at the start"
     for axis in AXES:
         cost = history[axis].to_numpy(dtype=float)
         if not np.isfinite(cost).all() or (np.diff(cost) < 0).any() or cost[0] < 0:

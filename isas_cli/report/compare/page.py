@@ -22,7 +22,7 @@ from ..chart import Chart
 from ..page import template
 from . import animation, charts, facts, plots, sheet, slides, together
 from .gather import Comparison, Method, by_scene
-from .styles import styles
+from .styles import repeated, styles
 
 _SLIDER, _SORTER = "img-comparison-slider-8.0.7", "sortable-tablesort-4.1.7"
 
@@ -34,7 +34,7 @@ def write(comparison: Comparison, output: Path) -> Path:
     where somebody might miss them. Raises IsasError when the disk refuses.
     """
     output, own = Path(output), styles(comparison)
-    warnings, scenes = list(comparison.warnings), []
+    warnings, scenes = [*comparison.warnings, *repeated(own)], []
     for number, (name, methods) in enumerate(by_scene(comparison.methods).items()):
         costs = charts.of_costs(comparison, name, methods, own)
         insides = charts.of_insides(methods, own)

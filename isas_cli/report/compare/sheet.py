@@ -9,17 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
 from ...records import key_of
 from .. import cells, frames
 from ..chart import Style
-from ..figures import STYLE, Picture, figure, save
+from ..figures import Picture, figure, save, styled
 from . import labels
 from .gather import Method
-from .typical import typical_run, words
+from .typical import pictured, typical_run, words
 
 _VIEW = "00"
 _CELL, _GAP, _LEFT, _RIGHT, _TOP = 2.1, 0.08, 0.4, 0.3, 0.62  # inches
@@ -40,11 +39,12 @@ def write_sheets(methods: list[Method], styles: dict[str, Style], folder: Path) 
     methods: those of one scene, baseline first. Returns the pictures for which there were frames.
     Raises IsasError when the disk refuses.
     """
+    methods, more = pictured(methods)
     shown = {method.label: frames.read(typical_run(method).folder, _VIEW) for method in methods}
     views = {label: views[_VIEW] for label, (views, _) in shown.items() if _VIEW in views}
     textures = {label: textures for label, (_, textures) in shown.items() if textures}
     stem, made = labels.stem(methods[0].scene), []
-    with matplotlib.rc_context({**STYLE, "axes.grid": False}):
+    with styled(grid=False):
         if views:
             canvas, caption = _views_sheet(views, styles)
             made.append((folder / f"{stem}_sheet.png", canvas, caption))
@@ -53,7 +53,7 @@ def write_sheets(methods: list[Method], styles: dict[str, Style], folder: Path) 
             made.append((folder / f"{stem}_textures.png", canvas, caption))
         for path, canvas, _ in made:
             save(canvas, path)
-    return [Picture(path, f"{caption} {words(methods)}") for path, _, caption in made]
+    return [Picture(path, f"{caption}{more} {words(methods)}") for path, _, caption in made]
 
 
 def _views_sheet(methods: dict[str, frames.Frames], styles: dict[str, Style]) -> tuple[Figure, str]:

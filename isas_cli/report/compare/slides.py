@@ -13,7 +13,7 @@ from PIL import Image
 from ...records import key_of
 from .. import cells, frames
 from .gather import Method
-from .typical import typical_run, words
+from .typical import pictured, typical_run, words
 
 _VIEW = "00"
 _LARGEST = 512  # pixels a side
@@ -43,12 +43,13 @@ class Group:
 
 
 def groups(methods: list[Method]) -> tuple[list[Group], str]:
-    """The sliders of one scene and, in words, how its pictures are exposed.
+    """The sliders of one scene and, in sentences, how its pictures are exposed and whose they are.
 
     start ↔ result and target ↔ result of view 0, and truth ↔ result (or, without a truth, start ↔
     result) of each unknown texture; of each method the run with the median final error. Pairs of
     which a picture was not saved are left out.
     """
+    methods, more = pictured(methods)
     shown = {method.label: frames.read(typical_run(method).folder, _VIEW) for method in methods}
     captions = {method.label: words([method]) for method in methods}
     views = {label: own[_VIEW] for label, (own, _) in shown.items() if _VIEW in own}
@@ -63,7 +64,7 @@ def groups(methods: list[Method]) -> tuple[list[Group], str]:
         factor, _ = cells.exposure(rows, ("truth", "result", "start"), at_least=1.0)
         title = f"{key_of(name)}, {before} against result"
         made.append(_group(title, before, rows, factor, captions))
-    return [group for group in made if group.slides], reason
+    return [group for group in made if group.slides], f"{reason}.{more}"
 
 
 def data_address(image: np.ndarray) -> str:

@@ -17,5 +17,13 @@ def styles(comparison: Comparison) -> dict[str, Style]:
     return {label: _style(index) for index, label in enumerate(labels)}
 
 
+def repeated(styles: dict[str, Style]) -> list[str]:
+    """A warning where there are more methods than styles."""
+    most = len(_COLOURS) * _KINDS
+    if len(styles) <= most:
+        return []
+    return [f"{len(styles)} methods: after {most} their colours and dashes begin again"]
+
+
 def _style(index: int) -> Style:
     return Style(_COLOURS[index % len(_COLOURS)], index // len(_COLOURS) % _KINDS)

@@ -59,10 +59,12 @@ def read(path: Path) -> pandas.DataFrame:
     try:
         # Exactly what was written: pandas' fast parser may be off in the last digit.
         frame = pandas.read_csv(path, float_precision="round_trip", dtype={"seeds": str})
-        if "scene" not in frame:
+        if not {"scene", "scenes"} & set(frame):
             raise ValueError("it has no column scene")
         for name in frame.columns:
-            if name not in _TEXTS and not pandas.api.types.is_numeric_dtype(frame[name]):
+            if name.startswith("bound"):
+                frame[name] = frame[name].astype(object).fillna("")
+            elif name not in _TEXTS and not pandas.api.types.is_numeric_dtype(frame[name]):
                 frame[name] = [float(_MEANING.get(cell, cell)) for cell in frame[name]]
     except (OSError, ValueError) as error:
         reason = " ".join(str(error).split())

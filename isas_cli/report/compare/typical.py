@@ -1,4 +1,4 @@
-"""The run that stands for its method in pictures."""
+"""The run that stands for its method in pictures, and the methods that have any."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from .gather import Method
 from .metrics import last
 from .series import seed
 
+# At most: all pictures are held at once, and side by side a WebP has at most 16,383 pixels.
+_PICTURED = 24
 _MEDIAN = "Runs shown, of each method the one with the median final error"
 
 
@@ -29,6 +31,14 @@ def typical_run(method: Method) -> Run:
     """
     order = sorted(method.runs, key=lambda run: _rank(final_error(run)[1]))
     return order[(len(order) - 1) // 2]
+
+
+def pictured(methods: list[Method]) -> tuple[list[Method], str]:
+    """The methods whose pictures are shown and, where these are not all, a sentence for a
+    caption."""
+    shown = methods[:_PICTURED]
+    left = len(shown) < len(methods)
+    return shown, f" The first {len(shown)} of {len(methods)} methods." if left else ""
 
 
 def words(methods: list[Method]) -> str:
