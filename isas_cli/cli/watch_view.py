@@ -56,9 +56,11 @@ def ending(follower: Follower) -> list[str]:
     report = follower.folder / "report.html"
     if report.is_file():
         said.append(f"report: {report}")
-    elif status != "failed" and alive(run.manifest):
+    elif not (follower.folder / "manifest.json").is_file():
+        pass  # a job that failed before it had a record
+    elif alive(run.manifest):
         said.append(f"report: {report}, which is being written")
-    elif not run.complete and (follower.folder / "manifest.json").is_file():
+    elif not run.complete:
         said.append(f"pictures and report are missing; make them with: {resume}")
     return said
 
