@@ -41,8 +41,8 @@ _PATHS_A_VIEW, _SURE, _MOST_PATHS = (1 << 9, 1 << 16), 1 << 12, 1 << 20
 _FAR = (1 << 27) - (1 << 18)
 _WARM_UP = 4  # recordings are steady from the fourth call on
 _BLOCKS, _MOST_ENTRIES = 8, 1 << 16
-# Entries are summed by so many, to no fewer sums, until so many rows make one on average.
-_SUMMED, _LEAST_SUMS, _ALIKE = (1, 4, 16, 64, 256, 1024, 4096), 16, 2.0
+# Neighbouring entries that are taken for equally noisy.
+_ALIKE = 256
 # One-sided, 95 %.
 Z = 1.645
 
@@ -319,20 +319,19 @@ def _some(entries: np.ndarray) -> np.ndarray:
 def gradient_share(part: np.ndarray, whole: np.ndarray) -> Share:
     """‖E part‖/‖E whole‖ from independent rows ``(n, entries)`` of both, paired; the bounds by the
     jackknife. Squared norms of means are means of products of different rows: their noise does not
-    add to them. But where rows hardly meet in an entry, as of a small lamp behind glass, all that
-    is multiplied is 0, and so is the jackknife's error: the upper bound is then of sums of entries
-    (``_meeting``), or else what holds of any rows, ‖E part‖² ≤ E ‖part‖²."""
+    add to them. But where rows hardly meet in an entry, as of a small lamp behind glass, all these
+    products are 0, and so is the jackknife's error: no less than that of entries as noisy as they
+    are counts then: of means that are 0, √(2 Σ σ⁴ / n (n - 1)). At most, ‖E part‖² ≤ E ‖part‖²."""
     (own, own_error), (all_, error) = map(_squared_norm, (part, whole))
     if all_ <= 0:
         return Share(float("nan"), float("inf"))
-    most, meeting = max(own, 0.0) + Z * own_error, _meeting(part)
-    if meeting is None:
-        most = np.inf
-    elif meeting is not part:
-        met, met_error = _squared_norm(meeting)
-        most = max(most, met + Z * met_error)
     energy = np.sum(part.astype(np.float64) ** 2, axis=1)
-    most = min(most, energy.mean() + Z * energy.std(ddof=1) / len(part) ** 0.5)
+    n, starts = len(part), np.arange(0, part.shape[1], _ALIKE)
+    spread = np.add.reduceat(np.var(part, axis=0, ddof=1, dtype=np.float64), starts)
+    counts = np.diff([*starts, part.shape[1]])
+    rarely = math.sqrt(2 / (n * (n - 1)) * np.sum(spread**2 / counts))
+    most = max(own, 0.0) + Z * max(own_error, rarely)
+    most = min(most, energy.mean() + Z * energy.std(ddof=1) / math.sqrt(n))
     least = all_ - Z * error
     bound = np.sqrt(most / least) if least > 0 else float("inf")
     low = np.sqrt(max(own - Z * own_error, 0.0) / (all_ + Z * error))
@@ -347,29 +346,6 @@ def _squared_norm(rows: np.ndarray) -> tuple[float, float]:
     # Without a row: all products but its own, on either side.
     left = (products.sum() - 2 * products.sum(axis=0)) / ((n - 1) * (n - 2))
     return float(value), float(np.sqrt((n - 1) / n * np.sum((left - left.mean()) ** 2)))
-
-
-def _meeting(rows: np.ndarray) -> np.ndarray | None:
-    """``rows (n, entries)`` as the finest sums of neighbouring entries to which several rows give
-    alike; ``rows`` themselves where entries do, None where no sums do. With random signs, which
-    keep the norms of means whatever signs these have."""
-    signed = rows * np.random.default_rng(0).choice(np.float32([-1, 1]), rows.shape[1])
-    sums = rows
-    for size in _SUMMED:
-        if size > 1:
-            starts = np.arange(0, rows.shape[1], size)
-            if len(starts) < _LEAST_SUMS:
-                break
-            sums = np.add.reduceat(signed, starts, axis=1)
-        # By how many rows an entry is made, (Σ x²)² / Σ x⁴, as its part of the whole counts.
-        squares = sums.astype(np.float64) ** 2
-        own, fourth = squares.sum(axis=0), (squares**2).sum(axis=0)
-        if not (total := own.sum()):
-            return sums
-        many = np.divide(own**3, fourth, out=np.zeros_like(own), where=fourth > 0).sum() / total
-        if many >= _ALIKE:
-            return sums
-    return None
 
 
 def _image_share(part: np.ndarray, whole: np.ndarray) -> Share:

@@ -154,7 +154,7 @@ def test_rare_light_is_not_taken_for_none(rng, hits):
     """A caustic that so many paths of a batch meet, each on another texel: no products meet."""
     part, entries = 0.16, 8192
     held = []
-    for _ in range(10):
+    for _ in range(40):
         whole = rng.exponential(size=(12, entries))
         rare = np.zeros_like(whole)
         for row in rare:
@@ -162,7 +162,7 @@ def test_rare_light_is_not_taken_for_none(rng, hits):
             np.add.at(row, met, rng.exponential(size=met.size) / hits)
         rare *= part * np.sqrt(entries * 1000)
         held.append(not rare.any() or gradient_share(rare, whole + rare).bound > 0.145)
-    assert np.mean(held) > 0.9
+    assert np.mean(held) > 0.85
     # What is met by rounding alone is nothing.
     rounding = 1e-7 * rng.normal(size=(12, 1)) * (rng.random((12, entries)) < 1e-4)
     assert gradient_share(rounding, 1 + rounding).bound < 1e-6
