@@ -161,6 +161,9 @@ def test_changed_code_that_is_allowed_is_another_version(tmp_path, monkeypatch):
     """Of a module that this process has imported; programs have none."""
     monkeypatch.setenv(guests.ALLOW, "loss_of_mine.Loss, ./draw, no_such")
     name, file = "loss_of_mine", tmp_path / "loss_of_mine.py"
+    file.touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    guests._digest.cache_clear()
     assert guests.installed() == {}
     spec = importlib.util.spec_from_file_location(name, file)
     monkeypatch.setitem(sys.modules, name, importlib.util.module_from_spec(spec))

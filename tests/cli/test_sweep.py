@@ -5,6 +5,7 @@ import enum
 import errno
 import io
 import json
+import os
 import pickle
 import random
 import re
@@ -552,7 +553,8 @@ def test_a_job_that_never_began_does_not_block_the_corrected_one(tmp_path):
     failed.record_failure(Report(2, "no such thing"), begun=False)
     corrected = Job("a", [], tmp_path, compose([*TINY, "optimizer.lr=0.1"]))
     assert corrected.found() == failed.found() == "failed"
-    assert not json.loads((tmp_path / "summary.json").read_text())["complete"]
+    left = json.loads((tmp_path / "summary.json").read_text())
+    assert not left["complete"] and left["process"]["pid"] == os.getpid()
 
 
 def test_a_run_of_other_settings_is_told_with_what_a_sweep_takes(tmp_path):

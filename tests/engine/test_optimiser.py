@@ -75,6 +75,18 @@ def test_what_the_rehearsal_did_not_reach_is_scaled_by_its_first_gradient():
         assert np.allclose(ends[0][key], ends[1][key], atol=1e-6), key
 
 
+def test_what_no_view_sees_is_not_asked_for_its_first_gradient(monkeypatch):
+    """Each step would wait for it."""
+    p, asked = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}), []
+    p.unknowns[TEXTURE].unseen = True
+    stepper = Stepper(p.unknowns, settings())
+    nothing = gradients(p, np.random.default_rng(1), 0.0)
+    stepper.calibrate([nothing])
+    monkeypatch.setattr(Stepper, "_scale", lambda self, key, gradients: asked.append(key))
+    stepper.step(nothing, 0.0)
+    assert asked == [ROUGHNESS]
+
+
 def test_moments_of_small_gradients_keep_their_squares():
     p, found = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}), []
     for size in (1.0, 1e-24):

@@ -20,6 +20,7 @@ from isas_cli.cli import app, compare
 from isas_cli.cli.race import _contestants, _values
 from isas_cli.config.compose import compose
 from isas_cli.engine import race
+from isas_cli.engine import workshop as workshop_module
 from isas_cli.engine.loop import Hooks, Loop
 from isas_cli.engine.workshop import Workshop
 from isas_cli.runtime.errors import NumericalError
@@ -288,6 +289,18 @@ def test_what_choices_are_told_of_a_problem_is_not_the_others_(monkeypatch):
     monkeypatch.setattr(type(choices.estimator), "check", check)
     choices.check_on(p)
     assert not p.warnings
+
+
+def test_methods_with_other_priors_have_plans_of_their_own(monkeypatch):
+    asked = []
+    original = workshop_module.plan_of
+    monkeypatch.setattr(
+        workshop_module, "plan_of", lambda *given: asked.append(given[1].prior) or original(*given)
+    )
+    made = Workshop(problem({TEXTURE: 0.5}))
+    for prior in ("none", "smoothness", "none"):
+        made.loop(*configured(*SETTINGS, "sampler=uniform", f"prior={prior}"))
+    assert len(asked) == 2 and asked[0] != asked[1]
 
 
 def test_what_a_sampler_warns_of_is_said_of_its_own_runs():

@@ -11,6 +11,7 @@ from scenes_for_tests import TEXTURE, problem
 from isas_cli.engine.evaluate import Evaluator
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.losses.l2 import L2
+from isas_cli.losses.structure import Structure
 from isas_cli.rendering.integrators import Paths
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.runtime.errors import InputError
@@ -114,6 +115,16 @@ def test_what_counts_much_is_measured_as_much_however_few_pixels_are_drawn(monke
         found, apart = evaluator(p.unknowns.starts()), evaluator.apart(p, {})
         for each in (found["loss"], found["image_rmse"] ** 2, apart**2):
             assert each == pytest.approx(0.5, abs=1.01 / 64)
+
+
+def test_pixels_of_windows_that_are_drawn_count_over_what_their_windows_do():
+    p, loss = problem({TEXTURE: 0.5}), Structure(side=3)
+    mask = np.random.default_rng(1).uniform(0.2, 1, p.views.total).astype(np.float32)
+    p.set_targets(p.targets, mi.Float(mask), "test")
+    evaluator = Evaluator(p, loss, 20 * loss.windows.count, 2, 1)
+    own = mask[np.array(evaluator.pixels)].reshape(-1, loss.windows.count)
+    found = np.array(evaluator._weight()).reshape(own.shape)
+    assert np.allclose(found, own / own.min(axis=1, keepdims=True))
 
 
 def test_pixels_that_count_alike_are_drawn_as_without_weights():
