@@ -146,15 +146,16 @@ def test_jobs_that_failed_before_they_had_a_record_are_not_waited_for(tmp_path, 
     assert capsys.readouterr().out.splitlines()[-1] == f"a: {end}"
 
 
-@pytest.mark.parametrize("pid", [os.getpid(), gone()])
-def test_a_sweep_that_lives_may_begin_another_job(tmp_path, pid):
+def test_a_sweep_that_lives_may_begin_another_job(tmp_path):
     """As where the first of its jobs is refused."""
-    said = {"status": "failed", "error": "no such scene", "process": process(pid)}
-    files.write_json(tmp_path / "a/summary.json", said)
-    (tmp_path / "a/config.yaml").write_text("scene: {name: pottery}\nseed: 3\n")
-    watched = watch._Watched(tmp_path)
-    watched.update()
-    assert watched.over() == (pid != os.getpid())
+    for name, pid in (("lives", os.getpid()), ("gone", gone())):
+        job = tmp_path / name / "a"
+        said = {"status": "failed", "error": "no such scene", "process": process(pid)}
+        files.write_json(job / "summary.json", said)
+        (job / "config.yaml").write_text("scene: {name: pottery}\nseed: 3\n")
+        watched = watch._Watched(tmp_path / name)
+        watched.update()
+        assert watched.over() == (name == "gone")
 
 
 def test_once_shows_the_present_state_and_leaves(tmp_path, capsys, script):
