@@ -263,6 +263,19 @@ def test_a_method_alone_is_added_to_the_tables(monkeypatch, tmp_path):
     assert dict(zip(kept["method"], kept["factor"])) == {"plateau": 3.0, own: 30.0, "mitsuba": 1.0}
 
 
+def test_rows_of_another_unit_are_not_added_to(monkeypatch, tmp_path):
+    columns = {"method": ["plateau"], "trial": [1], "iterations": [9]}
+    before = pandas.DataFrame({**columns, "start_mse": [193.3]})
+    before.to_csv(tmp_path / "plateau_cup_runs.csv", index=False)
+    monkeypatch.setattr(tables, "RESULTS", tmp_path)
+    found = pandas.DataFrame({**columns, "start_mse": [1.0]})
+    monkeypatch.setattr(tables, "finished", lambda folder: (found, []))
+    monkeypatch.setattr(tables, "times", lambda *_: 1.0)
+    monkeypatch.setattr(tables, "paces", lambda *_: 1.0)
+    with pytest.raises(SystemExit, match="cup: errors at the start are others"):
+        tables.write("cup", tmp_path, "plateau_renderer")
+
+
 @pytest.mark.parametrize("task", _plateau.TASKS)
 def test_methods_that_draw_pixels_have_the_same_of_them(task):
     own = _plateau.TASKS[task]
