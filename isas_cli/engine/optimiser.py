@@ -335,6 +335,8 @@ class Stepper:
         if not dr.any(dr.isfinite(entries) & (entries != 0)):
             return
         squares, count = self._squares(key, [gradients])
+        if not count:  # what is averaged may be 0 still
+            return
         shapes = self.unknowns.shapes
         for level in range(self.level, len(self.scales)):  # where its moments go on
             if shapes(level)[key] == shapes(self.level)[key]:

@@ -30,8 +30,6 @@ _CHECKPOINT_SECONDS = 5.0
 _CHECKPOINT_SHARE = 0.01
 # Of the images' error, what is much to be left out of them.
 _MUCH = 0.5
-# effects.derivative_tolerance, where none was set, of runs that earlier commits began.
-_ONCE = 0.3
 # What other commands make of a result, below its record.
 _DERIVED = "result/scene.xml", "relit/scores.json", "landscape.csv"
 
@@ -376,8 +374,7 @@ class Recorder:
             )
         for name in ("tolerance", "derivative_tolerance"):
             asked = self.cfg.effects.get(name, usual := getattr(Effects(), name))
-            before = self._resumed and name == "derivative_tolerance" and asked == _ONCE
-            if asked != usual and not (before or self.loop.plan.seconds):
+            if asked != usual and not self.loop.plan.seconds:
                 notes.append(
                     f"effects.{name}={asked:g} has no effect: nothing was measured that it decides "
                     "on, which takes effects=auto and a budget of 10 seconds or more, of time alone"

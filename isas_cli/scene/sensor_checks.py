@@ -7,7 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .photos.precision import above
+from .ray_offset import above
 
 # Rays along a side of a picture, the share of them that may be cut off, and pixels by which places
 # may lie off.
