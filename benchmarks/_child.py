@@ -134,7 +134,9 @@ def isas(side: str, batch: int, overrides: list[str]):
 
 
 def main(side: str, batch: int, steps: int, overrides: list[str]) -> None:
-    backend.start()
+    from isas_cli.config.compose import compose
+
+    backend.start(compose(overrides).variant)
     if side == "stock":
         step = stock(batch, overrides)
     else:

@@ -7,6 +7,7 @@ import itertools
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -15,6 +16,7 @@ import pandas
 import yaml
 
 from isas_cli import records
+from isas_cli.runtime.errors import NumericalError
 
 # No pictures, no report.
 QUIET = ["frames.views=0", "frames.snapshots=0", "report=false"]
@@ -31,21 +33,33 @@ def race(
 ) -> pandas.DataFrame:
     """`isas race` of ``contestants``, names with settings, ``seconds`` billed a run (None: the
     ``settings`` say when a run ends). A row a run, in their order: what it was, its folder, its
-    history, and what ``row`` tells of it."""
+    history, and what ``row`` tells of it (``counted``)."""
     listed = [",".join(f"{k}:{v}" for k, v in own.items()) for _, own in contestants]
     command = [sys.executable, "-m", "isas_cli", "race", f"scene={scene}", *settings]
     command += [f"budget.seconds={seconds}"] if seconds else []
     command += [f"seed=[{','.join(map(str, seeds))}]"]
     command += ["contestants=[" + ",".join(f"{{{each}}}" for each in listed) + "]"]
-    subprocess.run([*command, f"hydra.run.dir={folder}"], check=True)
+    ended = subprocess.run([*command, f"hydra.run.dir={folder}"])
+    if ended.returncode != NumericalError.status:  # one that failed so; the others went on
+        ended.check_returncode()
     planned = yaml.safe_load((folder / "race.yaml").read_text(encoding="utf-8"))["entries"]
     rows = []
     entries = itertools.product(contestants, seeds)
     for ((name, own), seed), entry in zip(entries, planned, strict=True):
-        run = records.load(folder / entry["folder"])
+        run = counted(records.load(folder / entry["folder"]))
         what = {"scene": scene, "method": name, "factor": own.get("optimizer.factor"), "seed": seed}
         rows.append(what | {"folder": run.folder, "history": run.history} | row(run))
     return pandas.DataFrame(rows)
+
+
+def counted(run: records.Run) -> records.Run:
+    """``run``, with infinite errors at its end where it failed: what it had before is no result."""
+    if run.summary["status"] == "done":
+        return run
+    history = run.history.copy()
+    errors = [name for name in history if name.startswith(("loss", "image_", "parameter_"))]
+    history.loc[history.index[-1], errors] = np.inf
+    return replace(run, history=history)
 
 
 def judged(
@@ -104,7 +118,9 @@ def further(
 
 def reached(history: pandas.DataFrame, goal: float, measure: str = "parameter_rmse") -> float:
     """Billed seconds from which on the error stays at or below ``goal``, linear between
-    evaluations; infinite if it is not."""
+    evaluations; infinite if it is not, or if the ``goal`` is that of what failed."""
+    if np.isinf(goal):
+        return float("inf")
     seconds, error = history["seconds"].to_numpy(), history[measure].to_numpy()
     above = np.flatnonzero(error > goal)
     if above.size == 0:

@@ -120,12 +120,8 @@ _WORST = (
 
 
 # Where a derivative is wrong, in words, by class and parameter.
-_CAUSES = {
-    (
-        "BumpMap",
-        "nested_texture",
-    ): "not right where it turns parts of a surface away from the camera",
-}
+_TURNED = "not right where it turns parts of a surface away from the camera"
+_CAUSES = {("BumpMap", "nested_texture"): _TURNED, ("NormalMap", "normalmap"): _TURNED}
 
 
 def of_words(keys: pandas.DataFrame) -> pandas.DataFrame:

@@ -6,6 +6,8 @@ import numpy as np
 import pandas
 
 _ALWAYS = ["uniform", "relevant", "gradient", "ours", "progress"]
+# A median of 0: its noise is taken off an image error, and which is least is chance then.
+BELOW = "below noise"
 
 
 def lines(tables: list[pandas.DataFrame]) -> list[str]:
@@ -26,17 +28,19 @@ def lines(tables: list[pandas.DataFrame]) -> list[str]:
 
 
 def _error(rows: pandas.DataFrame, sampler: str, measure: str) -> str:
-    """Median final error and its range; the least is bold, with what it overlaps."""
+    """Median final error and its range; the least is bold, with what it overlaps, unless it is
+    ``BELOW``."""
     if sampler not in rows.index or not np.isfinite(rows.loc[sampler, measure]):
         return ""
     own, best = rows.loc[sampler], rows.loc[rows[measure].idxmin()]
-    # An image error may be 0: its noise is taken off.
-    scale = own[measure] or own[f"{measure}_high"] or 1e-3
+    ends = own[measure], own[f"{measure}_high"]
+    scale = next((end for end in ends if 0 < end < np.inf), 1e-3)
     digits = max(0, 2 - int(np.floor(np.log10(scale))))
     numbers = (own[f"{measure}{end}"] for end in ("", "_low", "_high"))
     median, low, high = (f"{number:.{digits}f}" for number in numbers)
-    text = f"{median} [{low}, {high}]"
-    return f"**{text}**" if own[f"{measure}_low"] <= best[f"{measure}_high"] else text
+    text = f"{median if own[measure] else BELOW} [{low}, {high}]"
+    level = best[measure] > 0 and own[f"{measure}_low"] <= best[f"{measure}_high"]
+    return f"**{text}**" if level else text
 
 
 def _time(rows: pandas.DataFrame, sampler: str) -> str:

@@ -60,6 +60,8 @@ def facts(results: Path) -> dict:
         ],
         "multires": multires(by["multires"]),
         "unseen": unseen(results / "unseen.csv"),
+        "settings": settings(results / "settings.csv"),
+        "draws": draws(results / "draws.csv"),
         "variance": variance.to_dict("index"),
         "looks": {scene: dict(looks[scene]) for scene in ("caustic_failure", "dodoco")},
         "derivative": pandas.read_csv(results / "derivative_sampling.csv").to_dict("records"),
@@ -104,6 +106,26 @@ def unseen(path: Path) -> list[dict]:
         worse = of[False]["end_low"] > of[False]["start"]
         found.append({"scene": scene, "met": of[True], "other": of[False], "worse": worse})
     return found
+
+
+def settings(path: Path) -> list[dict]:
+    """The rows of `settings.py`, with the side of what each is ``beside`` by both errors; none
+    before it has run."""
+    if not path.exists():
+        return []
+    table = pandas.read_csv(path).fillna({"beside": ""})
+    rates = pandas.read_csv(path.with_stem("settings_rates"))
+    of = {(row["scene"], row["method"]): row for row in table.to_dict("records")}
+    rows = _ranges.marked(table, rates).to_dict("records")
+    for row in rows:
+        rival, both = of.get((row["scene"], row["beside"])), ("parameter_rmse", "image_rmse")
+        row["sides"] = [_ranges.apart(row, rival, name) for name in both] if rival else ["", ""]
+    return rows
+
+
+def draws(path: Path) -> list[dict]:
+    """The rows of `settings.py --draws`; none before it has run."""
+    return pandas.read_csv(path).to_dict("records") if path.exists() else []
 
 
 def short(by: dict[str, pandas.DataFrame], turned: list[str]) -> list[str]:

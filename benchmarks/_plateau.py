@@ -119,7 +119,7 @@ TASKS = {
         schedule="exponential",
         final=0.02,
         # No finite differences: 150 unknowns, 300 renderings a step.
-        methods=("plateau", "plateau_drawn", "mitsuba"),
+        methods=("plateau", "plateau_drawn", "plateau_renderer", "mitsuba"),
     ),
     "global_illumination": Task(
         20,

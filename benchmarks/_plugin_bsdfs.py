@@ -181,6 +181,9 @@ BSDFS = {
     "bumpmap-mirror": of("bumpmap", bitmap("arbitrary", "b.exr"), number("scale", 0.3), _MIRROR),
     "normalmap": of("normalmap", bitmap("normalmap", "n.exr"), _ROUGH),
     "normalmap-points": _under_points(bsdf("normalmap", bitmap("normalmap", "n.exr"), MATTE)),
+    "normalmap-steep": _under_points(
+        bsdf("normalmap", bitmap("normalmap", "steep.exr"), MATTE), "sphere"
+    ),
     "normalmap-mirror": of("normalmap", bitmap("normalmap", "n.exr"), _MIRROR),
     "null": of("null"),
     "hair": room(

@@ -24,6 +24,7 @@ def write(folder: Path) -> None:
         "b.exr": random.uniform(0, 1, (8, 8, 1)),
         "e.exr": random.uniform(0.2, 1.2, (8, 16, 3)),
         "n.exr": _normals(random),
+        "steep.exr": _normals(np.random.default_rng(5), 0.8),
     }
     for name, pixels in pictures.items():
         mi.Bitmap(pixels.astype(np.float32)).write(str(folder / name))
@@ -43,9 +44,9 @@ def write(folder: Path) -> None:
     _lobe(folder / "lobe.bsdf")
 
 
-def _normals(random) -> np.ndarray:
-    """A normal map, ``(8, 8, 3)``: half of (unit normal + 1)."""
-    tilt = random.uniform(-0.25, 0.25, (8, 8, 2))
+def _normals(random, most: float = 0.25) -> np.ndarray:
+    """A normal map, ``(8, 8, 3)``: half of (unit normal + 1), of slopes up to ``most``."""
+    tilt = random.uniform(-most, most, (8, 8, 2))
     normal = np.concatenate([tilt, np.ones((8, 8, 1))], axis=2)
     return 0.5 * (normal / np.linalg.norm(normal, axis=2, keepdims=True) + 1)
 

@@ -7,8 +7,8 @@ until the last third of the budget (`staged`) and everything with paths cut to e
 where the best was the last or the first, by the final parameter error, then with three others,
 which alone are reported. Settings are those of `reproduce.py`, but for the estimator, which is the
 one that runs have by default. Writes
-results/effects.csv (a row per scene and plan), effects_rates.csv and effects_<scene>.png (error
-against billed time).
+results/effects.csv (a row per scene and plan), effects_rates.csv and, where paths may be shorter,
+effects_<scene>.png (error against billed time).
 
     .venv/bin/python benchmarks/effects.py pottery bowl
 """
@@ -118,8 +118,9 @@ def main() -> None:
         _contest.write(RESULTS / "effects.csv", made)
         _contest.write(RESULTS / "effects_rates.csv", first)
         others = tuple(each for each in named if each not in (FULL, AUTO))
-        plot = RESULTS / f"effects_{scene}.png"
-        _contest.draw(found, plot, MEASURE, "parameter error", dotted=others)
+        if others:  # the page shows no other scene's
+            plot = RESULTS / f"effects_{scene}.png"
+            _contest.draw(found, plot, MEASURE, "parameter error", dotted=others)
         pages.write()
 
 

@@ -1,8 +1,8 @@
 """What is not physically based: a grid that glows, from the pictures of `object_joint`.
 
-The PBDR paper sets a radiance field (its Eq. 2, NeRF) beside physically based rendering. None of
-the packages for it runs here, so this is a grid of densities and colours that glows alike in all
-directions, around the bowl, under the same unknown sky: no surface, no material, no gloss. Same
+The PBDR paper sets a radiance field (its Eq. 2, NeRF) beside physically based rendering. No package
+for it was tried here: this is a grid of densities and colours that glows alike in all directions,
+around the bowl, under the same unknown sky: no surface, no material, no gloss. Same
 pictures, budget and loss as `pbdr.py`'s, and a further budget; uniform pixels, as radiance fields
 are fitted, and `ours`, each at its own best rate. Views between those given, and these under
 another sky, beside the true pictures.

@@ -31,20 +31,22 @@ BATCHES = (65536, 1 << 20)
 ERROR, STOCK = "parameter_rmse", "Mitsuba's loop"
 MEASURES = (ERROR, "image_rmse", "iteration", "paths")
 METHODS = {name: {"sampler": name} for name in ("uniform", "ours", "progress")}
-PLAIN = ["evaluation.count=24", *_contest.QUIET]
+VARIANT = "cuda_ad_rgb"
+CARD = f"variant={VARIANT}"  # of other processes, where auto might take LLVM
+PLAIN = ["evaluation.count=24", CARD, *_contest.QUIET]
 # Films of 8 to 67 million pixels: at the default noise their targets would take minutes.
 PAPER = ["size=paper", "estimator.batch=1048576", "target.noise=0.06"]
 PAPERS = ("bowl", "earth", "pottery")
 
 
 def steps(rounds: int) -> pandas.DataFrame:
-    measure("isas", BATCHES[0], 1)  # fills the caches of targets and kernels
+    measure("isas", BATCHES[0], 1, CARD)  # fills the caches of targets and kernels
     rows = []
     for batch in BATCHES:
         for number in range(rounds):
             for side in SIDES:
                 row = {"batch": batch, "round": number, "side": side}
-                rows.append(row | {"seconds": measure(side, batch, 25)})
+                rows.append(row | {"seconds": measure(side, batch, 25, CARD)})
     return pandas.DataFrame(rows)
 
 
@@ -85,7 +87,7 @@ def main() -> None:
     parser.add_argument("--paper", type=float, default=5, help="seconds at the papers' sizes")
     parser.add_argument("--parts", nargs="+", default=["default", *PAPERS, "steps"])
     chosen = parser.parse_args()
-    card = {"card": backend.start("cuda_ad_rgb").device, "day": datetime.date.today().isoformat()}
+    card = {"card": backend.start(VARIANT).device, "day": datetime.date.today().isoformat()}
     for part in chosen.parts:
         if part == "steps":
             write("gpu_steps.csv", steps(chosen.rounds).assign(**card), ["batch"])

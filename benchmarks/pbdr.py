@@ -19,13 +19,14 @@ against billed time) and the page pbdr.md.
 
 With `--more`: the samplers that are left, and blurred parameters (`estimator.blurred`, of all
 unknowns, whose width falls from 0.05 to a tenth of it: much for a colour, little for the lamp of
-`room_joint`), beside `ours` anew, all without the paper's parts. Writes
-results/pbdr_more.csv and pbdr_more_rates.csv.
+`room_joint`), beside `ours` anew, all without the paper's parts; and `ours` with the prior alone,
+as it is and where the mean roughness of the scene is known to it. Writes results/pbdr_more.csv and
+pbdr_more_rates.csv.
 
 With `--shape`: `object_joint_shape`, whose vertices are unknown as well: silhouettes with drawn
-pixels (`ours`), with and without the paper's parts, and with uniform ones, and Mitsuba's projective
-loop, all in the stages of the scene's configuration; and `ours` with everything moving from the
-start. Writes results/pbdr_shape.csv and pbdr_shape_rates.csv.
+pixels (`ours`), with both of the paper's parts, with either and with none, and with uniform ones,
+and Mitsuba's projective loop, all in the stages of the scene's configuration; and `ours` with
+everything moving from the start. Writes results/pbdr_shape.csv and pbdr_shape_rates.csv.
 
 With `--photographs`: `materials_joint` from pictures that another renderer has made and a camera
 taken (`_photographed_materials.py`), its base table with fewer samplers. RE holds their noise.
@@ -70,6 +71,8 @@ NOISY = ["evaluation.spp=16", "evaluation.count=12"]
 # A lamp's fireflies: a noise of 0.01 would take ten minutes.
 MORE = {"materials_joint": NOISY, "room_joint": [*NOISY, "target.noise=0.02"]}
 SPP = 32  # of the pictures from elsewhere; result and truth with the same random numbers
+# What a prior that knew would expect: the mean of the scene's true roughnesses.
+EXPECTED = {"object_joint": 0.2, "room_joint": 0.2333, "materials_joint": 0.25}
 
 
 # Where nothing is said of smoothing there is none; and the papers' estimator.
@@ -82,6 +85,8 @@ def more(scene: str) -> tuple[list[str], dict[str, dict]]:
     names = (PLAIN, "gradient", "balanced", "joint", "preconditioned")
     each = {name: {"sampler": name} | PAPERS for name in names}
     each["blurred parameters"] = {"sampler": PLAIN, "estimator.blurred": "true"} | PAPERS
+    each["prior"] = {"sampler": PLAIN} | PAPERS | PRIOR
+    each["prior, known"] = each["prior"] | {"prior.expected": EXPECTED[scene]}
     return [f"scene.unknowns={json.dumps(specs(scene, blur=BLUR))}"], each
 
 
@@ -173,7 +178,9 @@ SHAPE, SHAPE_SECONDS = "object_joint_shape", 12.0
 def shape_methods() -> dict[str, dict]:
     """Settings by name."""
     own = {"estimator": "silhouettes", "estimator.batch": 16384} | UNFILTERED
-    found = {FULL: own | {"sampler": PLAIN} | PRIOR | SMOOTH}
+    ours = own | {"sampler": PLAIN}
+    found = {FULL: ours | PRIOR | SMOOTH}
+    found |= {"without smoothing": ours | PRIOR, "without the prior": ours | SMOOTH}
     found |= {name: own | {"sampler": name} for name in (PLAIN, "uniform")}
     stock = {"sampler": "mitsuba", "sampler.silhouettes": "direct"} | UNFILTERED
     return found | {STOCK: stock}
@@ -208,8 +215,8 @@ def shapes(seeds: list[int], seconds: float) -> tuple[pandas.DataFrame, pandas.D
             where = SHAPE, Path(root), chosen, contestants, FACTORS[:3]
             found.append(_contest.judged(*where, seeds, seconds, shape_measured, ERROR, 1))
     first, found = (pandas.concat(each) for each in zip(*found))
-    columns = ["start", "chamfer_low", "chamfer_high", f"{ERROR}_low", f"{ERROR}_high", "chamfer"]
-    columns += [ERROR, "re", "mpea", "cs", "gn", "normals", "specular", "roughness", "sky"]
+    columns = ["start", *_contest.ranged("chamfer", ERROR, "re", "mpea", "cs"), "gn"]
+    columns += ["normals", "specular", "roughness", "sky"]
     return _contest.told(found, seconds, [*columns, "iterations"]), first
 
 

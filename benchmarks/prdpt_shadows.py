@@ -4,9 +4,9 @@
 public code does; with that code's schedule besides (width 0.5 up to half of the budget, then
 linearly to 0.01, rate 0.02 throughout, all pixels with 32 paths); and by Mitsuba's derivative.
 Three seeds, ways take turns. Writes results/prdpt_shadows.csv, a row a run: squared parameter error
-(mean over the two numbers) at the end, and billed seconds and iterations from which on it stays
-below 1e-3 and 1e-5 (empty: never). Their code is not among them: it is run beside this by hand, see
-the page.
+(mean over the two numbers) and image error at the end, and billed seconds and iterations from which
+on the first stays below 1e-3 and 1e-5 (empty: never). Their code is not among them: it is run
+beside this by hand, see the page.
 
     .venv/bin/python benchmarks/prdpt_shadows.py
 """
@@ -46,6 +46,7 @@ WAYS = {
 def told(run) -> dict:
     history, row = run.history, {}
     row["end"] = float(history["parameter_rmse"].iloc[-1] ** 2)
+    row["image_rmse"] = float(history["image_rmse"].iloc[-1])
     row["seconds"] = run.config["budget"]["seconds"]
     row["iterations"] = int(history["iteration"].iloc[-1])
     for goal in GOALS:

@@ -104,10 +104,11 @@ def race(
 
 
 def runs(folder: Path) -> pandas.DataFrame:
-    """One row per finished run below ``folder``: what it was, and its history."""
+    """One row per finished run below ``folder``: what it was, and its history
+    (``_contest.counted``)."""
     rows = []
     for path in sorted(folder.rglob("summary.json")):
-        run = records.load(path.parent)
+        run = _contest.counted(records.load(path.parent))
         history = run.history[["seconds", MEASURE, "image_rmse", "stage1_seconds", "iteration"]]
         rows.append(
             {
@@ -186,8 +187,9 @@ def kept(scene: str, folder: Path, seed: int, seconds: float) -> pandas.DataFram
         # Few colours: a plot needs no more, and the file is a quarter as large.
         small = plot.convert("RGB").quantize(64)
         small.save(RESULTS / f"{scene}_errors.png", optimize=True)
-    ours = found[(found["sampler"] == "ours") & (found["seed"] == seed)]
-    _gallery.write(ours["folder"].iloc[0], RESULTS / f"{scene}_gallery.png")
+    if SCENES[scene].scene is None:  # of a scene one is shown
+        ours = found[(found["sampler"] == "ours") & (found["seed"] == seed)]
+        _gallery.write(ours["folder"].iloc[0], RESULTS / f"{scene}_gallery.png")
     made = table(scene, found, seconds)
     made.to_csv(RESULTS / f"{scene}.csv", index=False, float_format="%.4g")
     return made

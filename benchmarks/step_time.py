@@ -22,9 +22,9 @@ SCENE = ["scene=pottery", "scene.arguments.resolution=512"]
 OVERRIDES = [*SCENE, "target.spp=1"]
 
 
-def measure(side: str, batch: int, steps: int) -> float:
+def measure(side: str, batch: int, steps: int, *more: str) -> float:
     command = [sys.executable, str(HERE / "_child.py"), side, str(batch), str(steps), *OVERRIDES]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = subprocess.run([*command, *more], capture_output=True, text=True, check=True)
     return float(done.stdout.split()[-1])
 
 

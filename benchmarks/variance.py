@@ -1,7 +1,7 @@
 """The variance of the loss gradient on dodoco with each sampler: the paper's figure 3.
 
 `isas variance` with 1,024 estimates of 65,536 pixels each, the best pmf from 256 paths per pixel.
-Writes results/variance_dodoco.csv, and the bars and density maps as variance_dodoco*.png.
+Writes results/variance_dodoco.csv, and the density maps as variance_dodoco_densities.png.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import pages
 
 HERE = Path(__file__).parent
 CONTESTANTS = "[{sampler:ours},{sampler:joint},{sampler:progress}]"
-MADE = {"variance.csv": ".csv", "variance.png": ".png", "densities_v00.png": "_densities.png"}
+MADE = {"variance.csv": ".csv", "densities_v00.png": "_densities.png"}
 
 
 def main() -> None:
