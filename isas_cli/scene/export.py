@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import SceneConfig
-from ..runtime import backend, images
+from ..runtime import backend, images, memory
 from ..runtime.errors import InputError
 from ..scenes import meshes
 from ..unknowns.optics import Lens
@@ -77,6 +77,8 @@ def write(
         with tempfile.TemporaryDirectory(prefix="isas-export-") as made:
             return _write(_parser(scene, taken, Path(made)), scene, taken, arrays, folder)
     except (OSError, RuntimeError) as error:
+        if memory.exhausted(error):
+            raise
         told = " ".join(str(error).split())
         raise InputError(f"{folder}: the result cannot be written: {told}") from error
 
@@ -140,7 +142,7 @@ def _write(
 def _taken(scene: SceneConfig) -> Photographs | None:
     """Its photographs, where it is of some; once all plugins are there. Raises InputError for a
     renderer that is none of Mitsuba's."""
-    if scene.name == "external":
+    if scene.outside:
         raise InputError(
             "scene=external: another renderer's result is its parameters, no scene for Mitsuba: "
             "isas_cli.load(DIR).parameters() has them"
@@ -307,6 +309,8 @@ def _check(path: Path) -> None:
             mi.load_file(str(path), optimize=False)
     except RuntimeError as error:
         path.unlink()
+        if memory.exhausted(error):
+            raise
         told = " ".join(str(error).split()).replace(f"{path.parent}/", "")
         raise InputError(f"Mitsuba's file cannot hold the result: {TAKE}; {told}") from error
 

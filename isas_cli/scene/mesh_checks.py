@@ -26,6 +26,10 @@ LARGEST_TEXCOORD, LARGEST_UNUSED = 1000.0, 1e6
 # Of an OBJ file that has coordinates for only some faces, Mitsuba leaves the others' as they lie in
 # memory.
 _PARTLY = "unwrap the mesh, all of its faces, and export it anew"
+# How far vertices' normals lie from the mean of the triangles' where Mitsuba has made them of it.
+# Rounding may turn them where less is left in that mean, or where a triangle is thinner (its height
+# over its longest edge).
+_MADE, _CANCELLED, _THIN = 1e-3, 0.01, 1e-3
 # Share of the used texels that belong to several places, from which on a reader should know.
 LARGEST_OVERLAP = 0.01
 # Overlap is counted on a grid of this many points a side, whatever size a texture has,
@@ -96,6 +100,36 @@ def degenerate(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     a, b, c = (vertices[faces[:, corner]].astype(np.float64) for corner in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
     return np.flatnonzero(areas <= SMALLEST_AREA * (diagonal @ diagonal))
+
+
+def made_normals(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> int:
+    """Whether a mesh has the normals that Mitsuba makes where a file has none, each the mean of the
+    triangles' around by their angles there: 1 where it has, -1 where they are turned round, 0 where
+    it has others, or rounding hides it. ``vertices``, ``normals (V, 3)``; ``faces (F, 3)``."""
+    if normals.shape != vertices.shape or not faces.size or faces.max() >= len(vertices):
+        return 0
+    sums, angles = np.zeros((3, len(vertices))), np.zeros(len(vertices))
+    sure = np.ones(len(vertices), bool)
+    with np.errstate(all="ignore"):  # of vertices that are no numbers
+        corners = vertices.astype(np.float64)[faces]
+        edges = np.roll(corners, -1, axis=1) - corners
+        across = np.cross(edges[:, 0], edges[:, 1])
+        area, lengths = np.linalg.norm(across, axis=1), np.linalg.norm(edges, axis=2)
+        sure[faces[area <= _THIN * lengths.max(axis=1) ** 2]] = False
+        unit = across / np.maximum(area, 1e-300)[:, None]
+        for k in range(3):
+            cosine = -np.einsum("fk,fk->f", edges[:, k], edges[:, k - 1])
+            cosine /= np.maximum(lengths[:, k] * lengths[:, k - 1], 1e-300)
+            angle = np.arccos(np.clip(cosine, -1, 1))
+            added = [np.bincount(faces[:, k], x, len(vertices)) for x in (angle, *angle * unit.T)]
+            angles, sums = angles + added[0], sums + added[1:]
+        left = np.linalg.norm(sums, axis=0)
+        sure &= left > _CANCELLED * angles
+        mean, given = (sums[:, sure] / left[sure]).T, normals[sure]
+        for turn in (1, -1) if sure.any() else ():
+            if (np.abs(given - turn * mean) < _MADE).all():
+                return turn
+    return 0
 
 
 def check_scene(scene: mi.Scene, textures: dict[str, mi.Texture]) -> list[str]:

@@ -90,7 +90,11 @@ class Problem:
         """Let views count as ``weights.of_views`` says, by their pixels' masks."""
         counts = [width * height for width, height in self.film_sizes]
         mask = np.ones(self.views.total, np.float32) if self.mask is None else np.array(self.mask)
-        self.weights = factors = weights.of_views(given, np.split(mask, np.cumsum(counts)[:-1]))
+        # What is black beside the object counts, and is none of what a view shows of it, if any.
+        shown = mask if self.part is None else mask * (np.array(self.part) > 0)
+        pairs = zip(*(np.split(each, np.cumsum(counts)[:-1]) for each in (shown, mask)))
+        masks = [own if own.any() else whole for own, whole in pairs]
+        self.weights = factors = weights.of_views(given, masks, self.names)
         mask = own(mi.Float, mask * np.repeat(factors, counts).astype(np.float32))
         weighed = digest("weights", self.target_hash, [float(each) for each in factors])
         self.set_targets(self.targets, mask, weighed, self.variance)

@@ -35,7 +35,8 @@ def views(
     InputError for a scene with media."""
     scene, depth, hidden = result
     shapes = scene.shapes()
-    if any(shape.is_medium_transition() for shape in shapes):
+    grouped = (each for each in mi.traverse(scene).hierarchy if isinstance(each, mi.Shape))
+    if any(shape.is_medium_transition() for shape in (*shapes, *grouped)):
         raise InputError("the scene has a medium: isas relight renders surfaces alone")
     middle, sides = (np.array(x).ravel() for x in (scene.bbox().center(), scene.bbox().extents()))
     extent = float(np.linalg.norm(sides))

@@ -35,6 +35,7 @@ _WRAPPERS = ("aov", "moment", "stokes")
 DEEP = tuple(name for name in _REPLAY if name not in ("direct", "direct_projective", "emission"))
 # Of files that may describe a scene to Mitsuba, and are no XML.
 _PROGRAMS = ".py", ".json", ".ipynb"
+_MESHES = ".obj", ".ply", ".stl", ".off", ".glb", ".gltf", ".blend", ".fbx", ".usd", ".usdz"
 # What Mitsuba says of colours that it knows by their wavelengths only, such as blackbody.
 _SPECTRAL = "non-spectral"
 _DIRECT = 2  # camera, surface, light: whatever the file says
@@ -87,6 +88,11 @@ def parse(path: str) -> tuple[mi.parser.ParserConfig, mi.parser.ParserState]:
         raise InputError(
             f"scene.path={path}: takes an XML file: for a dictionary of Python, "
             "mitsuba.parser.parse_dict and mitsuba.parser.write_file make one"
+        )
+    if file.suffix.lower() in _MESHES:
+        raise InputError(
+            f"scene.path={path}: takes an XML file, in which a mesh is a <shape> of OBJ or PLY; "
+            "what photographs show is given as scene=photos photos.mesh=FILE"
         )
     settings = mi.parser.ParserConfig(mi.variant())
     settings.merge_equivalent = settings.merge_meshes = False

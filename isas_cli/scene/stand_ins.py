@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+
+from ..unknowns import routes
 
 _DEEP = 32  # edges: longer paths add too little to tell
 _VOLUMETRIC = "volpath", "volpathmis", "prbvolpath"
+_GAP = 1e-5  # of a box: less is none
 
 
 def warnings(scene: mi.Scene, integrator: mi.Integrator) -> list[str]:
@@ -71,6 +75,51 @@ def within(scene: mi.Scene) -> list[str]:
     return found
 
 
+def of_media(scene: mi.Scene) -> list[str]:
+    """Of media that Mitsuba shows otherwise than the shapes around them look."""
+    shells = [shape for shape in scene.shapes() if shape.interior_medium() is not None]
+    found = [
+        f"shape {shell.id()}: its normals point inwards, so that its interior medium is outside of "
+        "it to Mitsuba, and no cloud shows: set flip_normals the other way, or let to_world mirror "
+        "nothing"
+        for shell in shells
+        if shell.class_name() in ("Cube", "Sphere") and inside_out(scene, shell)
+    ]
+    pairs = _joined([shell for shell in shells if shell.class_name() == "Cube"])
+    if pairs:
+        (one, other), several = pairs[0], f", the first of {len(pairs)} pairs" * (len(pairs) > 1)
+        found.append(
+            f"shapes {one} and {other} share a face{several}: a path that leaves the medium of the "
+            "one may step over the boundary of the other, whose medium is then missing: leave a "
+            "gap between them"
+        )
+    return found
+
+
+def _joined(cubes: list[mi.Shape]) -> list[tuple[str, str]]:
+    """The ids of two that share a face: of boxes along the axes, as others may merely be near."""
+    ids, ends = [], []
+    for cube in cubes:
+        places = np.array(mi.traverse(cube)["vertex_positions"], float).reshape(-1, 3)
+        low, high = places.min(axis=0), places.max(axis=0)
+        if np.minimum(places - low, high - places).max() <= _GAP * (high - low).max():
+            ids.append(cube.id())
+            ends.append((low, high))
+    low, high = np.reshape(ends, (-1, 2, 3)).swapaxes(0, 1)
+    common = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
+    gap = _GAP * (high - low).max(axis=1)[:, None, None]
+    share = ((abs(common) <= gap).sum(axis=2) == 1) & ((common > gap).sum(axis=2) == 2)
+    return [(ids[one], ids[other]) for one, other in np.argwhere(np.triu(share, 1))]
+
+
+def inside_out(scene: mi.Scene, shell: mi.Shape) -> bool:
+    """Whether the normals of a convex ``shell`` point inwards, by which Mitsuba tells on what side
+    its interior medium is: as those of a cube do that ``to_world`` mirrors. Evaluates."""
+    ray = mi.Ray3f(mi.Point3f(shell.bbox().center()), dr.normalize(mi.Vector3f(0.3, 0.5, 0.8)))
+    si = scene.ray_intersect(ray)
+    return bool(dr.any((si.shape == mi.ShapePtr(shell)) & (dr.dot(si.n, ray.d) < 0)))
+
+
 def _has_gaps(thing: mi.Object) -> bool:
     """Whether it is a material that lets some light through as if it were not there."""
-    return isinstance(thing, mi.BSDF) and mi.has_flag(thing.flags(), mi.BSDFFlags.Null)
+    return isinstance(thing, mi.BSDF) and mi.has_flag(routes.flags(thing), mi.BSDFFlags.Null)

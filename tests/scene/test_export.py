@@ -562,6 +562,17 @@ def test_what_no_file_of_mitsubas_holds_is_refused_with_what_to_do(folder):
         export.write(scene(folder / "scene.xml", arrays, poses), arrays, folder / "result")
 
 
+def test_a_full_memory_is_no_fault_of_the_results(folder, monkeypatch):
+    def full(*unused, **settings):
+        raise RuntimeError("jit_malloc(): out of memory!")
+
+    monkeypatch.setattr(mi, "load_file", full)
+    arrays = {RED: np.float32([0.7, 0.1, 0.2])}
+    with pytest.raises(RuntimeError, match="out of memory"):
+        export.write(scene(folder / "scene.xml", arrays), arrays, folder / "result")
+    assert not (folder / "result/scene.xml").exists(), "nothing that was not checked"
+
+
 def pictured(**more) -> dict:
     """A scene of a program's, with a bitmap of 8 bits that is not unknown."""
     pixels = np.linspace(0, 255, 24).astype(np.uint8).reshape(2, 4, 3)

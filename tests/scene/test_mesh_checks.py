@@ -44,6 +44,17 @@ CHARTS = {
 }
 
 
+def test_made_normals_are_known_of_meshes_that_are_not_sound():
+    corners, faces = np.eye(3, dtype=np.float32), np.array([[0, 1, 2]])
+    normals = np.full((3, 3), 3**-0.5, np.float32)
+    assert mesh_checks.made_normals(corners, faces, normals) == 1
+    assert mesh_checks.made_normals(corners, faces[:, ::-1], normals) == -1
+    assert mesh_checks.made_normals(corners, faces, normals[:0]) == 0, "it has none"
+    for bad in (faces + 1, faces[:0]):
+        assert mesh_checks.made_normals(corners, bad, normals) == 0
+    assert mesh_checks.made_normals(corners * np.nan, faces, normals) == 0
+
+
 @pytest.mark.parametrize("name", CHARTS)
 def test_overlap_of_charts_is_what_geometry_says(name):
     charts, share = CHARTS[name]

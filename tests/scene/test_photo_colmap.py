@@ -8,8 +8,9 @@ import pytest
 from photo_sets import CENTRE, FOCAL, POSES, Files
 
 from isas_cli.cli.app import main
+from isas_cli.config.photographs import PhotosConfig
 from isas_cli.runtime.errors import InputError
-from isas_cli.scene.photos import layouts, reading
+from isas_cli.scene.photos import layouts, photographs, reading
 
 NAMES = [f"view_{number}.png" for number in range(3)]
 
@@ -89,6 +90,17 @@ def test_the_last_line_may_be_missing_and_lines_may_be_of_windows(tmp_path):
     assert list(mine) == NAMES and set(wanted) <= set(mine)
     for name, matrix in wanted.items():
         np.testing.assert_allclose(mine[name], matrix, atol=1e-9)
+
+
+def test_pictures_that_are_all_missing_are_told_from_a_model_of_none(tmp_path):
+    model(tmp_path)
+    shutil.rmtree(tmp_path / "images")
+    asked = PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.5], missing="skip")
+    with pytest.raises(InputError, match="none of 3 pictures exists, first view_0.png"):
+        photographs.load(asked)
+    (tmp_path / "sparse/0/images.txt").write_text("# nothing\n")
+    with pytest.raises(InputError, match="images.txt lists no image"):
+        photographs.load(asked)
 
 
 def test_a_second_line_that_is_missing_is_told(tmp_path):

@@ -1,5 +1,7 @@
 """Meshes as people have them: several materials, several nodes; and the sphere in place of one."""
 
+import base64
+import io
 import json
 import struct
 import tracemalloc
@@ -209,11 +211,12 @@ def test_what_is_said_of_shapes(tmp_path):
 
 
 CORNER = np.array([[0, 0], [1, 0], [1, 1], [0, 0], [1, 1], [0, 1]])
+LAID = np.column_stack([CORNER[:, :1], 1 - CORNER[:, 1:], np.zeros((6, 2))]).astype("f4")
 
 
-def glb(folder, texture: np.ndarray, **primitive) -> str:
+def glb(folder, texture: np.ndarray, change=lambda tree: None, **primitive) -> str:
     """A square of two triangles with texture coordinates of any type, ``(6, 4)``, of which the last
-    two fill up what accessors have to be multiples of."""
+    two fill up what accessors have to be multiples of; ``change``: what is done to its tree."""
     places = np.column_stack([CORNER, np.zeros(6)]).astype("<f4")
     kind = {"f": 5126, "B": 5121, "H": 5123}[texture.dtype.char]
     tree = {
@@ -236,6 +239,7 @@ def glb(folder, texture: np.ndarray, **primitive) -> str:
     tree["accessors"][1]["normalized"] = kind != 5126
     if "extensions" in primitive:
         tree["extensionsRequired"] = list(primitive["extensions"])
+    change(tree)
     text, data = json.dumps(tree).encode(), places.tobytes() + texture.tobytes()
     text += b" " * (-len(text) % 4)
     path = folder / "mesh.glb"
@@ -259,11 +263,136 @@ def test_texture_coordinates_of_gltf(tmp_path, kind, primitive):
     assert as_in_the_file(parts(path)["object"], 0, 1)
 
 
-def test_compressed_gltf(tmp_path):
-    extension = {"EXT_meshopt_compression": {}}
-    path = glb(tmp_path, np.zeros((6, 4), "f4"), extensions=extension)
-    with pytest.raises(InputError, match="compressed by meshopt: export it without compression"):
+def test_places_of_gltf_that_are_whole_numbers(tmp_path):
+    def change(tree: dict):
+        tree["accessors"].append({**tree["accessors"][1], "type": "VEC3"})
+        tree["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = 2
+
+    (found,) = parts(glb(tmp_path, (LAID * 65535).astype("u2"), change)).values()
+    np.testing.assert_allclose(found.vertices.max(axis=0), [1, 1, 0])
+
+
+@pytest.mark.parametrize(
+    "extension, called",
+    [("EXT_meshopt_compression", "meshopt"), ("KHR_draco_mesh_compression", "Draco")],
+)
+def test_compressed_gltf(tmp_path, monkeypatch, extension, called):
+    monkeypatch.setattr(shape.glb, "find_spec", lambda name: None)
+    path = glb(tmp_path, np.zeros((6, 4), "f4"), extensions={extension: {}})
+    with pytest.raises(InputError, match=f"compressed by {called}: export it without compression"):
         parts(path)
+
+
+@pytest.mark.parametrize(
+    "change, told",
+    [
+        (lambda tree: tree["accessors"][0].update(sparse={}), "sparse accessors: export it with"),
+        (lambda tree: tree["accessors"][1].update(sparse={}), "sparse accessors: export it with"),
+        (lambda tree: tree["accessors"][0].pop("bufferView"), "is compressed: export it without"),
+        (lambda tree: tree["accessors"][1].pop("bufferView"), "is compressed: export it without"),
+        (lambda tree: tree["meshes"][0]["primitives"][0].update(mode=6), "fans: export triangles"),
+        (
+            lambda tree: tree.update(extensionsRequired=["EXT_mesh_gpu_instancing"]),
+            "needs EXT_mesh_gpu_instancing, which is not read: export it without",
+        ),
+    ],
+)
+def test_gltf_that_would_be_read_as_less_than_it_is(tmp_path, change, told):
+    with pytest.raises(InputError, match=told) as error:
+        parts(glb(tmp_path, LAID, change))
+    assert "\n" not in str(error.value)
+
+
+def test_gltf_that_needs_what_is_of_its_looks_is_read(tmp_path):
+    needed = ["KHR_mesh_quantization", "KHR_texture_transform", "KHR_materials_unlit"]
+    path = glb(tmp_path, LAID, lambda tree: tree.update(extensionsRequired=needed))
+    assert as_in_the_file(parts(path)["object"], 0, 1)
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (lambda tree: tree["nodes"][0].update(skin=0), True),
+        (lambda tree: tree["nodes"][0].update(weights=[0, 0.5]), True),
+        (lambda tree: tree["meshes"][0].update(weights=[0.5]), True),
+        (lambda tree: tree["meshes"][0].update(weights=[0]), False),
+    ],
+)
+def test_bones_and_shape_keys_are_told(tmp_path, change, said):
+    capture = Capture([], "none")
+    shape.parts(PhotosConfig(mesh=glb(tmp_path, LAID, change)), capture)
+    assert any("bones and shape keys are not heeded" in note for note in capture.notes) == said
+
+
+LENS = {"type": "perspective", "perspective": {"znear": 0.1, "aspectRatio": 1, "yfov": 1}}
+LINE = {"primitives": [{"attributes": {"POSITION": 0}, "mode": 3}]}
+
+
+@pytest.mark.parametrize(
+    "nodes, roots",
+    [
+        ([{"mesh": 0, "name": "m"}, {"camera": 0, "children": [0]}], [1]),
+        ([{"mesh": 0, "name": "m"}, {"camera": 0, "translation": [5, 0, 0]}], [0, 1]),
+        ([{"mesh": 0, "name": "m"}, {"mesh": 1, "children": [0]}], [1]),
+    ],
+    ids=["under a camera", "called as a camera", "under lines"],
+)
+def test_meshes_of_gltf_stand_where_they_do_whatever_is_beside(tmp_path, nodes, roots):
+    def change(tree: dict):
+        tree.update(nodes=nodes, scenes=[{"nodes": roots}], cameras=[{"name": "m", **LENS}])
+        tree["meshes"].append(LINE)
+
+    (found,) = parts(glb(tmp_path, LAID, change)).values()
+    np.testing.assert_array_equal(found.vertices.max(axis=0), [1, 1, 0])
+
+
+def cut_picture() -> bytes:
+    """A PNG file that ends too soon."""
+    stream = io.BytesIO()
+    pixels = np.random.default_rng(0).integers(0, 256, (64, 64, 3)).astype(np.uint8)
+    Image.fromarray(pixels).save(stream, "PNG")
+    return stream.getvalue()[:2000]
+
+
+def test_pictures_of_a_mesh_are_not_asked_for(tmp_path):
+    """Nor what else its materials have."""
+
+    def change(tree: dict):
+        uri = f"data:image/png;base64,{base64.b64encode(cut_picture()).decode()}"
+        tree.update(images=[{"uri": uri}], textures=[{"source": 0}])
+        picture = {"baseColorTexture": {"index": 0}}
+        tree["materials"] = [{"pbrMetallicRoughness": picture, "extras": ["a", "b"]}]
+
+    assert as_in_the_file(parts(glb(tmp_path, LAID, change, material=0))["object"], 0, 1)
+    (tmp_path / "cut.png").write_bytes(cut_picture())
+    (tmp_path / "mesh.mtl").write_text("newmtl wood\nmap_Kd cut.png\n")
+    path = obj(tmp_path, f"mtllib mesh.mtl\nusemtl wood\n{LEFT}")
+    assert as_in_the_file(parts(path)["object"], 0, 0.4)
+
+
+def test_materials_of_gltf_are_told_apart_by_all_they_have(tmp_path):
+    def change(tree: dict):
+        (primitive,) = tree["meshes"][0]["primitives"]
+        tree["meshes"][0]["primitives"] = [{**primitive, "material": n} for n in range(3)]
+        coats = ({"KHR_materials_clearcoat": {"clearcoatFactor": x}} for x in (0.1, 0.9, 0.1))
+        tree["materials"] = [{"extensions": coat} for coat in coats]
+
+    found = parts(glb(tmp_path, LAID, change))
+    assert [len(part.faces) for part in found.values()] == [4, 2]
+
+
+def test_colours_beside_a_material_are_told(tmp_path):
+    def change(tree: dict):
+        tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = 0
+
+    plain = CORNERS + OWN + f"mtllib mesh.mtl\nusemtl wood\n{LEFT}"
+    coloured = plain.replace(CORNERS, CORNERS.replace("\n", " 1 0 0\n"))
+    for name, text, said in (("a.obj", plain, False), ("b.obj", coloured, True)):
+        (tmp_path / name).write_text(text)
+        assert any(piece.coloured for piece in shape._pieces(tmp_path / name, [])) == said
+    capture = Capture([], "none")
+    shape.parts(PhotosConfig(mesh=glb(tmp_path, LAID, change, material=0)), capture)
+    assert any("mesh.glb has colours at its vertices" in note for note in capture.notes)
 
 
 @pytest.mark.parametrize(
@@ -371,7 +500,7 @@ def test_a_ply_of_triangles_and_quadrilaterals(tmp_path, form, texture):
     kind = {"<": "binary_little_endian", ">": "binary_big_endian"}.get(form, form)
     head = f"ply\nformat {kind} 1.0\nelement vertex 6\n"
     head += "".join(f"property float {name}\n" for name in names)
-    coloured = form == "<" and texture is None
+    coloured = form == "<"
     head += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue") if coloured)
     head += "element face 3\nproperty list uchar uint vertex_indices\n"
     head += "property list uchar float texcoord\n" * of_faces
@@ -393,6 +522,30 @@ def test_a_ply_of_triangles_and_quadrilaterals(tmp_path, form, texture):
     assert len(doubled) == 4 and (doubled > 0).all() and np.isclose(doubled.sum(), 2)
     assert as_in_the_file(found, 0, 1) if texture else not len(found.texcoords)
     assert all(piece.coloured == coloured for piece in shape._pieces(tmp_path / "mesh.ply", []))
+
+
+@pytest.mark.parametrize("of_faces", [False, True])
+def test_a_ply_whose_vertices_have_lists(tmp_path, of_faces):
+    head = "ply\nformat binary_little_endian 1.0\nelement vertex 6\n"
+    head += "".join(f"property float {name}\n" for name in "xyz")
+    head += "property list uchar float bones\n"
+    head += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
+    head += "element face 3\nproperty list uchar uint vertex_indices\n"
+    head += "property list uchar float texcoord\n" * of_faces
+    body = b""
+    for number, (x, y) in enumerate(PLACES):
+        bones = [0.5] * (number % 3)
+        body += struct.pack(f"<3fB{len(bones)}f3B", x, y, 0, len(bones), *bones, 1, 2, 3)
+    for face in UNLIKE:
+        own = np.ravel([PLACES[n] for n in face]).tolist() if of_faces else []
+        body += struct.pack(f"<B{len(face)}I", len(face), *face)
+        body += struct.pack(f"<B{len(own)}f", len(own), *own) if of_faces else b""
+    (tmp_path / "mesh.ply").write_bytes((head + "end_header\n").encode() + body)
+    found = parts(str(tmp_path / "mesh.ply"))["object"]
+    a, b, c = np.moveaxis(found.vertices[found.faces].astype(float)[..., :2], 1, 0)
+    assert np.isclose(np.linalg.det(np.stack([b - a, c - a], axis=1)).sum(), 2)
+    assert as_in_the_file(found, 0, 1) if of_faces else not len(found.texcoords)
+    assert all(piece.coloured for piece in shape._pieces(tmp_path / "mesh.ply", []))
 
 
 def test_a_ply_of_faces_with_notches(tmp_path):
@@ -442,19 +595,29 @@ def test_an_off_of_many_corners(tmp_path):
         ("Büste.bin", "B%C3%BCste.bin"),
         ("50%25.bin", "50%25.bin"),
         ("plain.bin", "plain.bin"),
+        ("../buffers/mesh.bin", "../buffers/mesh.bin"),
+        ("../buffers/mesh.bin", "link.bin"),
+        ("plain.bin", "C:/scans/plain.bin"),
+        ("plain.bin", "C:\\scans\\plain.bin"),
+        ("../buffers/mesh.bin", "..\\buffers\\mesh.bin"),
     ],
 )
 def test_gltf_names_files_as_uris(tmp_path, name, uri):
-    """Also as programs write them that do not know of that."""
-    texture = np.column_stack([CORNER[:, :1], 1 - CORNER[:, 1:], np.zeros((6, 2))])
-    with open(glb(tmp_path, texture.astype("f4")), "rb") as file:
+    """Also as programs write them that do not know of that; above its folder, behind links, or, of
+    a folder that is gone, beside it."""
+    with open(glb(tmp_path, LAID), "rb") as file:
         whole = file.read()
     end = 20 + struct.unpack("<I", whole[12:16])[0]
     tree = json.loads(whole[20:end])
     tree["buffers"][0]["uri"] = uri
-    (tmp_path / name).write_bytes(whole[end + 8 :])
-    (tmp_path / "my scan.gltf").write_text(json.dumps(tree))
-    assert as_in_the_file(parts(str(tmp_path / "my scan.gltf"))["object"], 0, 1)
+    folder = tmp_path / "scan"
+    for each in (folder, tmp_path / "buffers"):
+        each.mkdir()
+    (folder / name).write_bytes(whole[end + 8 :])
+    if uri == "link.bin":
+        (folder / uri).symlink_to(folder / name)
+    (folder / "my scan.gltf").write_text(json.dumps(tree))
+    assert as_in_the_file(parts(str(folder / "my scan.gltf"))["object"], 0, 1)
 
 
 def test_corners_below_zero_count_from_their_face(tmp_path):
@@ -487,12 +650,26 @@ def moved_texture(folder, quantized: bool, **told) -> str:
 
 def test_a_picture_that_is_moved_on_its_mesh_is_told(tmp_path):
     moved = {"extensions": {"KHR_texture_transform": {"offset": [0.5, 0]}}}
-    for told, said in ((moved, True), ({"texCoord": 1}, True), ({}, False)):
+    layers = ({"extensions": {"KHR_texture_transform": {"texCoord": n}}} for n in (1, 0))
+    other, same = (told | {"texCoord": n} for told, n in zip(layers, (0, 1)))
+    cases = (moved, True), ({"texCoord": 1}, True), (other, True), (same, False), ({}, False)
+    for told, said in cases:
         path, capture = moved_texture(tmp_path, False, **told), Capture([], "none")
         shape.parts(PhotosConfig(mesh=path), capture)
         assert any("paint are moved" in note for note in capture.notes) == said
     with pytest.raises(InputError, match="material paint are whole numbers.*quantization"):
         parts(moved_texture(tmp_path, True, **moved))
+    gloss = {"KHR_materials_pbrSpecularGlossiness": {"diffuseTexture": moved}}
+    for material in ({"extensions": gloss}, {"normalTexture": moved}):
+
+        def change(tree: dict, material=material):
+            tree["materials"] = [{"name": "paint", **material}]
+
+        capture = Capture([], "none")
+        shape.parts(PhotosConfig(mesh=glb(tmp_path, LAID, change, material=0)), capture)
+        assert any("paint are moved" in note for note in capture.notes)
+        with pytest.raises(InputError, match="material paint are whole numbers.*quantization"):
+            parts(glb(tmp_path, LAID.astype("u2"), change, material=0))
 
 
 def test_points_are_no_mesh(tmp_path):

@@ -166,6 +166,31 @@ def test_distortion_of_every_shape(tmp_path, count, shape):
     assert camera.lens == of_opencv(DISTORTION[:count])
 
 
+NAMES_OF_IT = "dist dist_coeff dist_coeffs dist_coefs distCoeffs distortion_coeffs"
+
+
+@pytest.mark.parametrize("name", NAMES_OF_IT.split())
+def test_distortion_by_other_names(tmp_path, name):
+    photo_sets.ours(Files(tmp_path, POSES), **{name: list(DISTORTION[:5])})
+    (camera, *_) = reading.read(str(tmp_path)).cameras
+    assert camera.lens == of_opencv(DISTORTION[:5])
+
+
+@pytest.mark.parametrize("other", [None, [], [0.0] * 5])
+def test_another_name_of_it_does_not_stand_before_its_own(tmp_path, other):
+    given = {"distortion": list(DISTORTION[:5]), "dist": other, "dist_coeffs": other}
+    photo_sets.ours(Files(tmp_path, POSES), **given)
+    (camera, *_) = reading.read(str(tmp_path)).cameras
+    assert camera.lens == of_opencv(DISTORTION[:5])
+
+
+def test_none_is_told_from_names_that_are_not_known(tmp_path):
+    words = {"distorted": False, "distortion_type": "none", "dist_unit": "m", "distribution": 1}
+    photo_sets.ours(Files(tmp_path, POSES), distance=2.0, distortion=None, **words)
+    (camera, *_) = reading.read(str(tmp_path)).cameras
+    assert camera.lens.straight
+
+
 @pytest.mark.parametrize("shape", [(3,), (3, 1), (1, 3)], ids=["flat", "column", "row"])
 @pytest.mark.parametrize("paired", [False, True])
 def test_rvec_and_tvec(tmp_path, shape, paired):
@@ -205,6 +230,7 @@ def test_a_matrix_under_the_name_of_rvec(tmp_path):
         (dict(distortion=[[0.1, 0.2], [0.1]]), "distortion: no list of numbers, or rows of unlike"),
         (dict(distortion={"k1": 0.1}), "view 0: distortion: no list of numbers"),
         (dict(distortion=[float("nan")] * 5), "view 0: distortion: holds NaN"),
+        (dict(DistParams=[0.1] * 5), "view 0: DistParams is not read: call it distortion"),
         (dict(camera_matrix=[1, 2, 3]), "camera_matrix is no 3×3 matrix"),
         (dict(camera_matrix=[[1, 1, 3], [0, 1, 2], [0, 0, 1]]), "camera_matrix has skew"),
         (dict(camera_matrix=None), "view 0 has no camera_matrix"),

@@ -13,7 +13,7 @@ from PIL import Image
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
-from isas_cli.scene.photos import material, photographs, turns
+from isas_cli.scene.photos import finding, material, photographs, reading, turns
 
 # Stored pixels of each orientation, of an upright picture.
 STORED = {3: lambda a: a[::-1, ::-1], 6: lambda a: np.rot90(a, 1), 8: lambda a: np.rot90(a, -1)}
@@ -252,6 +252,60 @@ def test_a_missing_picture(tmp_path, form):
     assert [each.camera.name[-5:] for each in taken.shown] == ["0.png", "2.png"]
     (told,) = taken.warnings
     assert "1 of the views are left out" in told and "1.png" in told
+
+
+@pytest.mark.parametrize("form", ["colmap", "transforms", "ours"])
+@pytest.mark.parametrize("missing", ["refuse", "skip"])
+def test_a_view_that_is_left_out_needs_no_picture(tmp_path, form, missing):
+    for number in (0, 2):
+        save(tmp_path / f"{number}.png", RAMP)
+    listed(tmp_path, form, ["0.png", "1.png", "2.png"])
+    taken = loaded(tmp_path, missing=missing, without=["1"])
+    assert [each.camera.name[-5:] for each in taken.shown] == ["0.png", "2.png"]
+    assert taken.warnings == []
+
+
+def test_a_view_that_is_left_out_needs_no_mask(tmp_path):
+    for number in range(3):
+        save(tmp_path / f"{number}.png", RAMP)
+    listed(tmp_path, "transforms", ["0.png", "1.png", "2.png"])
+    photo_sets.change(tmp_path, lambda held: held["frames"][1].update(mask_path="gone.png"))
+    with pytest.raises(InputError, match="gone.png does not exist"):
+        loaded(tmp_path)
+    assert len(loaded(tmp_path, without=["1.png"]).shown) == 2
+
+
+def test_no_other_view_is_left_out_for_its_name(tmp_path):
+    """That is the whole name of one, and the last part of another's."""
+    for number in (0, 2):
+        save(tmp_path / f"{number}.png", RAMP)
+    listed(tmp_path, "transforms", ["0.png", "below/0.png", "2.png"])
+    with pytest.raises(InputError, match="picture or mask of below/0.png does not exist, and"):
+        loaded(tmp_path, without=["0.png"])
+    assert len(loaded(tmp_path, without=["below/0.png"]).shown) == 2
+
+
+def test_a_view_of_another_set_is_left_out_by_its_name_with_that_set(tmp_path):
+    """Where both have pictures of one name."""
+    folder = tmp_path / "here"
+    for each in (folder, tmp_path / "a"):
+        each.mkdir()
+    for name in ("0.png", "1.png"):
+        save(tmp_path / "a" / name, RAMP)
+    listed(folder, "transforms", ["0.png", "0.png", "1.png"])
+
+    def edit(held: dict) -> None:
+        held["val_filenames"] = ["0.png"]
+        for frame, scene in zip(held["frames"], "aba"):
+            frame["scene_name"] = scene
+
+    photo_sets.change(folder, edit)
+    taken = loaded(folder, without=["b/0.png"])
+    assert [each.camera.name for each in taken.shown] == ["a/0.png", "a/1.png"]
+    with pytest.raises(InputError, match="0.png does not exist"):
+        loaded(folder, without=["a/0.png"])
+    with finding.looking(PhotosConfig(path=str(folder), without=["b/0.png"]), folder):
+        assert reading.read(str(folder), "given").held == ["a/0.png"]
 
 
 @pytest.mark.parametrize("above", ["./images/", "images\\", "C:\\Users\\a\\images\\"])

@@ -313,6 +313,8 @@ def test_pictures_that_realitycaptures_files_lack(tmp_path, lost):
     taken = photographs.load(settings)
     assert [each.camera.name for each in taken.shown] == ["view_1.png", "view_2.png"]
     assert any("1 of the views are left out" in each for each in taken.warnings)
+    settings = PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.5], without=["view_0.png"])
+    assert len(photographs.load(settings).shown) == 2  # no file says the ending
     (tmp_path / "elsewhere").mkdir()
     Files(tmp_path / "elsewhere", POSES).names(".png")
     settings = PhotosConfig(path=str(tmp_path), sphere=[0.0, 0.0, 0.0, 0.5], images="elsewhere")

@@ -314,6 +314,7 @@ BAD_FILES = {
     "no texture": (xml(picture="nowhere.png"), ["nowhere.png", "line"]),
     "no sensor": (xml(sensors=""), ["own/bad.xml", "sensor"]),
     "no emitter": (xml(emitter=""), ["own/bad.xml", "emitter"]),
+    "no sky": (xml(integrator="emission", emitter=""), ["emission needs a sky", "of radiance 0"]),
     "light tracer": (xml(integrator="ptracer"), ["ptracer", "valid: path"]),
     "plugin": (xml(extra='<shape type="sfere"/>'), ["sfere", "line"]),
     "a sky that moves": (xml(emitter='<emitter type="timed_sunsky"/>'), ["take sunsky"]),
@@ -347,6 +348,12 @@ def test_bad_files_are_refused_in_one_line(folder, refused, name):
 def test_a_scene_of_python_is_told_how_to_become_xml(folder, refused):
     (folder / "own" / "it.py").write_text("scene = {}")
     refused(["run", *FEW, "scene.path=own/it.py", unknowns()], "own/it.py", "parser.write_file")
+
+
+@pytest.mark.parametrize("name", ["it.glb", "it.PLY"])
+def test_a_mesh_is_no_scene(folder, refused, name):
+    (folder / "own" / name).write_text("")
+    refused(["run", *FEW, f"scene.path=own/{name}", unknowns()], f"own/{name}", "photos.mesh=FILE")
 
 
 def test_files_that_are_not_there_are_refused(folder, refused):

@@ -22,6 +22,7 @@ GAP = """<shape type="rectangle"><transform name="to_world"><translate z="1"/></
   <bsdf type="mask"><float name="opacity" value="0.4"/><bsdf type="diffuse"/></bsdf></shape>"""
 FOG = """<shape type="sphere"><bsdf type="null"/><medium type="homogeneous" name="interior">
   <float name="sigma_t" value="1"/></medium></shape>"""
+HAIR = '<shape type="sphere"><bsdf type="hair"/></shape>'
 GLASS = FOG.replace('type="null"', 'type="roughdielectric"')
 
 
@@ -73,6 +74,47 @@ def test_a_sensor_in_a_medium(tmp_path, monkeypatch, kind, count):
     assert (abs(other.mean() / own.mean() - 1) > 0.05) == bool(count)
 
 
+@pytest.mark.parametrize("kind", ["path", "direct"])
+def test_a_medium_that_the_integrator_ignores(tmp_path, kind):
+    (told,), _ = loaded(tmp_path, FOG, kind, 4)
+    assert "what fills it is not simulated" in told and 'take <integrator type="volpath"/>' in told
+
+
+def test_a_box_of_fog_that_is_inside_out(tmp_path):
+    box = '"cube"><boolean name="flip_normals" value="{}"/><transform name="to_world">'
+    box = FOG.replace('"sphere">', box + '<scale z="-1"/></transform>')
+    (told,), _ = loaded(tmp_path, box.format("false"), "volpath", 60)
+    assert "its normals point inwards" in told and "flip_normals the other way" in told
+    assert loaded(tmp_path, box.format("true"), "volpath", 60)[0] == []
+
+
+def test_boxes_of_fog_that_share_a_face(tmp_path):
+    def found(x: float) -> list[str]:
+        box = '"cube" id="{}"><transform name="to_world"><scale value="0.4"/><translate x="{}"/>'
+        box = FOG.replace('"sphere">', box + "</transform>")
+        return loaded(tmp_path, box.format("a", -x) + box.format("b", x), "volpath", 60)[0]
+
+    (told,) = found(0.4)
+    assert "shapes a and b share a face: a path" in told and "leave a gap" in told
+    assert found(0.41) == []
+
+
+@pytest.mark.parametrize("angle, pairs", [(90, 3), (45, 0)])
+def test_a_row_of_boxes_of_fog_is_said_once_and_of_turned_ones_nothing(tmp_path, angle, pairs):
+    """Boxes around boxes that were turned by 45 degrees share faces where these share none."""
+    side, text = 0.2 * (1 if angle == 90 else 2**0.5), ""
+    for number in range(4):
+        box = f'"cube" id="b{number}"><transform name="to_world"><scale value="0.2"/>'
+        box += f'<rotate z="1" angle="{angle}"/><translate x="{2 * side * (number - 1.5)}"/>'
+        text += FOG.replace('"sphere">', f"{box}</transform>")
+    found = loaded(tmp_path, text, "volpath", 60)[0]
+    if not pairs:
+        assert found == []
+        return
+    (told,) = found
+    assert "shapes b0 and b1 share a face, the first of 3 pairs: a path" in told
+
+
 def test_few_edges_and_gaps(tmp_path):
     (told,), (own, other) = loaded(tmp_path, GAP, "volpath", 2)
     assert "replayed by prb, which counts gaps among the 2 edges of a path" in told
@@ -95,6 +137,7 @@ def test_hidden_emitters_behind_gaps(tmp_path):
         (FOG, "prbvolpath", 3, False),
         (GAP, "prb", 3, True),
         (GAP, "direct", 2, True),
+        (HAIR, "path", 4, True),
         ("", "volpath", 2, False),
         ("", "path", 3, True),
         (FOG, "volpath", 60, False),

@@ -12,6 +12,7 @@ from isas_cli.engine.evaluate import Evaluator
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.losses.l2 import L2
 from isas_cli.losses.structure import Structure
+from isas_cli.rendering import targets
 from isas_cli.rendering.integrators import Paths
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.runtime.errors import InputError
@@ -39,9 +40,31 @@ def test_other_weights_are_refused_in_one_line(given):
         of_views(given, MASKS)
 
 
+def test_a_wrong_number_is_refused_before_targets_are_rendered(monkeypatch, refused):
+    monkeypatch.setattr(targets, "render", None)
+    told = "scene.weights=[1, 2, 3]: must be equal, or a number above 0 for each of the 2 views"
+    refused(["run", "scene=pottery", "size=tiny", "scene.weights=[1,2,3]"], told)
+
+
 def test_a_view_of_which_nothing_counts_is_named():
     with pytest.raises(InputError, match="view 1 counts"):
         of_views("equal", [np.ones(3), np.zeros(3)])
+    with pytest.raises(InputError, match="view b.png counts"):
+        of_views("equal", [np.ones(3), np.zeros(3)], ["a.png", "b.png"])
+
+
+def test_a_view_of_which_what_is_beside_the_object_counts_alone_is_weighed_by_that():
+    """As of photographs before black whose object is too bright for the camera."""
+    p = problem({TEXTURE: 0.5})
+    (first, second) = (width * height for width, height in p.film_sizes)
+    mask, part = np.ones((2, p.views.total), np.float32)
+    part[:first:2] = 0
+    mask[first::2], part[first + 1 :: 2] = 0, 0
+    p.set_targets(p.targets, mi.Float(mask), "test")
+    p.part = mi.Float(part)
+    p.weigh("equal")
+    counted = first - (first + 1) // 2, second - (second + 1) // 2
+    assert p.weights[0] * counted[0] == pytest.approx(p.weights[1] * counted[1])
 
 
 def gradient(p) -> np.ndarray:

@@ -14,10 +14,10 @@ from ...runtime import images
 from ...runtime.errors import InputError
 from ...scenes import meshes
 from ...unknowns.exposure import Exposure
-from ...unknowns.optics import PARTS, Glass, Together
+from ...unknowns.optics import Together
 from ...unknowns.parameters import own
 from ...unknowns.unknowns import Unknown
-from ..views import Views
+from ..views import PARTS, Glass, Views
 from . import material, outlines
 from .camera import Camera
 from .importing import BLACK, Photograph

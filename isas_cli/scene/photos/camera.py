@@ -1,4 +1,4 @@
-"""One photograph's camera, in one convention, whatever file it came from."""
+"""One photograph and its camera, in one convention, whatever file it came from."""
 
 from __future__ import annotations
 
@@ -127,3 +127,29 @@ class Camera:
             cy=self.cy * down,
             lens=Lens(),
         )
+
+
+@dataclass
+class Photograph:
+    """``camera``: the pinhole camera that it is resampled to; ``image (H, W, 3) float32``: linear;
+    ``mask (H, W) float32``: weights of the pixels, 0 where it shows nothing that counts;
+    ``lost``: why pixels do not count → how many of the photograph's own; ``doubt``: what its file
+    says of its colours that could not be heeded, or None; ``variance``: of a pixel's noise, or None
+    where the photograph does not tell (``noise.of_one``); ``part (H, W)``: how much of each pixel
+    the object fills, where that counts (``photos.background=black``), -1 where nothing says it;
+    ``white``: what most of its mask's file is that is not black, or None without one; ``unsure``:
+    whether that has a broad band between (``outlines.unsure``); ``box``: of its alpha or, where
+    that ends the object, mask (``outlines.box``), or None; ``edged``: the mask with the pixels that
+    are saturated, which have edges, where these count (``photos.edges``)."""
+
+    camera: Camera
+    image: np.ndarray
+    mask: np.ndarray
+    lost: dict[str, int]
+    doubt: str | None = None
+    variance: float | None = None
+    part: np.ndarray | None = None
+    white: float | None = None
+    unsure: bool = False
+    box: np.ndarray | None = None
+    edged: np.ndarray | None = None

@@ -4,7 +4,7 @@ Poses go from world to camera, as a quaternion and a translation; the camera's a
 y down, z forward, and pixels count from the picture's corner. Where `rigs.txt` and `frames.txt`
 stand beside them (COLMAP 3.12 and later), poses are of frames, as COLMAP itself reads them: those
 in `images.txt` do not count. Binary models are turned into text by ``pycolmap``
-(``pip install '.[photos]'``).
+(the extra ``photos``).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ...runtime.errors import InputError
+from ...runtime.errors import InputError, installing
 from . import layouts, models
 from .base import Asked, Capture, number, read_text, whole
 from .finding import present, viewed
@@ -90,8 +90,8 @@ def read(file: Path, asked: Asked) -> Capture:
         import pycolmap
     except ImportError:
         raise InputError(
-            f"{file}: binary models are read through pycolmap: pip install pycolmap, or convert it "
-            "by colmap model_converter --output_type TXT"
+            f"{file}: binary models are read through pycolmap: {installing('pycolmap')}, or "
+            "convert it by colmap model_converter --output_type TXT"
         ) from None
     with tempfile.TemporaryDirectory() as folder:
         try:
@@ -140,8 +140,9 @@ def _read(model: _Model, asked: Asked) -> Capture:
     places = _points(model)
     order = {name: index for index, name in enumerate(places)}
     folders = layouts.pictures(model.called, root)
-    cameras, observed, moved = [], {}, 0
+    cameras, observed, moved, listed = [], {}, 0, False
     for where, words, found in _images(model):
+        listed = True
         pose = _pose(words[1:8], where)
         if frames is not None:
             told, pose = pose, _of_frame(frames, words, where)
@@ -157,7 +158,7 @@ def _read(model: _Model, asked: Asked) -> Capture:
         if known:
             table = np.array(known, np.float64)
             observed[camera.name] = table[:, 0].astype(int), table[:, 1:]
-    if not cameras:
+    if not listed:
         raise InputError(f"{model.name('cameras')}: images.txt lists no image")
     points = np.array(list(places.values())) if places else None
     notes = [] if asked.named else layouts.notes(model.called, root)

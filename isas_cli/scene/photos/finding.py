@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import unicodedata
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
@@ -44,8 +44,9 @@ class Sources:
     those of the cameras' file, or None; ``given``: whether masks are looked for in ``masks`` alone,
     which without it are none; ``skip``: whether views whose picture is missing are left out;
     ``turned``: whether pictures without a size in the cameras' file have that after turning;
-    ``scale``: how large they are of what the cameras are of; ``missing``: names of the pictures
-    that were missing; ``elsewhere``: of those that are not in ``images``."""
+    ``scale``: how large they are of what the cameras are of; ``without``: names of views that are
+    left out, whose files may be missing; ``missing``: names of the pictures that were missing;
+    ``elsewhere``: of those that are not in ``images``."""
 
     images: Path | None = None
     masks: Path | None = None
@@ -53,6 +54,7 @@ class Sources:
     skip: bool = False
     turned: bool = False
     scale: float = 1.0
+    without: Sequence[str] = ()
     missing: list[str] = field(default_factory=list)
     elsewhere: dict[str, None] = field(default_factory=dict)  # in their order
 
@@ -75,6 +77,7 @@ def looking(settings: PhotosConfig, root: Path) -> Iterator[Sources]:
         settings.missing == "skip",
         settings.orientation == "turned",
         float(settings.scale) if isinstance(settings.scale, (int, float)) else 1.0,
+        settings.without,
     )
     before = _SOURCES.set(found)
     try:
@@ -94,10 +97,10 @@ def _folder(settings: PhotosConfig, name: str, root: Path) -> Path | None:
     raise InputError(f"photos.{name}={value}: no such folder, neither in {root} nor here{none}")
 
 
-def picture(folder: Path, name: str, where: str, first: bool = False) -> Path:
+def picture(folder: Path, name: str, where: str, first: bool = False, view: str = "") -> Path:
     """The picture ``name`` below ``folder``, where a known ending may be left out; ``first``: of
-    several with it that of the first ending, as loaders of `transforms.json` do. Raises InputError,
-    ``Missing`` where that may be."""
+    several with it that of the first ending, as loaders of `transforms.json` do; ``view``: that it
+    is of, where that is called otherwise. Raises InputError, ``Missing`` where that may be."""
     sources = _SOURCES.get(_AS_IT_IS)
     if sources.images is not None and (found := _below(sources.images, name, first)) is not None:
         return found
@@ -106,9 +109,10 @@ def picture(folder: Path, name: str, where: str, first: bool = False) -> Path:
         if sources.images is not None:
             sources.elsewhere[called(name)] = None
         return found
-    if sources.skip:
-        sources.missing.append(called(name))
-        raise Missing(name)
+    view = view or name
+    if sources.skip or _left_out(view):
+        sources.missing.append(called(view))
+        raise Missing(view)
     raise InputError(
         f"{where}: its picture {folder / name} does not exist: mend the path or remove it; "
         "photos.images=FOLDER says where pictures lie, photos.missing=skip leaves such views out"
@@ -147,8 +151,9 @@ def ordered(paths: Iterable[Path]) -> list[Path]:
     return sorted(path for path in paths if not path.name.startswith("."))
 
 
-def listed_mask(folder: Path, name: Any, where: str) -> Path | None:
-    """The mask that the cameras' file names for a view, or None. Raises InputError."""
+def listed_mask(folder: Path, name: Any, where: str, view: str = "") -> Path | None:
+    """The mask that the cameras' file names for a ``view``, or None. Raises InputError, ``Missing``
+    where that may be."""
     sources = _SOURCES.get(_AS_IT_IS)
     if not name:
         return None
@@ -156,6 +161,9 @@ def listed_mask(folder: Path, name: Any, where: str) -> Path | None:
         known = isinstance(name, str) and sources.masks is not None
         return _below(sources.masks, name) if known else None
     found = _file(folder, name, where)
+    if found is None and _left_out(view):
+        sources.missing.append(called(view))
+        raise Missing(view)
     if found is None:
         raise InputError(
             f"{where}: {folder / name} does not exist: mend the path or remove it; "
@@ -172,8 +180,24 @@ def present(make: Callable[..., Any], *arguments: Any) -> Any:
         return None
 
 
+def meant(names: Sequence[str], name: str) -> list[str]:
+    """Those of the views ``names`` that a setting means by ``name``: all of theirs, or without
+    folder, or without ending as well; or that are known without both."""
+    wanted = same_letters(name)
+    for part in (str, lambda each: Path(each).name, lambda each: Path(each).stem):
+        if found := [each for each in names if same_letters(part(each)) == wanted]:
+            return found
+    bare = Path(wanted).stem if Path(wanted).suffix.lower() in PICTURES else None
+    return [each for each in names if same_letters(each) == bare]
+
+
+def _left_out(name: str) -> bool:
+    """Whether the view of that name may be one that the settings leave out."""
+    return any(meant([called(name)], each) for each in _SOURCES.get(_AS_IT_IS).without)
+
+
 def missed(name: str) -> bool:
-    """Whether the view of a picture of that name was left out."""
+    """Whether the view of that name was left out."""
     return name in _SOURCES.get(_AS_IT_IS).missing
 
 

@@ -2,7 +2,8 @@
 
 trimesh has texture coordinates only of what has a material, and whole numbers that stand for 0 to
 1 (``normalized``) as they stand. Attributes whose names begin with an underscore it hands on: so
-these stand there once more, and are set in afterwards. It takes URIs for names of files.
+these stand there once more, and are set in afterwards. It takes URIs for names of files, and drops
+the first camera with all that hangs on it.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import struct
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,9 +20,10 @@ from urllib.parse import unquote
 import numpy as np
 
 _PLACES, _TEXTURE = "POSITION", "TEXCOORD_0"
-MOVED = "isas: moved"  # among a scene's metadata
+MOVED, POSED = "isas: moved", "isas: posed"  # among a scene's metadata
 _OWN = "_ISAS_"  # before the names of what stands once more
 _FLOAT = 5126
+_TRIANGLES, _FAN = 4, 6  # modes: below are points and lines
 _MAGIC, _JSON = b"glTF", b"JSON"
 # What packs a mesh so that trimesh has zeros in its place, and what it would unpack it by.
 _PACKED = {
@@ -28,25 +31,35 @@ _PACKED = {
     "EXT_meshopt_compression": ("meshopt", None),
     "KHR_meshopt_compression": ("meshopt", None),
 }
+# Extensions without which triangles are where they are, and one whose numbers are read here.
+_ASIDE = re.compile(
+    "_(materials|texture|lights|animation|xmp|techniques|packing)|^KHR_mesh_quantization$"
+)
 
 
 def load(file: Path):
     """The scene of a GLB or glTF file. Raises whatever trimesh raises, and ValueError for what is
-    no such file, or compressed."""
+    no such file, compressed, or would be read as less or other than it is."""
     import trimesh
 
     data, binary = file.read_bytes(), file.suffix.lower() == ".glb"
     text = _chunk(data) if binary else data
     tree = json.loads(text)
     for name in tree.get("extensionsRequired", []):
-        how, by = _PACKED.get(name, (None, None))
-        if how is not None and (by is None or find_spec(by) is None):
+        if name in _PACKED and not _unpacked(name):
+            how, _ = _PACKED[name]
             raise ValueError(f"is compressed by {how}: export it without compression")
+        if name not in _PACKED and not _ASIDE.search(name):
+            raise ValueError(f"needs {name}, which is not read: export it without")
     for mesh in tree.get("meshes", []):
+        every = mesh["primitives"]
+        mesh["primitives"] = [p for p in every if p.get("mode", _TRIANGLES) >= _TRIANGLES]
         for primitive in mesh["primitives"]:
+            _check(primitive, tree["accessors"])
             _mark(primitive["attributes"], tree["accessors"])
-    moved = _moved(tree)
-    for each in (*tree.get("buffers", []), *tree.get("images", [])):
+    told = {MOVED: _moved(tree), POSED: _posed(tree)}
+    _pare(tree)
+    for each in tree.get("buffers", []):
         if "uri" in each:
             each["uri"] = _file(file.parent, each["uri"])
     changed = json.dumps(tree).encode()
@@ -61,10 +74,68 @@ def load(file: Path):
         io.BytesIO(changed),
         file_type=file.suffix[1:].lower(),
         process=False,
-        resolver=trimesh.resolvers.FilePathResolver(str(file)),
+        resolver=_Files(file.parent),
     )
-    scene.metadata[MOVED] = moved
+    scene.metadata.update(told)
     return scene
+
+
+class _Files:
+    """Those that a glTF file names, also above its ``folder`` or behind links, where trimesh's own
+    does not look; of a name that leads nowhere, what is called so beside it. Windows parts names by
+    backslashes."""
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+
+    def __getitem__(self, name: str) -> bytes:
+        file = self._folder / name.replace("\\", "/")
+        beside = self._folder / file.name
+        return (beside if beside.is_file() and not file.is_file() else file).read_bytes()
+
+
+def _unpacked(extension: str) -> bool:
+    """Whether trimesh can unpack what an extension packs."""
+    _, by = _PACKED.get(extension, (None, None))
+    return by is not None and find_spec(by) is not None
+
+
+def _check(primitive: dict, accessors: list[dict]) -> None:
+    """Raises ValueError for triangles that trimesh leaves out, or has zeros in place of."""
+    if primitive.get("mode") == _FAN:
+        raise ValueError("has triangle fans: export triangles")
+    attributes = primitive["attributes"]
+    used = attributes[_PLACES], attributes.get(_TEXTURE), primitive.get("indices")
+    held = [accessors[at] for at in used if at is not None]
+    if any("sparse" in each for each in held):
+        raise ValueError("has sparse accessors: export it without")
+    unpacked = any(map(_unpacked, primitive.get("extensions", {})))
+    if not unpacked and any("bufferView" not in each for each in held):
+        raise ValueError("is compressed: export it without compression")
+
+
+def _posed(tree: dict) -> bool:
+    """Whether bones or shape keys move any mesh."""
+    meshes = tree.get("meshes", [])
+    shown = [node for node in tree.get("nodes", []) if "mesh" in node]
+    weights = [node.get("weights", meshes[node["mesh"]].get("weights", [])) for node in shown]
+    return any("skin" in node for node in shown) or any(map(any, weights))
+
+
+def _pare(tree: dict) -> None:
+    """Takes out cameras, meshes without triangles, which trimesh trips over where others hang on
+    them, and of materials all but their names."""
+    for name in ("cameras", "images", "textures"):
+        tree.pop(name, None)
+    for node in tree.get("nodes", []):
+        node.pop("camera", None)
+        if "mesh" in node and not tree["meshes"][node["mesh"]]["primitives"]:
+            del node["mesh"]
+    materials = tree.get("materials", [])
+    # A number by which trimesh tells apart those of one name.
+    tree["materials"] = [
+        {"name": each.get("name"), "alphaCutoff": materials.index(each)} for each in materials
+    ]
 
 
 def _moved(tree: dict) -> list[str]:
@@ -76,10 +147,16 @@ def _moved(tree: dict) -> list[str]:
             if "material" not in primitive:
                 continue
             material = tree["materials"][primitive["material"]]
-            picture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
+            gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
+            picture = (
+                gloss.get("diffuseTexture")
+                or material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
+                or material.get("normalTexture", {})
+            )
             told = picture.get("extensions", {}).get("KHR_texture_transform", {})
             turned = told.get("offset", [0, 0]) != [0, 0] or told.get("scale", [1, 1]) != [1, 1]
-            if not (turned or told.get("rotation", 0) or picture.get("texCoord", 0)):
+            layer = told.get("texCoord", picture.get("texCoord", 0))
+            if not (turned or told.get("rotation", 0) or layer):
                 continue
             name = material.get("name", "without a name")
             at = primitive["attributes"].get(_TEXTURE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from ...runtime import images, raw
 from ...runtime.cache import cached, digest
 from ...runtime.errors import InputError
 from . import clipped, noise, outlines, turns
-from .camera import Camera
+from .camera import Camera, Photograph
 
 # Raised when what is kept means something else.
 _FORMAT = 1
@@ -31,32 +31,6 @@ BLACK = "black"
 _WHOLE = 0.999
 # Of white, the noise that lossy files leave in a mask's black.
 _NOISE = 0.1
-
-
-@dataclass
-class Photograph:
-    """``camera``: the pinhole camera that it is resampled to; ``image (H, W, 3) float32``: linear;
-    ``mask (H, W) float32``: weights of the pixels, 0 where it shows nothing that counts;
-    ``lost``: why pixels do not count → how many of the photograph's own; ``doubt``: what its file
-    says of its colours that could not be heeded, or None; ``variance``: of a pixel's noise, or None
-    where the photograph does not tell (``noise.of_one``); ``part (H, W)``: how much of each pixel
-    the object fills, where that counts (``photos.background=black``), -1 where nothing says it;
-    ``white``: what most of its mask's file is that is not black, or None without one; ``unsure``:
-    whether that has a broad band between (``outlines.unsure``); ``box``: of its alpha or, where
-    that ends the object, mask (``outlines.box``), or None; ``edged``: the mask with the pixels that
-    are saturated, which have edges, where these count (``photos.edges``)."""
-
-    camera: Camera
-    image: np.ndarray
-    mask: np.ndarray
-    lost: dict[str, int]
-    doubt: str | None = None
-    variance: float | None = None
-    part: np.ndarray | None = None
-    white: float | None = None
-    unsure: bool = False
-    box: np.ndarray | None = None
-    edged: np.ndarray | None = None
 
 
 def load(

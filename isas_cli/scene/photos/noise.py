@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-if TYPE_CHECKING:
-    from .importing import Photograph
+from ...runtime import heif
 
-LOSSY = (".jpg", ".jpeg", ".jpe", ".heic", ".heif", ".avif", ".webp", ".jp2")
+if TYPE_CHECKING:
+    from .camera import Photograph
+
+LOSSY = (".jpg", ".jpeg", ".jpe", *heif.ENDINGS, ".avif", ".webp", ".jp2")
 # The root of the sum of squares of second differences both ways, (1, -2, 1) times (1, -2, 1).
 _GAIN = 6.0
 # Sides of blocks, how many there must be, and into how many groups by brightness they go at most,

@@ -1,4 +1,4 @@
-"""OBJ as trimesh reads it, but for materials without their file and for faces with notches.
+"""OBJ as trimesh reads it, but for its file of materials and for faces with notches.
 
 trimesh cuts every face into a fan about its first corner, which covers the notches of one that is
 not convex, and counts corners below 0 from the end of the file.
@@ -19,7 +19,8 @@ _FLAT = 1e-6  # of a face's area: what a corner may be turned inwards
 
 
 class _Materials:
-    """In place of a file of materials, which may be missing and of which names alone are asked."""
+    """In place of a file of materials, which may be missing, or name pictures that cannot be read,
+    and of which names alone are asked."""
 
     def __init__(self, names: list[str]):
         # One more that nothing uses: of a single one trimesh does not tell the rest apart.
@@ -35,13 +36,13 @@ def load(file: Path):
     import trimesh
 
     text = _counted(_joined(file.read_text(encoding="utf-8", errors="replace")))
-    names, resolver = _check_some(text), trimesh.resolvers.FilePathResolver(str(file))
+    names = _check_some(text)
     text = _cut(text)
     if len(names) > 1:
         # Materials part a file only where it names a file of them.
-        text, resolver = f"mtllib materials.mtl\n{text}", _Materials(names)
+        text = f"mtllib materials.mtl\n{text}"
     stream = io.BytesIO(text.encode())
-    scene = trimesh.load_scene(stream, file_type="obj", process=False, resolver=resolver)
+    scene = trimesh.load_scene(stream, file_type="obj", process=False, resolver=_Materials(names))
     return scene, names
 
 

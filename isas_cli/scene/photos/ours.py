@@ -16,6 +16,7 @@ corners are in the plane z = 0, ``printed_board_rect_m`` how far it reaches.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -46,9 +47,16 @@ _SAME = {
     "image_width": "width",
     "image_height": "height",
     "distortion_coefficients": "distortion",
+    "distortion_coeffs": "distortion",
     "dist_coeffs": "distortion",
+    "dist_coeff": "distortion",
+    "dist_coefs": "distortion",
+    "distCoeffs": "distortion",
+    "dist": "distortion",
     "fisheye_model": "fisheye",
 }
+# What is probably distortion, too.
+_UNREAD = re.compile(r"dist(?!ance|ortion(_model)?$)", re.IGNORECASE)
 # ROS' distortion_model: whether it is a fisheye's.
 _ROS = {"plumb_bob": False, "rational_polynomial": False, "equidistant": True, "fisheye": True}
 
@@ -75,7 +83,7 @@ def read(file: Path, asked: Asked) -> Capture:
 
 def of(file: Path, top: dict) -> Capture:
     """What a file holds, ``top``, means. Raises InputError."""
-    top = {_SAME.get(key, key): _plain(value) for key, value in top.items()}
+    top = _named(top)
     views = top.get("views")
     if views is None:
         views = _paired(file, top)
@@ -87,6 +95,15 @@ def of(file: Path, top: dict) -> Capture:
     if plane is not None:
         plane = numbers(plane, 4, f"{file}: printed_board_rect_m")
     return Capture(cameras, file.name, _corners(file, top), plane=plane, turned=True)
+
+
+def _named(held: dict) -> dict:
+    """By our words, where those are not there too."""
+    found = {key: _plain(value) for key, value in held.items()}
+    for key, own in _SAME.items():
+        if key in found and found.get(own) is None:
+            found[own] = found.pop(key)
+    return found
 
 
 def _plain(value):
@@ -128,7 +145,7 @@ def _camera(file: Path, index: int, top: dict, view) -> Camera:
     where = f"{file}: view {index}"
     if not isinstance(view, dict) or not isinstance(view.get("image"), str):
         raise InputError(f"{where} has no image")
-    view = {_SAME.get(key, key): _plain(value) for key, value in view.items()}
+    view = _named(view)
     both = {**top, **view}
     for name in ("width", "height", "camera_matrix"):
         if name not in both:
@@ -141,7 +158,7 @@ def _camera(file: Path, index: int, top: dict, view) -> Camera:
     return Camera(
         name=view["image"].replace("\\", "/"),
         image=picture(file.parent, view["image"], where),
-        mask=listed_mask(file.parent, view.get("mask"), f"{where}: mask"),
+        mask=listed_mask(file.parent, view.get("mask"), f"{where}: mask", view["image"]),
         width=whole(both["width"], f"{where}: width"),
         height=whole(both["height"], f"{where}: height"),
         fx=float(inner[0, 0]),
@@ -180,6 +197,9 @@ def _pose(both: dict, where: str) -> np.ndarray:
 
 def _lens(both: dict, where: str) -> lens.Lens:
     told, ros = both.get("distortion"), both.get("distortion_model")
+    lists = (str(key) for key, value in both.items() if isinstance(value, (list, dict)))
+    if told is None and (other := next(filter(_UNREAD.match, lists), None)) is not None:
+        raise InputError(f"{where}: {other} is not read: call it distortion")
     if told is None or isinstance(told, str):
         return lens.Lens()
     if ros is not None and str(ros) not in _ROS:

@@ -18,8 +18,7 @@ from scipy.ndimage import (
 from ...scenes.meshes import Surface
 
 if TYPE_CHECKING:
-    from .camera import Camera
-    from .importing import Photograph
+    from .camera import Camera, Photograph
 
 # Points of a surface that are looked for in each picture.
 _POINTS = 4000

@@ -81,9 +81,9 @@ def load(settings: PhotosConfig, shapeless: bool = False) -> Photographs:
     colour, doubts = material.colour(settings)
     with finding.looking(settings, root) as sources:
         capture = reading.read(settings.path, settings.test, settings.cameras, settings.world)
+    capture.cameras = reading.without(capture.cameras, settings.without, sources.missing)
     check(capture, sources)
     capture.notes += elsewhere(capture, sources)
-    capture.cameras = reading.without(capture.cameras, settings.without)
     capture.cameras, told = finding.masked(capture.cameras, root, sources)
     over, more = turns.turned(capture.cameras, capture, settings.orientation)
     across, unsure = turns.across(capture.cameras, over)
@@ -182,7 +182,13 @@ def _hull(
 
 
 def check(capture: Capture, sources: finding.Sources) -> None:
-    """Raises InputError where no picture is left, or one is that of two views."""
+    """Raises InputError where no picture is left, one is missing that may not be, or one is that of
+    two views."""
+    if sources.missing and not sources.skip:
+        raise InputError(
+            f"the picture or mask of {sources.missing[0]} does not exist, and photos.without means "
+            "another view of its name: give both with their folders"
+        )
     if not capture.cameras:
         raise InputError(
             f"photos.missing=skip: none of {len(sources.missing)} pictures exists, first "

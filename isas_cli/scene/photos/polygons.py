@@ -48,8 +48,8 @@ def load(file: Path):
                 return scene  # of triangles: others it cuts into fans
         vertices, faces, uv, colours = _ply(data)
     visual = None if uv is None else trimesh.visual.TextureVisuals(uv=uv)
-    given = {"vertex_colors": colours} if uv is None and colours is not None else {}
-    return trimesh.Scene(trimesh.Trimesh(vertices, faces, visual=visual, process=False, **given))
+    mesh = trimesh.Trimesh(vertices, faces, visual=visual, process=False, vertex_colors=colours)
+    return trimesh.Scene(mesh)
 
 
 def _counted(data: bytes) -> int:
@@ -65,15 +65,17 @@ def _ply(data: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.nda
     vertex, face = read["vertex"], read["face"]
     places = np.stack([vertex[axis] for axis in "xyz"], axis=1)
     faces, corners = _cut(places, face[next(name for name in _CORNERS if name in face)])
+    own = None
     if _OF_FACES in face:
         own = np.concatenate(face[_OF_FACES]).reshape(-1, 2)[corners.ravel()]
-        return places[faces.ravel()], np.arange(faces.size).reshape(-1, 3), own, None
+        vertex = {name: vertex[name][faces.ravel()] for name in _COLOURS if name in vertex}
+        places, faces = places[faces.ravel()], np.arange(faces.size).reshape(-1, 3)
 
     def stacked(several: tuple[tuple[str, ...], ...]) -> np.ndarray | None:
         names = next((names for names in several if set(names) <= set(vertex)), None)
         return None if names is None else np.stack([vertex[name] for name in names], axis=1)
 
-    return places, faces, stacked(_OF_VERTICES), stacked((_COLOURS,))
+    return places, faces, stacked(_OF_VERTICES) if own is None else own, stacked((_COLOURS,))
 
 
 def _elements(data: bytes) -> dict[str, dict[str, Sequence]]:
@@ -118,6 +120,8 @@ def _elements(data: bytes) -> dict[str, dict[str, Sequence]]:
             for own, (*counted, kind) in properties:
                 several = int(taken(counted, 1)[0][0]) if counted else 1
                 found[name][own].append(taken([kind], several)[0])
+        for own in (own for own, types in properties if len(types) == 1):
+            found[name][own] = np.ravel(found[name][own])
     return found
 
 

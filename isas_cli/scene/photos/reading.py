@@ -23,7 +23,7 @@ from . import (
 )
 from .base import Asked, Capture
 from .camera import Camera
-from .finding import same_letters
+from .finding import meant
 
 # Sets that come with isas, by name.
 OWN = ("chessboard", "head")
@@ -157,7 +157,9 @@ def split(capture: Capture, test) -> tuple[list[Camera], list[Camera]]:
         held = [camera for camera in cameras if camera.name in capture.held]
     elif isinstance(test, Sequence):
         names = [test] if isinstance(test, str) else test
-        held = [_named(cameras, str(name), "test") for name in names]
+        known = [camera.name for camera in cameras]
+        wanted = [_named(known, str(name), "test") for name in names]
+        held = [camera for camera in cameras if camera.name in wanted]
     else:
         raise InputError(f"photos.test={test}: give a list of pictures [a.png,b.png], n, or given")
     names = {camera.name for camera in held}
@@ -169,29 +171,25 @@ def split(capture: Capture, test) -> tuple[list[Camera], list[Camera]]:
     return kept, [camera for camera in cameras if camera.name in names]
 
 
-def without(cameras: list[Camera], names: Sequence[str]) -> list[Camera]:
-    """The views but those, which are named as in ``split``. Raises InputError."""
-    out = [_named(cameras, name, "without").name for name in names]
+def without(cameras: list[Camera], names: Sequence[str], missing: list[str]) -> list[Camera]:
+    """The views but those, which are named as in ``split``. ``missing``: names of others, whose
+    files are missing, which lose those as well. Raises InputError."""
+    known = [*(camera.name for camera in cameras), *missing]
+    out = [_named(known, name, "without") for name in names]
+    missing[:] = [name for name in missing if name not in out]
     left = [camera for camera in cameras if camera.name not in out]
-    if not left:
+    if not left and not missing:
         raise InputError("photos.without leaves every view out: leave one to learn from")
     return left
 
 
-def _named(cameras: list[Camera], name: str, setting: str) -> Camera:
-    names = [(c.name, Path(c.name).name, Path(c.name).stem) for c in cameras]
-    for part in range(3):
-        found = [
-            camera
-            for camera, each in zip(cameras, names)
-            if same_letters(each[part]) == same_letters(name)
-        ]
-        if len(found) > 1:
-            raise InputError(
-                f"photos.{setting}: {name} is the name of {len(found)} views, "
-                f"{' and '.join(each.name for each in found[:2])}: give it with its folder"
-            )
-        if found:
-            return found[0]
-    known = [camera.name for camera in cameras]
-    raise InputError(f"photos.{setting}: no view {name}; {nearest(name, known[:40])}")
+def _named(known: list[str], name: str, setting: str) -> str:
+    found = meant(known, name)
+    if len(found) > 1:
+        raise InputError(
+            f"photos.{setting}: {name} is the name of {len(found)} views, "
+            f"{' and '.join(found[:2])}: give it with its folder"
+        )
+    if not found:
+        raise InputError(f"photos.{setting}: no view {name}; {nearest(name, known[:40])}")
+    return found[0]

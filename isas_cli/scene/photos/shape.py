@@ -175,6 +175,8 @@ def _pieces(file: Path, notes: list[str]) -> list[_Piece]:
             "second set of texture coordinates), which is not heeded: photos.texture=FILE lies by "
             "the first set as it stands"
         )
+    if scene.metadata.get(glb.POSED):
+        notes.append(f"{file}: bones and shape keys are not heeded: apply them, then export")
     found, materials = [], {}
     # In the file's order, which its graph of nodes has not.
     rank = {name: number for number, name in enumerate(order)}
@@ -185,6 +187,7 @@ def _pieces(file: Path, notes: list[str]) -> list[_Piece]:
         mesh = scene.geometry[name]
         if not isinstance(mesh, trimesh.Trimesh):
             continue  # points, or a line
+        coloured = _coloured(mesh)
         mesh = mesh.copy()
         uv = glb.given(mesh)
         mesh.apply_transform(place)  # which turns triangles of mirrored nodes round
@@ -199,9 +202,15 @@ def _pieces(file: Path, notes: list[str]) -> list[_Piece]:
         texcoords = None
         if uv is not None and len(uv) == len(vertices):
             texcoords = upwards(np.asarray(uv, np.float32))
-        coloured = mesh.visual.kind in ("vertex", "face")
         found.append(_Piece(called, vertices, np.asarray(mesh.faces), texcoords, coloured))
     return found
+
+
+def _coloured(mesh) -> bool:
+    """Whether a mesh has colours of its own: beside a material trimesh keeps them elsewhere."""
+    beside = getattr(mesh.visual, "vertex_attributes", {})
+    kept = mesh.vertex_attributes, mesh.face_attributes, beside
+    return mesh.visual.kind in ("vertex", "face") or any("color" in each for each in kept)
 
 
 def _part(whole: Surface, chosen: np.ndarray, bare: bool) -> Surface:

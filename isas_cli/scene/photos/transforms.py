@@ -62,9 +62,9 @@ def read(file: Path, asked: Asked) -> Capture:
     top, cameras = _cameras(file)
     held = []
     if asked.given and file.name == NAMES[0]:
-        held = _listed(file, top, cameras, "val_filenames", "test_filenames")
+        held = _listed(file, top, "val_filenames", "test_filenames")
         if "train_filenames" in top:
-            wanted = {*held, *_listed(file, top, cameras, "train_filenames")}
+            wanted = {*held, *_listed(file, top, "train_filenames")}
             cameras = [camera for camera in cameras if camera.name in wanted]
     elif asked.given and file.with_name(TEST).is_file():
         _, more = _cameras(file.with_name(TEST))
@@ -135,20 +135,21 @@ def _old(folder: Path, top: dict) -> bool:
     return (folder / _MODEL).exists() and not any(name in top for name in _SINCE)
 
 
-def _listed(file: Path, top: dict, cameras: list[Camera], *keys: str) -> list[str]:
+def _listed(file: Path, top: dict, *keys: str) -> list[str]:
     """Names of the views that nerfstudio lists so. Raises InputError for one that is no view."""
-    names, held = {camera.name for camera in cameras}, []
+    views: dict[str, list[str]] = {}
+    for frame in top["frames"]:
+        views.setdefault(called(frame["file_path"]), []).append(placed(file, frame)[1])
+    held: list[str] = []
     for key in keys:
         listed = top.get(key, [])
         if not isinstance(listed, list):
             raise InputError(f"{file}: {key} is no list of pictures")
         for name in listed:
-            found = called(str(name))
-            if missed(found):
-                continue
-            if found not in names:
+            found = views.get(called(str(name)))
+            if found is None:
                 raise InputError(f"{file}: {key}: {name} is the file_path of no frame")
-            held.append(found)
+            held += [view for view in found if not missed(view)]
     return held
 
 
@@ -170,7 +171,7 @@ def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
     both = {**top, **frame}
     lens = _lens(both, where)
     root, name = placed(file, frame)
-    image = picture(root, frame["file_path"], where, first=True)
+    image = picture(root, frame["file_path"], where, first=True, view=name)
     width, height = size(image)
     width = whole(both["w"], f"{where}: w") if "w" in both else width
     height = whole(both["h"], f"{where}: h") if "h" in both else height
@@ -186,7 +187,7 @@ def _camera(file: Path, number_: int, top: dict, frame) -> Camera:
     return Camera(
         name=name,
         image=image,
-        mask=listed_mask(root, frame.get("mask_path"), f"{where}: mask_path"),
+        mask=listed_mask(root, frame.get("mask_path"), f"{where}: mask_path", name),
         width=width,
         height=height,
         fx=focals[0],
