@@ -1,7 +1,7 @@
 """Which light transport a scene calls for, and the evidence."""
 
-from .plan import Plan, decide
+from .plan import Plan, check, decide
 from .settings import Effects
 from .structure import statements
 
-__all__ = ["Effects", "Plan", "decide", "statements"]
+__all__ = ["Effects", "Plan", "check", "decide", "statements"]

@@ -13,13 +13,12 @@ import numpy as np
 from ..estimators.estimator import Estimator
 from ..rendering import coverage
 from ..rendering.integrators import Integrator, Paths
-from ..rendering.volume import only_emits
 from ..runtime import backend, guests
 from ..runtime.cache import cached, digest
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
 from ..unknowns import cameras
-from ..unknowns.ranges import AIMS
+from ..unknowns.ranges import fed, only_emits
 from . import rules
 from .probe import Cut, Lights, Probe, Share
 from .settings import Effects
@@ -36,7 +35,8 @@ _TOLERANCE = 0.3
 # A budget of so many seconds can pay for a probe, which takes at most this share of it and at most
 # so many seconds.
 _WORTH, _SHARE, _MOST = 10.0, 0.05, 3.0
-_FORMAT = 27
+_THIN = 0.1  # extinction along the side of a medium
+_FORMAT = 29
 
 
 @dataclass(frozen=True)
@@ -103,6 +103,35 @@ def _finite(depth: int) -> int | None:
     return None if depth == UNLIMITED else depth
 
 
+def check(problem: Problem, settings: Effects, estimator: Estimator) -> None:
+    """Raises InputError for what the integrator or the estimator cannot have. Needs no targets;
+    traces nothing."""
+    whole = problem.integrator
+    follows = whole.cuts and estimator.plannable
+    if (settings.cuts or settings.finish) and not follows:
+        raise InputError(f"effects.…: {_unplannable(whole, estimator)}: take effects=full")
+    if settings.derivative_depth is not None and not estimator.replays:
+        raise InputError(
+            f"effects.derivative_depth={settings.derivative_depth}: estimator={estimator.name} "
+            "differentiates no paths: leave it out"
+        )
+    if not follows:
+        return
+    _depths(whole, settings)
+    picks, lights = settings.directions not in (None, 1), settings.light_samples
+    if (lights is not None or picks) and not whole.samples_lights:
+        told = f"directions={settings.directions}" if picks else f"light_samples={lights}"
+        raise InputError(
+            f"effects.{told}: no light is sampled in a medium, a path finds it by leaving: leave "
+            "it out"
+        )
+    if settings.caustics is not None and not whole.samples_lights:
+        raise InputError(
+            f"effects.caustics={str(settings.caustics).lower()}: no mirror or glass lights a "
+            "medium here: leave it out"
+        )
+
+
 def decide(
     problem: Problem,
     settings: Effects,
@@ -118,9 +147,9 @@ def decide(
     machine. ``earlier``: the record of the plan of a run that goes on. ``described``: the loss in
     words, for the cache. ``prior``: whether there is one.
 
-    Raises InputError for a plan that the integrator or the estimator cannot follow, and for one
-    that drops the only paths to an unknown.
+    Raises InputError as ``check`` does, and for a plan that drops the only paths to an unknown.
     """
+    check(problem, settings, estimator)
     whole = problem.integrator
     if settings.derivative_tolerance is None:
         # Where residuals stay, they balance a prior, or each other, elsewhere than with all.
@@ -129,13 +158,6 @@ def decide(
         asked = _TOLERANCE if vanish else settings.tolerance
         settings = dataclasses.replace(settings, derivative_tolerance=asked)
     follows = whole.cuts and estimator.plannable
-    if (settings.cuts or settings.finish) and not follows:
-        raise InputError(f"effects.…: {_unplannable(whole, estimator)}: take effects=full")
-    if settings.derivative_depth is not None and not estimator.replays:
-        raise InputError(
-            f"effects.derivative_depth={settings.derivative_depth}: estimator={estimator.name} "
-            "differentiates no paths: leave it out"
-        )
     if whole.black_box:
         told = {"renderer": whole.name, "derivatives": estimator.derivatives(problem)}
         return Plan(whole.paths, 0.0, told)
@@ -159,8 +181,14 @@ def decide(
         found = Plan(dataclasses.replace(paths, crossed=crossed), settings.finish, {})
         carried = any(unknown.kind.carried for unknown in problem.unknowns)
         if settings.probe and carried and estimator.replays and (seconds or 0) >= _WORTH:
-            found = _probed(problem, settings, loss, min(_MOST, _SHARE * seconds), described, found)
+            measured = settings
+            if estimator.own_lights:  # which others would not change
+                ways = {"light_samples": list(paths.lights), "directions": paths.directions}
+                measured = dataclasses.replace(settings, **ways)
+            found = _probed(problem, measured, loss, min(_MOST, _SHARE * seconds), described, found)
         plan, why = _chosen(problem, settings, found)
+        if estimator.own_lights and why.get("light samples") == "not measured":
+            del why["light samples"]
     else:
         plan, why = Plan(whole.paths, settings.finish, {}), {}
     planned = plan.on(problem)
@@ -176,9 +204,13 @@ def decide(
         told["differentiated"] = f"what comes by paths {longest(plan.paths.derivative)}"
     if plan.paths.roulette is not None:
         told["roulette"] = f"from vertex {plan.paths.roulette} on, as set"
-    told["light samples"] = f"{lights[0]} for a residual, {lights[1]} for a derivative"
+    told["light samples"] = f"{lights[0]} for a residual"
+    if not estimator.own_lights:
+        told["light samples"] += f", {lights[1]} for a derivative"
     if plan.paths.directions > 1:
         told["light samples"] += f", each picked from {plan.paths.directions} directions"
+    if estimator.own_lights:
+        told["light samples"] += "; the derivative draws its own"
     if not whole.samples_lights:
         told["light samples"] = "none: a path finds its light by leaving the medium"
     for effect, reason in why.items():
@@ -206,19 +238,9 @@ def _unplannable(whole: Integrator, estimator: Estimator) -> str:
 
 def _as_set(problem: Problem, settings: Effects) -> Paths:
     """All that the scene has, but for what is set; light samples are picked. Raises InputError for
-    what it cannot have."""
+    what leaves no path to an unknown."""
     whole = problem.integrator
-    depth = _at_most(whole.max_depth, settings.max_depth, "max_depth", "the scene's own paths have")
-    derivative = _at_most(
-        depth, settings.derivative_depth, "derivative_depth", "the paths to differentiate have"
-    )
-    picks = settings.directions not in (None, 1)
-    if (settings.light_samples is not None or picks) and not whole.samples_lights:
-        name = "directions" if picks else "light_samples"
-        raise InputError(
-            f"effects.{name}={getattr(settings, name)}: no light is sampled in a medium, a path "
-            "finds it by leaving: leave it out"
-        )
+    depth, derivative = _depths(whole, settings)
     paths = Paths(
         *(depth, derivative, tuple(settings.light_samples or (1, 1)), settings.roulette),
         caustics=settings.caustics is not False,
@@ -233,11 +255,6 @@ def _as_set(problem: Problem, settings: Effects) -> Paths:
                     f"effects.{name}={edges}: no path of so few edges meets '{key}': give "
                     f"more{most}"
                 )
-    if settings.caustics is not None and not whole.samples_lights:
-        raise InputError(
-            f"effects.caustics={str(settings.caustics).lower()}: no mirror or glass lights a "
-            "medium here: leave it out"
-        )
     if not paths.caustics and clear(problem) and (key := _unmet(problem, paths)):
         raise InputError(
             f"effects.caustics=false: only light by way of mirrors or clear glass meets '{key}': "
@@ -260,6 +277,15 @@ def _unmet(problem: Problem, paths: Paths) -> str | None:
 
 def _cut_to(problem: Problem, paths: Paths) -> Problem:
     return dataclasses.replace(problem, integrator=problem.integrator.cut(paths))
+
+
+def _depths(whole: Integrator, settings: Effects) -> tuple[int, int]:
+    """Edges of the longest path, and of the longest that is differentiated, as set."""
+    depth = _at_most(whole.max_depth, settings.max_depth, "max_depth", "the scene's own paths have")
+    derivative = _at_most(
+        depth, settings.derivative_depth, "derivative_depth", "the paths to differentiate have"
+    )
+    return depth, derivative
 
 
 def _at_most(whole: int, asked: int | None, name: str, what: str) -> int:
@@ -307,14 +333,17 @@ def _lost(
     problem: Problem, paths: Paths, enough: float, seconds: float | None = None
 ) -> tuple[dict[str, float], float]:
     """By key: of the entries that a view sees, the share that none of ``paths`` meets, no more
-    exactly than whether it is above ``enough``; seconds spent. See ``coverage.missed``."""
+    exactly than whether it is above ``enough``; seconds spent. Nothing of the truth tells it. See
+    ``coverage.missed``."""
     kinds = [u for u in problem.unknowns if u.kind.carried]
     judged = [u for u in kinds if not (u.kind.moves_geometry or u.unseen)]
-    starts, seen = ({u.key: getattr(u, name) for u in judged} for name in ("lit", "seen"))
+    starts = {u.key: u.lit for u in judged}
+    seen = {u.key: u.seen if u.told is None else u.told for u in judged}
+    wide = {k: cone for k, cone in coverage.widest(problem).items() if k in starts}
     cut, found = _cut_to(problem, paths), ({}, 0.0)
     if judged:
         problem.unknowns.write(problem.unknowns.starts(lit=True))
-        found = coverage.missed(cut, starts, seen, enough, seconds)
+        found = coverage.missed(cut, starts, seen, enough, seconds, wide)
     problem.unknowns.write(problem.unknowns.starts())
     return found
 
@@ -324,7 +353,7 @@ def _probed(
 ) -> Plan:
     """``plan`` with what a probe of at most ``allowed`` seconds finds; from the cache where
     possible."""
-    kinds = [(u.kind.settings, u.kind.source) for u in problem.unknowns]
+    kinds = [(u.kind.settings, u.kind.source, u.low, u.high) for u in problem.unknowns]
     starts = problem.unknowns.start_hash, kinds, guests.installed()
     what = problem.content_hash, problem.target_hash, starts, described, mi.__version__
     asked = dataclasses.astuple(settings), allowed, dataclasses.astuple(plan.paths)
@@ -359,6 +388,20 @@ def _cut(row: dict) -> Cut:
     return Cut(**row | {"image": image, "gradient": gradient})
 
 
+def _empty(problem: Problem) -> bool:
+    """Of a scene that is a medium alone, whether its density is unknown and starts so thin that
+    light hardly meets it twice, which tells nothing of how often it will scatter."""
+    params = problem.unknowns.params
+    size = float(dr.max(problem.scene.shapes()[0].bbox().extents()))
+    return any(
+        factor * unknown.start.max() * size < _THIN
+        for unknown in problem.unknowns
+        if unknown.key in params
+        for _, word, factor in fed(params, unknown.key)
+        if word == "sigma_t"
+    )
+
+
 def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> Plan:
     """What pays most first: a short budget ends before the rest. The derivative's depth from the
     shortest up to one that does; the paths' own from the longest down to one that does not."""
@@ -366,7 +409,7 @@ def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> 
     checks, surfaces = 0.0, problem.integrator.samples_lights
     work = 0.0 if surfaces else probe.work()
 
-    def check(own: Paths, views: tuple[int, ...] | None = None) -> float:
+    def unmet(own: Paths, views: tuple[int, ...] | None = None) -> float:
         """The largest share of an unknown's entries that ``own`` do not meet, in ``views``. Part of
         what the plan costs, and no part of the probe's share of the budget, of which all checks
         take no more than half."""
@@ -394,12 +437,13 @@ def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> 
         samples = probe.lights(paths, list(ways)) if len(ways) > 1 else []
     # In the finish a view may see an unknown that it does not see by shorter paths.
     # And where a light comes to shine later it shines nowhere yet.
-    words = {word for unknown in problem.unknowns for word in unknown.kind.words}
-    aims = any(word.endswith(AIMS) for word in words)
+    aims = any(unknown.kind.aims for unknown in problem.unknowns)
     views = None if plan.finish or aims else probe.views()
-    if views is not None and check(paths, views) > rules.LOST:
+    if views is not None and unmet(paths, views) > rules.LOST:
         views = None  # one of the others shows in a few pixels what no more paths were to find
     ladder = [depth for depth in _LADDER if depth < paths.depth]
+    if not surfaces and _empty(problem):
+        ladder = []
     if settings.derivative_depth is None:
         for depth in ladder:
             found = of_seen(probe.cut(depth, derivative=True))
@@ -407,7 +451,7 @@ def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> 
                 break
             derivatives.append(found)
             if rules.worst(found) < settings.derivative_tolerance:
-                lost = check(dataclasses.replace(paths, derivative=depth))
+                lost = unmet(dataclasses.replace(paths, derivative=depth))
                 if lost <= rules.LOST:
                     paths = dataclasses.replace(paths, derivative=depth)
                     break
@@ -417,7 +461,7 @@ def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> 
     if settings.caustics is None and surfaces and clear(problem) and not whole:
         caustics = of_seen(probe.caustics())
         if caustics and rules.worst(caustics) < settings.tolerance:
-            lost = check(dataclasses.replace(paths, caustics=False))
+            lost = unmet(dataclasses.replace(paths, caustics=False))
             caustics = dataclasses.replace(caustics, lost=lost)
             paths = dataclasses.replace(paths, caustics=lost > rules.LOST)
     if settings.max_depth is None and not whole:
@@ -426,7 +470,7 @@ def _measured(problem: Problem, settings: Effects, probe: Probe, plan: Plan) -> 
             if found is None:
                 break
             if rules.worst(found) < settings.tolerance and depth < paths.derivative:
-                lost = check(dataclasses.replace(paths, depth=depth, derivative=depth))
+                lost = unmet(dataclasses.replace(paths, depth=depth, derivative=depth))
                 found = dataclasses.replace(found, lost=lost)
             cuts.insert(0, found)
             if not (rules.worst(found) < settings.tolerance and found.lost <= rules.LOST):

@@ -1,11 +1,11 @@
 """Short measurements that tell which light transport a gradient needs, and what it costs.
 
-All at the start values, with uniform pixels. **Depth**: one kernel traces paths of any length; with
-the same random numbers a longer path begins as the shorter one, so the difference of two gradients
-is what the longer paths add, free of the noise that both share. **Caustics**: the same with and
-without them. **Light samples**: how the noise of a gradient and the time of a step change with
-their number, and with picking them. The residual that a run is left with in the end is noise, so
-the residual here is the difference of two renderings of the same pixels.
+All at the start values, dark lights lit, with uniform pixels. **Depth**: one kernel traces paths of
+any length; with the same random numbers a longer path begins as the shorter one, so the difference
+of two gradients is what the longer paths add, free of the noise that both share. **Caustics**: the
+same with and without them. **Light samples**: how the noise of a gradient and the time of a step
+change with their number, and with picking them. The residual that a run is left with in the end is
+noise, so the residual here is the difference of two renderings of the same pixels.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class Probe:
     def __init__(self, problem: Problem, loss, seed: int, allowed: float = math.inf):
         self.problem, self.seed, self.allowed = problem, seed, allowed
         self.loss = loss.pixelwise
-        self.values = problem.unknowns.starts()
+        self.values = problem.unknowns.starts(lit=True)
         self.pixels = PixelDistribution.uniform(Tiles.over(problem.views))
         # A short look at each of several questions is worth more than a long one at the first.
         self.lanes = min(_LANES if allowed >= _LONG else _LANES // 2, problem.views.total)
@@ -119,6 +119,7 @@ class Probe:
                 break
             each = int(min(paths, most / len(unseen)))
             if each < least:
+                unknowns.write(unknowns.starts())
                 return None
             times = []
             for _ in range(3):
@@ -132,7 +133,7 @@ class Probe:
             self.paths += each * len(unseen)
             affordable = (self.allowed - self.seconds) / 2 / spent
             most = min(most, affordable * each * len(unseen))
-        unknowns.write(self.values)
+        unknowns.write(unknowns.starts())
         return None if seen.all() or not seen.any() else tuple(np.flatnonzero(seen).tolist())
 
     def work(self) -> float:
@@ -150,6 +151,7 @@ class Probe:
             if compiled:
                 self.seconds += time.perf_counter() - begun
                 self.paths += self.lanes
+        p.unknowns.write(p.unknowns.starts())
         return found
 
     def _met(self, among: np.ndarray, paths: int) -> np.ndarray:
@@ -182,7 +184,7 @@ class Probe:
         if self._whole is None:
             self._whole = self._repeated(self._any, self._all)
         own = self._whole and self._repeated(self._any, paths)
-        self.problem.unknowns.write(self.values)
+        self.problem.unknowns.write(self.problem.unknowns.starts())
         if not own:
             return None
         # Batches of the same number have the same random numbers.
@@ -208,7 +210,7 @@ class Probe:
                 break
             squares = {key: g.astype(np.float64) ** 2 for key, g in measured[1].items()}
             found.append(((samples, directions), squares, measured[2]))
-        self.problem.unknowns.write(self.values)
+        self.problem.unknowns.write(self.problem.unknowns.starts())
         return [
             Lights(*way, *noise_ratio(squares, found[0][1]), seconds / found[0][2])
             for way, squares, seconds in found

@@ -45,7 +45,11 @@ def lights(samples: Sequence[Lights]) -> tuple[Lights, str]:
     """Of the fewest samples, what has the least noise × time; and more where that is surely (95 %)
     better: more samples make fewer steps, and a run needs steps as well. Of those that are as good
     within their errors, the most: noise is what the residual is at a run's end, and earlier the
-    derivative's own noise counts for more. The first is what others are compared with."""
+    derivative's own noise counts for more. The first is what others are compared with, and taken
+    where its noise is no number, as where nothing gives light."""
+    first, samples = samples[0], [s for s in samples if math.isfinite(s.noise)]
+    if first not in samples or len(samples) < 2:
+        return first, "not measured"
     fewest, more = (
         [s for s in samples if (s.samples == samples[0].samples) == few] for few in (True, False)
     )

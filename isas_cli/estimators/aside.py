@@ -27,7 +27,7 @@ class Aside:
 
     Both sides along paths of the same random numbers, ∂ℒ/∂I from a path of its own. h is a
     hundredth of the unknown's range, or of what it is where that has no end; at the range's ends
-    the difference is to one side.
+    the difference is to one side. What rests is not rendered for.
 
     Bias: O(h²) of the images' third derivative, O(h) at an end, beside that of a loss whose
     derivative is not linear. Entries k cost two paths a pixel each, and one for all.
@@ -35,7 +35,7 @@ class Aside:
 
     def __init__(self, problem: Problem, loss, batch: int, freeze: bool):
         self.problem, self.batch = problem, batch
-        self.unknowns = [u for u in problem.unknowns if u.kind.aside]
+        self.unknowns = self._moving = [u for u in problem.unknowns if u.kind.aside]
         if self.unknowns and loss.windows is not None:
             raise InputError(
                 f"scene.unknowns: '{self.unknowns[0].key}' is found by differences of pixels by "
@@ -63,8 +63,8 @@ class Aside:
 
     @property
     def paths_per_step(self) -> int:
-        """Light paths of one estimate."""
-        entries = sum(unknown.start.size for unknown in self.unknowns)
+        """Light paths of one estimate, the latest."""
+        entries = sum(unknown.start.size for unknown in self._moving)
         return self.batch * (1 + 2 * entries if entries else 0)
 
     @property
@@ -72,25 +72,33 @@ class Aside:
         """Products so far that were left out as they were not finite. Waits."""
         return int(self._lost[0])
 
-    def sides(self, values: dict, distribution: PixelDistribution, seed: int, iteration: int):
-        """By key, for each entry, the difference of both sides' images over 2h. Leaves the scene at
-        other values than ``values``. Evaluates."""
+    def sides(
+        self,
+        values: dict,
+        distribution: PixelDistribution,
+        seed: int,
+        iteration: int,
+        spent: float,
+    ):
+        """By key of what moves at the share ``spent`` of the budget, for each entry, the difference
+        of both sides' images over 2h. Leaves the scene at other values than ``values``. Evaluates.
+        """
+        self._moving = [unknown for unknown in self.unknowns if unknown.moves(spent)]
         return {
             unknown.key: self._slopes(unknown, values, distribution, seed, iteration)
-            for unknown in self.unknowns
+            for unknown in self._moving
         }
 
     def gradients(self, slopes: dict, distribution, seed: int, iteration: int) -> dict:
-        """The estimate by key, of the scene's types, from ``sides``; with the scene at the values
-        again. Waits."""
-        if not slopes:
-            return {}
-        residual = self._render(distribution, seed, iteration, "primal")[1]
-        found = {}
-        for unknown in self.unknowns:
-            each = [self._sum(dr.sum(residual * slope)) for slope in slopes[unknown.key]]
-            sums = np.array(each) * float(self.problem.share[0])
-            found[unknown.key] = sums.reshape(unknown.start.shape).astype(np.float32)
+        """The estimate by key, of the scene's types, from ``sides``, and 0 of what rests; with the
+        scene at the values again. Waits."""
+        found = {u.key: np.zeros(u.start.shape, np.float32) for u in self.unknowns}
+        if slopes:
+            residual = self._render(distribution, seed, iteration, "primal")[1]
+        for key, each in slopes.items():
+            sums = np.array([self._sum(dr.sum(residual * slope)) for slope in each])
+            sums *= float(self.problem.share[0])
+            found[key] = sums.reshape(found[key].shape).astype(np.float32)
         return self.problem.unknowns.values_of(found)
 
     def _sum(self, terms: mi.Float) -> float:

@@ -94,6 +94,8 @@ class Estimator:
     plannable: ClassVar[bool] = True
     # Whether it moves or blurs unknowns as a whole, so that none may grow by levels.
     whole: ClassVar[bool] = False
+    # Whether its derivatives draw light by themselves, whatever the plan of effects says.
+    own_lights: ClassVar[bool] = False
     # Whether it takes losses that read windows of pixels.
     of_windows: ClassVar[bool] = False
     # Whether it asks for pictures alone, and so could do with any renderer's.
@@ -114,7 +116,7 @@ class Estimator:
 
     def fits(self, sampler: Sampler) -> None:
         """Raises InputError for a sampler whose pixels it cannot use. Needs no scene."""
-        if not self.draws and sampler.name != "uniform":
+        if not self.draws and not sampler.alike:
             raise InputError(
                 f"{self.chosen} renders whole images and draws no pixels: take sampler=uniform, "
                 f"not sampler={sampler.name}"
@@ -183,6 +185,10 @@ class Estimator:
         """What it blurs, for a sampler that needs it."""
         return None
 
+    def paths_at_once(self, problem: Problem) -> int:
+        """Light paths of its largest launch, where a drawn pixel has several."""
+        return self.batch
+
     def derivatives(self, problem: Problem) -> str:
         """How the images are differentiated, in words, for the record."""
         raise NotImplementedError
@@ -211,6 +217,9 @@ class Comparing(Estimator):
                 f"estimator.spp={self.spp} times estimator.batch={self.batch}: at most "
                 f"{MOST_LANES // 2} paths a rendering"
             )
+
+    def paths_at_once(self, problem: Problem) -> int:
+        return 2 * self.batch * self.spp  # a loss is of two renderings
 
 
 def at_least_one(settings, *names: str) -> None:

@@ -44,8 +44,8 @@ class FiniteDifferences(Gradients):
 
     Both sides with the same random numbers, each ℒ from two independent renderings. Unbiased for
     the difference quotient of a quadratic loss: the derivative up to O(h²) where ℒ is smooth, 0 on
-    a plateau. Four renderings of ``spp`` paths per drawn pixel and entry. A ``reach`` counts here
-    too (``Locality``).
+    a plateau. Four renderings of ``spp`` paths per drawn pixel and entry that moves. A ``reach``
+    counts here too (``Locality``).
     """
 
     heeds_blurs = True
@@ -56,7 +56,7 @@ class FiniteDifferences(Gradients):
         self.problem, self.batch, self.spp = problem, batch, spp
         self.blur = Blur(problem, "estimator=finite_differences")
         self.blur.check_single("estimator=finite_differences")
-        self.step = step
+        self.step, self._moving = step, self.blur.size
         self._renderings = Renderings(problem, loss, batch, self.blur, freeze, spp)
 
     @property
@@ -65,16 +65,17 @@ class FiniteDifferences(Gradients):
 
     @property
     def paths_per_step(self) -> int:
-        """Light paths of one estimate."""
-        return 4 * self.batch * self.spp * self.blur.size
+        """Light paths of one estimate, the latest."""
+        return 4 * self.batch * self.spp * self._moving
 
     def estimate(self, values: dict, distribution, seed: int, iteration: int, spent: float) -> dict:
-        """The difference quotients at ``values``, by key. Waits."""
-        θ = self.blur.vector(values)
+        """The difference quotients at ``values``, by key; 0 of what rests. Waits."""
+        θ, moving = self.blur.vector(values), self.blur.moving(spent)
+        self._moving = int(moving.sum())
         steps = self.blur.resolved(self.step * self.blur.widths(θ, 1.0), θ)
         rng = np.random.default_rng(streams.seed(seed, iteration, "offset"))
         total = np.zeros(θ.size)
-        for pair in smoothing.central(steps):
+        for pair in (each.spread(moving) for each in smoothing.central(steps[moving])):
             # At the end of a range a side is shorter.
             length = self.blur.ends(θ + pair.plus) - self.blur.ends(θ + pair.minus)
             weight = np.divide(1, length, out=np.zeros(θ.size), where=length > 0)

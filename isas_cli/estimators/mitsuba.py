@@ -12,13 +12,13 @@ import numpy as np
 from ..rendering import convex, rays, undone
 from ..rendering.own_film import OwnFilm
 from ..rendering.projective import check_lamps, projective
-from ..rendering.volume import only_emits
 from ..runtime import streams
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
 from ..unknowns import smoothing
 from ..unknowns.blur import Blur
 from ..unknowns.parameters import owner
+from ..unknowns.ranges import only_emits
 from .estimator import Estimator, Gradients, choice
 
 # What ``silhouettes`` says to the projective integrator.
@@ -133,7 +133,7 @@ class WholeImages(Gradients):
             self._accumulate(None, rng)
             return self.problem.unknowns.gradients()
         θ = self.blur.vector(values)
-        σ = self.blur.widths(θ, spent)
+        σ = self.blur.widths(θ, spent) * self.blur.moving(spent)
         total = np.zeros(θ.size)
         for _ in range(self.samples):
             at = θ + smoothing.blurred(σ, rng)

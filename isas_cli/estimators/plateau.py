@@ -96,6 +96,14 @@ class Settings(Comparing):
             return None
         return Blurred(Blur(problem, "estimator=plateau"), self.smooth)
 
+    def paths_at_once(self, problem: Problem) -> int:
+        if self.gradient == "renderer":
+            return self.batch
+        if self.smooth == "loss":
+            return super().paths_at_once(problem)
+        entries = sum(u.start.size for u in problem.unknowns) if self.scheme == "separate" else 1
+        return self.batch * max(self.spp, (self.residual_spp or self.spp * entries) // 2)
+
     def made(self, problem: Problem, loss) -> Gradients:
         if self.gradient == "renderer":
             return WholeImages(problem, loss, self.batch, self.smooth, self.pairs, self.silhouettes)
@@ -185,7 +193,7 @@ class Plateau(Gradients):
 
     @property
     def paths_per_step(self) -> int:
-        """Light paths of one estimate."""
+        """Light paths of one estimate, the latest."""
         renderings = self._renderings
         if self.smooth == "image":
             each = 2 * renderings.half + 2 * renderings.spp * self._together
@@ -195,13 +203,14 @@ class Plateau(Gradients):
 
     def estimate(self, values: dict, distribution, seed: int, iteration: int, spent: float) -> dict:
         """The gradient at ``values``, by key, in the unknowns' own shapes; the share ``spent``
-        of the budget decides the widths. Waits."""
-        θ = self.blur.vector(values)
-        σ = self.blur.widths(θ, spent)
+        of the budget decides the widths, and what rests, whose gradient is 0. Waits."""
+        θ, moving = self.blur.vector(values), self.blur.moving(spent)
+        σ = self.blur.widths(θ, spent) * moving
         # One stream for the offsets and for the seeds of the step's renderings.
         rng = np.random.default_rng(streams.seed(seed, iteration, "offset"))
         total = np.zeros(θ.size)
-        drawn = self._scheme(σ, self.pairs, rng)
+        drawn = [pair.spread(moving) for pair in self._scheme(σ[moving], self.pairs, rng)]
+        self._together = len(drawn) // self.pairs
         # One of every entry, or one of all entries.
         for number in range(self.pairs):
             pairs = drawn[number :: self.pairs]

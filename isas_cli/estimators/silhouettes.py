@@ -213,7 +213,7 @@ class ByShape(Gradients):
     @property
     def stages(self) -> tuple[float, ...]:
         """Shares of the budget at which kernels differ, for a rehearsal."""
-        return (0.0, self.undrawn) if self.undrawn else (0.0,)
+        return tuple(sorted({0.0, self.undrawn, *self.inside.stages}))
 
     @property
     def paths_per_step(self) -> int:
@@ -250,7 +250,7 @@ class ByShape(Gradients):
             unknowns.attach(values)
             total = {key: dr.zeros(type(value), value.shape) for key, value in values.items()}
         else:
-            total = self.inside.gradients(values, distribution, seed, iteration)
+            total = self.inside.gradients(values, distribution, seed, iteration, spent)
         unknowns.taken()  # what follows begins anew
         for number, (key, purposes, border) in enumerate(self.borders):
             if self.alone and not isinstance(border, _BY_OUTLINE):

@@ -17,7 +17,7 @@ class Staged(Gradients):
 
     def __post_init__(self) -> None:
         # Shares of the budget at which kernels differ, for a rehearsal.
-        self.stages = (0.0, self.until)
+        self.stages = tuple(sorted({self.until, *self.first.stages, *self.second.stages}))
         self.blurs = self.first.blurs or self.second.blurs
         self.present, self.problem = self.first, self.first.problem
 

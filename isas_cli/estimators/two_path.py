@@ -43,6 +43,10 @@ class Settings(Estimator):
     def whole(self) -> bool:
         return self.blurred
 
+    @property
+    def own_lights(self) -> bool:
+        return self.derivative_sampling
+
     def differentiated(self, problem: Problem) -> Problem:
         if self.derivative_sampling:
             return derivative_sampling.sampled(problem)
@@ -209,8 +213,14 @@ class TwoPath(Gradients):
         self._kernel = recorded(kernel, problem, freeze)
 
     @property
+    def stages(self) -> tuple[float, ...]:
+        """Shares of the budget at which kernels differ: differences begin where one first moves."""
+        begins = min((unknown.during[0] for unknown in self._aside.unknowns), default=0.0)
+        return (0.0, begins) if begins else (0.0,)
+
+    @property
     def paths_per_step(self) -> int:
-        """Light paths of one estimate."""
+        """Light paths of one estimate, the latest."""
         paths = self._paths + self.problem.integrator.paths_per_derivative
         return paths * self.batch + self._aside.paths_per_step
 
@@ -226,20 +236,26 @@ class TwoPath(Gradients):
         Without bias for ∂(κ ⋆ ℒ)/∂θ (PRDPT Eq. 8 in the space of the loss), with 0 outside an
         unknown's range, where values are clamped. Waits where it is blurred."""
         if self.blur is None:
-            return self.gradients(values, distribution, seed, iteration)
+            return self.gradients(values, distribution, seed, iteration, spent)
         θ = self.blur.vector(values)
         rng = np.random.default_rng(streams.seed(seed, iteration, "offset"))
-        at = θ + smoothing.blurred(self.blur.widths(θ, spent), rng)
-        found = self.gradients(self.blur.clamped(at), distribution, seed, iteration)
+        σ = self.blur.widths(θ, spent) * self.blur.moving(spent)
+        at = θ + smoothing.blurred(σ, rng)
+        found = self.gradients(self.blur.clamped(at), distribution, seed, iteration, spent)
         found = self.blur.vector(found)
         return self.blur.values(np.where(self.blur.inside(at), found, 0))
 
     def gradients(
-        self, values: dict, distribution: PixelDistribution, seed: int, iteration: int
+        self,
+        values: dict,
+        distribution: PixelDistribution,
+        seed: int,
+        iteration: int,
+        spent: float,
     ) -> dict:
         """The estimate at ``values``, by key, without blur."""
         drawn = distribution, seed, iteration
-        sides = self._aside.sides(values, *drawn)
+        sides = self._aside.sides(values, *drawn, spent)
         self.problem.unknowns.attach(values)
         aside = self._aside.gradients(sides, *drawn)
         self.accumulate(*drawn)

@@ -5,7 +5,7 @@ filter sees the gradient before Adam does, and Adam's step before it is taken:
 
     g' = gradient(g),    m, v ← Adam's moments of g',    θ ← moved(θ, m, v, Adam's own new θ)
 
-Entries that no view sees (``Unknown.seen``) say nothing: a bitmap is laid out in charts, and the
+Entries that no view sees (``Unknown.told``) say nothing: a bitmap is laid out in charts, and the
 texels between them belong to no surface. They have no weight in any mean over neighbours, and what
 is found for the seen ones reaches them only by `laplacian`'s coarse levels. Charts that touch in
 the bitmap are neighbours all the same, wherever they lie on the surface, and both sides of a seam
@@ -41,7 +41,7 @@ class Layout(NamedTuple):
     @staticmethod
     def of(unknown: Unknown, shape: tuple[int, ...], moving: bool) -> Layout:
         """``moving``: whether something in the scene moves. Evaluates."""
-        kind, seen = unknown.kind, unknown.seen
+        kind, seen = unknown.kind, unknown.seen if unknown.told is None else unknown.told
         if seen is None or seen.all() or kind.hides or moving:
             return Layout(tuple(shape), kind.axes)
         told = kind.coarse(seen.astype(np.float32), shape) > 0

@@ -13,7 +13,7 @@ from ..config.schema import TargetConfig
 from ..runtime import interrupt, streams
 from ..runtime.errors import InputError
 from ..scene.lenses import Lenses
-from ..scene.outside import Outside
+from ..scene.outside import Failed, Outside
 from ..scene.problem import Problem
 from ..unknowns.parameters import own
 from .integrators import Integrator, Paths
@@ -21,6 +21,8 @@ from .stratified import noise
 
 # Pictures of a view that targets are the means of: at first, and at most.
 _FEWEST, _MOST = 4, 1024
+# Raised when what is kept of them changes.
+FORMAT = 2
 
 
 @dataclass
@@ -87,7 +89,7 @@ def rendered(
     ``keep``: of ``runtime.cache.unfinished``."""
     outside = problem.integrator.outside
     wanted, noisy = target.wanted, outside.settings.noisy
-    first, second = part.get("first", 0.0), part.get("second", 0.0)
+    first, second, whole = (part.get(name, 0.0) for name in ("first", "second", "whole"))
     count = int(part.get("count", 0))
 
     def aim() -> int:
@@ -95,27 +97,41 @@ def rendered(
             return target.spp if noisy else 1
         if count < _FEWEST:
             return _FEWEST
-        has = noise(*_means(first, second, count))
+        has = np.nan_to_num(noise(*_means(first, second, whole)))
         return min(_MOST, int(np.ceil(count * (has / wanted) ** 2)))
 
     while count < aim():
-        drawn = streams.seed(target.seed, count, "target")
+        drawn = streams.seed(target.seed, count, "target") >> 8  # 24 bits, as a step's
         views = range(len(outside.sizes))
         pixels = np.concatenate([outside.picture(v, drawn).reshape(-1, 3) for v in views])
+        finite = np.isfinite(pixels).all(axis=1)
+        pixels[~finite] = 0
         with interrupt.held():
             first = first + pixels.astype(np.float64)
             second = second + np.square(pixels, dtype=float)
+            whole = whole + finite
             count += 1
-        keep(lambda: {"first": first, "second": second, "count": np.array(count)})
+        sums = {"first": first, "second": second, "whole": whole, "count": np.array(count)}
+        keep(sums.copy)
         told(count * len(pixels), max(count, aim()) * len(pixels))
-    images, variance = _means(first, second, count)
+    if missing := int((whole == 0).sum()):
+        raise Failed(
+            f"{outside.where}: {missing} pixels are no numbers in any of {count} target pictures: "
+            "give target.spp more"
+        )
+    images, variance = _means(first, second, whole)
     if not noisy:
         variance = np.zeros(len(images), np.float32)
     found = {"images": images, "variance": variance}
-    return found | {"lost": np.array(0), "paths": np.array(count * len(images))}
+    paths = count * len(images)
+    return found | {"lost": np.array(paths - int(whole.sum())), "paths": np.array(paths)}
 
 
-def _means(first, second, count: int) -> tuple[np.ndarray, np.ndarray]:
-    spread = np.maximum(second - first**2 / count, 0).mean(axis=1)
-    variance = spread / (count * (count - 1)) if count > 1 else np.full(len(spread), np.nan)
-    return (first / count).astype(np.float32), variance.astype(np.float32)
+def _means(first, second, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """``whole (n,)``: how many of a pixel were finite."""
+    images = first / np.maximum(whole, 1)[:, None]
+    spread = np.maximum(second - first * images, 0).mean(axis=1)
+    variance = np.where(whole > 1, spread / np.maximum(whole * (whole - 1), 1), np.nan)
+    if (whole > 1).any():  # of one picture nothing tells it
+        variance[whole <= 1] = np.nanmean(variance)
+    return images.astype(np.float32), variance.astype(np.float32)

@@ -17,12 +17,12 @@ from ..runtime.errors import InputError
 from ..scene.problem import Problem
 from ..unknowns.kind import THRESHOLD, WELL_SEEN
 from ..unknowns.parameters import as_numpy
+from ..unknowns.ranges import only_emits
 from ..unknowns.unknowns import Unknown
 from . import rays, undone
 from .integrators import Integrator
 from .kernels import recorded
 from .renderer import Renderer
-from .volume import only_emits
 
 _LANES = 1 << 20
 _LEAST = 1 << 10  # visits of a pass: a meter's single pixel is looked through so often
@@ -37,17 +37,28 @@ _WARM_UP = 2  # the first call compiles
 _PLACES, _LOOKED_AT = 8, 1 << 16
 _ANY = 1 << 20  # edges: as good as no limit
 _DIFFER = 1e-3  # of radiance: more than rounding
+_WIDEST = 89.0  # degrees of a spot's cone: of a right angle the tangent is infinite
+# What materials heed only beside another parameter, by their word for it.
+_ON = "give that a value, or make it unknown as well"
+_OFF = {
+    "clearcoat_gloss": f"while 'clearcoat' is 0: {_ON}",
+    "sheen_tint": f"while 'sheen' is 0: {_ON}",
+    **dict.fromkeys(("eumelanin", "pheomelanin"), "beside a 'sigma_a': take that out of the file"),
+}
 
 
 def fill_in(problem: Problem, seed: int) -> None:
     """Set ``seen`` and ``unseen`` of every unknown, from the cache where possible.
 
     Of what moves geometry, and of what paths do not carry, all entries count. The others are judged
-    by what path replay differentiates, at the start values, dark lights lit; where something moves
-    and the truth is known, also with that at its true place: an entry counts that is seen from
-    either. One that shows itself only on the way between is left out of the errors. Where entries
-    hide each other, as those of volumes do, they are judged with all unknowns at the truth, where
-    that is known and shows any.
+    by what path replay differentiates, at the start values, dark lights lit; where the truth is
+    known, also with lamps and what moves as they are in it: an entry counts that is seen by either.
+    One that shows itself only on the way between is left out of the errors. Where entries hide each
+    other, as those of volumes do, they are judged with all unknowns at the truth, where that is
+    known and shows any.
+
+    The truth says what counts in errors alone. What a run goes by, ``told``, is what is seen at the
+    start and with ``widest`` cones; where no truth is known that is what counts.
 
     Raises InputError for an unknown that was asked for and that no view sees: nothing could be
     learnt about it. Where something moves that cannot be told, and all entries of such an unknown
@@ -57,11 +68,12 @@ def fill_in(problem: Problem, seed: int) -> None:
     arrays = cached(_key(problem, seed), lambda: _judge(problem, judged, seed)) if judged else {}
     for unknown in problem.unknowns:
         unknown.seen, unknown.unseen = np.ones(unknown.start.shape, bool), False
+        unknown.told = None
     some = any(arrays[f"seen{index}"].any() for index in range(len(judged)))
     for index, unknown in enumerate(judged):
-        seen = arrays[f"seen{index}"].reshape(unknown.start.shape)
+        seen, told = (arrays[f"{w}{index}"].reshape(unknown.start.shape) for w in ("seen", "told"))
         if seen.any():
-            unknown.seen = seen
+            unknown.seen, unknown.told = seen, told if told.any() else np.ones_like(told)
         elif some and not (unknown.asked or problem.unknowns.moving):
             unknown.unseen = True
             problem.warnings.append(f"'{unknown.key}': no view sees it: it stays where it starts")
@@ -70,9 +82,12 @@ def fill_in(problem: Problem, seed: int) -> None:
             if problem.mask is not None:
                 by += " in a pixel that counts"
                 way += "let masks and weights leave pixels that show it, "
+            if problem.integrator.samples_lights and unknown.kind.words & {"sigma_t", "albedo"}:
+                way += "let paths into its medium (the integrator volpath, a shape of bsdf null), "
             raise InputError(
                 f"scene.unknowns['{unknown.key}']: no view sees it{by}, so no image can tell its "
                 f"value; {way}turn a camera towards it or take it off the list"
+                + "".join(f"; or it has no effect {_OFF[w]}" for w in unknown.kind.words & {*_OFF})
             )
 
 
@@ -103,37 +118,60 @@ def _key(problem: Problem, seed: int) -> str:
             u.kind.source,
             u.kind.settings,
             u.truth is not None,
+            (u.low, u.high),
             hashlib.blake2b(u.start.tobytes()).hexdigest(),
         )
         for u in problem.unknowns
     ]
     masked = "" if problem.mask is None else problem.target_hash
-    what = problem.content_hash, unknowns, masked, seed, guests.installed()
-    return "coverage-" + digest("coverage", 9, *what, mi.__version__, THRESHOLD, WELL_SEEN)
+    what = problem.content_hash, unknowns, masked, seed, guests.installed(), mi.variant()
+    return "coverage-" + digest("coverage", 11, *what, mi.__version__, THRESHOLD, WELL_SEEN)
 
 
 def _judge(problem: Problem, judged: list[Unknown], seed: int) -> dict[str, np.ndarray]:
-    """Which entries count as seen, by ``seen<index>`` among ``judged``."""
+    """Which entries count as seen, by ``seen<index>`` among ``judged``, and ``told<index>``."""
     unknowns = problem.unknowns
     starts = {u.key: u.lit for u in unknowns}
     seen = {u.key: np.zeros(u.start.shape, bool) for u in judged}
 
-    def look(values: dict[str, np.ndarray], at: list[Unknown]) -> None:
-        if at:
-            unknowns.write(unknowns.values_of(values))
-            found = measure(problem, {u.key: values[u.key] for u in at}, seed)
-            for u in at:
-                seen[u.key] |= u.kind.seen(found[u.key])
+    def look(
+        values: dict[str, np.ndarray], at: list[Unknown], before: dict[str, np.ndarray]
+    ) -> dict[str, np.ndarray]:
+        """``before``, and what is seen of ``at`` at ``values``."""
+        at = [u for u in at if not before[u.key].all()]
+        if not at:
+            return before
+        unknowns.write(unknowns.values_of(values))
+        found = measure(problem, {u.key: values[u.key] for u in at}, seed)
+        return before | {u.key: before[u.key] | u.kind.seen(found[u.key]) for u in at}
 
-    if problem.truth_known:
-        truths = {u.key: u.truth for u in unknowns}
-        look(truths, [u for u in judged if u.kind.hides])
+    truths = {u.key: u.truth for u in unknowns} if problem.truth_known else {}
+    if truths:
+        seen = look(truths, [u for u in judged if u.kind.hides], seen)
     others = [u for u in judged if not seen[u.key].any()]
-    look(starts, others)
-    if unknowns.moving and problem.truth_known:
-        look(starts | {key: truths[key] for key in unknowns.moving}, others)
+    told = look(starts, judged, {u.key: np.zeros(u.start.shape, bool) for u in judged})
+    seen = seen | {u.key: told[u.key] for u in others}
+    if wide := widest(problem):
+        told = look(starts | wide, judged, told)
+    if not truths:
+        seen = told
+    elif there := [u for u in unknowns if _shows(u)]:
+        seen = look(starts | {u.key: truths[u.key] for u in there}, others, seen)
     unknowns.write(unknowns.starts())
-    return {f"seen{index}": seen[u.key] for index, u in enumerate(judged)}
+    both = {"seen": seen, "told": told}
+    return {f"{w}{i}": found[u.key] for w, found in both.items() for i, u in enumerate(judged)}
+
+
+def _shows(unknown: Unknown) -> bool:
+    """Whether it decides what can be seen of others: a lamp, or what moves."""
+    kind = unknown.kind
+    return kind.moves_geometry or kind.role == "light" or kind.aims
+
+
+def widest(problem: Problem) -> dict[str, np.ndarray]:
+    """By key, the cones of spots that are unknown as wide as they may come to be."""
+    cones = [u for u in problem.unknowns if "cutoff_angle" in u.kind.words]
+    return {u.key: np.full_like(u.start, min(u.high, _WIDEST)) for u in cones}
 
 
 def measure(problem: Problem, values: dict[str, np.ndarray], seed: int) -> dict[str, np.ndarray]:
@@ -185,11 +223,13 @@ def missed(
     seen: dict[str, np.ndarray],
     enough: float,
     seconds: float | None = None,
+    other: dict[str, np.ndarray] | None = None,
 ) -> tuple[dict[str, float], float]:
     """By key of ``values``: of the entries that count as ``seen``, the share without a derivative
     by the paths of ``problem``; an upper bound, as long as it is above ``enough``. Seconds spent,
     without compiling. ``seconds``: after which to give up, or where the last paths showed little;
-    None: not before there were four paths a pixel.
+    None: not before there were four paths a pixel. ``other``: by some keys of ``values``, what
+    every second launch of paths has instead.
 
     Every path's derivative has a random sign, so that no sums vanish.
     """
@@ -201,7 +241,8 @@ def missed(
     run, stride = Pass(problem, lanes), total / lanes
 
     def trace(number: int) -> None:
-        unknowns.attach(unknowns.values_of(values))
+        at = values | (other or {}) if number % 2 else values
+        unknowns.attach(unknowns.values_of(at))
         first = int(np.random.default_rng(number).random() * stride)
         run(first, stride, streams.seed(0, number, "coverage"), True)
         sync()

@@ -46,6 +46,7 @@ import numpy as np
 
 from ..config.schema import ROUGHNESSES, roughness_of
 from ..runtime.errors import InputError
+from ..unknowns.ranges import fed
 from ..unknowns.unknowns import Unknowns
 from .integrators import InOneGo, Integrator
 from .light import by_chance, mis_weight
@@ -89,14 +90,17 @@ class DerivativeSampling(InOneGo):
         # Materials that outlive their scene break recordings of kernels for other scenes.
         self._scene = scene
         self._bsdfs = {word: [] for word in _ALPHA}
-        for key in unknowns.keys:
-            if (word := roughness_of(key)) is None:
+        for unknown in unknowns:
+            key = unknown.key
+            # A texture of its own may have any name: by what reads it, where something does.
+            words = unknown.kind.words or {roughness_of(key)}
+            if (word := next((each for each in _ALPHA if each in words), None)) is None:
                 raise InputError(
                     f"estimator.derivative_sampling=true: '{key}' is no roughness; it draws for "
                     f"derivatives by {' or '.join(ROUGHNESSES)} alone: leave it out, or this "
                     "unknown"
                 )
-            found = _holding(scene, unknowns.params.properties[key][2])
+            found = _holding(scene, [holder for holder, _, _ in fed(unknowns.params, key)])
             # Mixed and masked materials do not tell the roughness of what they are made of.
             if not found or not all(np.all(bsdf.has_attribute(word)) for bsdf in found):
                 raise InputError(
@@ -326,15 +330,17 @@ def parts_pdf(wi: mi.Vector3f, wo: mi.Vector3f, alpha: mi.Float) -> mi.Float:
     return dr.select(valid, density, 0)
 
 
-def _holding(scene: mi.Scene, owner) -> list[mi.BSDF]:
-    """BSDFs of the scene's shapes that contain the texture or BSDF ``owner``, at any depth; none
-    where others have it that instances alone show."""
+def _holding(scene: mi.Scene, takers: list) -> list[mi.BSDF]:
+    """BSDFs of the scene's shapes that contain one of ``takers`` of a parameter, at any depth; none
+    where others do that instances alone show, or where one is no BSDF."""
+    if not all(isinstance(each, mi.BSDF) for each in takers):
+        return []
     grouped = [each for each in mi.traverse(scene).hierarchy if isinstance(each, mi.Shape)]
     found, more = ([], [])
     for shapes, holding in ((scene.shapes(), found), (grouped, more)):
         for bsdf in (shape.bsdf() for shape in shapes):
             if bsdf is None or any(b is bsdf for b in (*found, *holding)):
                 continue
-            if any(entry[2] is owner for entry in mi.traverse(bsdf).properties.values()):
+            if any(each in mi.traverse(bsdf).hierarchy for each in takers):
                 holding.append(bsdf)
     return [] if more else found

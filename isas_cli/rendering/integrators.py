@@ -26,6 +26,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..runtime.errors import InputError
+from ..unknowns.ranges import only_emits
 from . import attached, replayed, volume
 from .lobes import Lobes, touched
 
@@ -322,7 +323,7 @@ class Medium(Twice):
     def __init__(self, base: mi.Integrator, medium: mi.Medium, paths: Paths | None = None):
         super().__init__(base)
         self.medium, self.has_forward = medium, True
-        self.emits = volume.only_emits(base)
+        self.emits = only_emits(base)
         self.cuts = not self.emits
         self.paths = paths or self.paths
         self.max_depth, self.rr_depth = self.paths.depth, _roulette(base, self.paths)
@@ -386,14 +387,15 @@ def adapt(
         )
     keys, medium = tuple(keys), None
     if scene is not None and not base.hide_emitters:
-        medium = volume.medium_of(scene, keys, scatters=not volume.only_emits(base))
+        medium = volume.medium_of(scene, keys, scatters=not only_emits(base))
     if "media" in _REPLAYED[type(base).__name__][0] and medium is not None:
         return Medium(base, medium)
-    if volume.only_emits(base):
+    if only_emits(base):
         raise InputError(
             f"{where}: the integrator emission is for one medium in a cube or sphere without a "
-            "surface, which the extinction's volume fills and where it is alike in all channels, "
-            "under a sky, and nothing else"
+            "surface, of normals that point outwards (a to_world that mirrors turns a cube's), "
+            "which the extinction's volume fills and where it is alike in all channels, under a "
+            "sky, and nothing else"
         )
     lobes = touched(mi.traverse(scene), keys) if keys else None
     if replayed.handles(base):

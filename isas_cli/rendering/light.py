@@ -5,6 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
+from ..unknowns import routes
 from .sky import Sky, of_map
 
 # How often one of several directions is picked by what they bring, instead of by chance alone.
@@ -30,7 +31,7 @@ def shapes_with(scene: mi.Scene, *flags: str) -> list[str]:
     in groups."""
     wanted = [getattr(mi.BSDFFlags, flag) for flag in flags]
     bsdfs = ((shape.id(), shape.bsdf()) for shape in every_shape(scene))
-    own = ((name, bsdf.flags()) for name, bsdf in bsdfs if bsdf is not None)
+    own = ((name, routes.flags(bsdf)) for name, bsdf in bsdfs if bsdf is not None)
     found = (name for name, has in own if any(mi.has_flag(has, flag) for flag in wanted))
     return list(dict.fromkeys(found))
 

@@ -41,12 +41,15 @@ def render(
     how = ["spp", target.spp] if wanted is None else ["noise", wanted]
     # What isas simulates in its place hangs on more than Mitsuba's integrator.
     simulated = type(problem.integrator).__name__
+    if problem.integrator.black_box:
+        how.append(black_box.FORMAT)
     what = problem.content_hash, simulated, *problem.unknowns.replaced()
     key = digest("target", _FORMAT, *what, how, target.seed, mi.__version__)
+    name = f"target-{key}-{mi.variant()}"  # a GPU's are not a CPU's to the last bit
 
     def compute() -> dict[str, np.ndarray]:
         problem.unknowns.write(problem.unknowns.truths())
-        with unfinished(f"target-{key}-part") as (part, keep):
+        with unfinished(f"{name}-part") as (part, keep):
             if problem.integrator.black_box:
                 return black_box.rendered(problem, target, told, part, keep)
             begun = Sums.of(part) if part else None
@@ -57,7 +60,7 @@ def render(
         found = {"images": sums.images, "variance": sums.variance}
         return found | {"lost": np.array(sums.lost), "paths": np.array(sums.paths)}
 
-    arrays = cached(f"target-{key}", compute)
+    arrays = cached(name, compute)
     lost, paths = int(arrays["lost"]), int(arrays["paths"])
     if lost:
         problem.warnings.append(f"{lost} of {paths} target paths were not finite: left out")

@@ -9,6 +9,7 @@ from dataclasses import replace
 import drjit as dr
 import mitsuba as mi
 
+from ..runtime import memory
 from ..runtime.backend import sync
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
@@ -30,7 +31,8 @@ def look(problem: Problem, where: str) -> None:
     kernel runs without being frozen: some plugins make arrays when they are first used, as a
     textured lamp does, and these must be there when a recording begins.
 
-    Raises InputError where not even that works: Mitsuba cannot trace the scene.
+    Raises InputError where not even that works: Mitsuba cannot trace the scene; and what says that
+    memory is full.
     """
     unknowns = problem.unknowns
     differentiated = {u.key: u.start for u in replayed(problem)}
@@ -51,10 +53,14 @@ def look(problem: Problem, where: str) -> None:
     try:
         anew = seconds(replace(problem, freezes=False))
     except RuntimeError as error:
+        if memory.exhausted(error):
+            raise
         raise untraceable(where, error) from error
     try:
         seconds(problem)
-    except RuntimeError:
+    except RuntimeError as error:
+        if memory.exhausted(error):
+            raise
         problem.freezes = False
         problem.warnings.append(
             "kernels of this scene cannot be frozen, as a plugin hides arrays from Dr.Jit: each is "

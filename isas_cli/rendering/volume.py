@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..runtime import backend
+from ..scene import stand_ins
 from ..unknowns.parameters import held
 from ..unknowns.ranges import fed
 
@@ -32,19 +33,15 @@ _SUNNY, _SUN = 0.2, 1e-3
 backend.plugin(f"{__package__}.emission")
 
 
-def only_emits(integrator: mi.Integrator) -> bool:
-    """Whether it is ``emission.Emission``, for which there is ``emitted``."""
-    return type(integrator).__name__ == "Emission"
-
-
 def medium_of(scene: mi.Scene, keys: Iterable[str] = (), scatters: bool = True) -> mi.Medium | None:
     """The medium, where ``trace``, or ``emitted`` unless it ``scatters``, simulates all that there
-    is: one shape, a convex shell without a surface of its own around one medium, which fills it and
-    whose extinction is alike in all channels, and a sky. ``keys``: of the scene's parameters that
-    are unknown. Where it scatters the sky has no sun, which no light sample would find, and no key
-    is of the phase function, which is not differentiated. Nor may it be of microflakes: their
-    extinction is another one in each direction, and Mitsuba draws directions otherwise than their
-    density says, so that paths that go by that density show something else."""
+    is: one shape, a convex shell without a surface of its own, of normals that point outwards,
+    around one medium, which fills it and whose extinction is alike in all channels, and a sky.
+    ``keys``: of the scene's parameters that are unknown. Where it scatters the sky has no sun,
+    which no light sample would find, and no key is of the phase function, which is not
+    differentiated. Nor may it be of microflakes: their extinction is another one in each direction,
+    and Mitsuba draws directions otherwise than their density says, so that paths that go by that
+    density show something else."""
     shapes = scene.shapes()
     if len(shapes) != 1 or scene.environment() is None or len(scene.emitters()) != 1:
         return None
@@ -54,6 +51,8 @@ def medium_of(scene: mi.Scene, keys: Iterable[str] = (), scatters: bool = True) 
     bare = shell.bsdf() is None or shell.bsdf().class_name() == "Null"
     inside = shell.interior_medium()
     if not (convex and bare) or inside is None or shell.exterior_medium() is not None:
+        return None
+    if stand_ins.inside_out(scene, shell):
         return None
     if mi.has_flag(inside.phase_function().flags(), mi.PhaseFunctionFlags.Microflake):
         return None

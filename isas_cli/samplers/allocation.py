@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import drjit as dr
 import mitsuba as mi
 
@@ -14,8 +16,10 @@ def masses(
     moments: Moments | None,
     least: float,
     rates: dict | None = None,
+    resting: Collection[str] = (),
 ) -> dict:
-    """P_k ∝ (w η C_k / h_k)^⅔ (1 + x_k)^(-4/3) by key, flat; 0 for what nothing depends on.
+    """P_k ∝ (w η C_k / h_k)^⅔ (1 + x_k)^(-4/3) by key, flat; 0 for what nothing depends on, and for
+    the keys that are ``resting`` until their stage.
 
     The minimiser of Σ_k w F_k over ΣP = 1 (``Progress`` derives F and defines all symbols):
 
@@ -42,11 +46,11 @@ def masses(
         entries = dr.maximum(mi.Float(dr.count(known)), 1)
         rate = dr.opaque(mi.Float, (rates and rates[key]) or 1.0)
         mass = dr.power(c / (h * entries * rate), 2 / 3)
-        if moments is not None and not moments.rate[key]:
-            mass = mi.Float(0)  # it rests until its stage
-        elif moments is not None:
+        if moments is not None:
             mass *= dr.power(1 + _excess(key, h, moments), -4 / 3)
-        found[key] = dr.select(known, mass, 0)
+        rests = key in resting or (moments is not None and not moments.rate[key])
+        # Opaque, or a stage that begins would compile anew.
+        found[key] = dr.select(known & dr.opaque(mi.Bool, not rests), mass, 0)
     return found
 
 
@@ -56,18 +60,18 @@ def tangents(
     moments: Moments | None,
     least: float,
     rates: dict | None = None,
+    resting: Collection[str] = (),
 ) -> dict:
-    """P_k / C_k by key, flat, the largest 1. Where no unknown is to have any mass, by ``moments``,
-    as if there were none. Evaluates."""
+    """P_k / C_k by key, flat, the largest 1. Where no unknown is to have any mass, by ``moments``
+    and what is ``resting``, as if there were neither. Evaluates."""
 
-    def along(moments: Moments | None) -> dict:
-        mass = masses(sensitivity, curvature, moments, least, rates)
+    def along(moments: Moments | None, resting: Collection[str] = ()) -> dict:
+        mass = masses(sensitivity, curvature, moments, least, rates, resting)
         return _over_sensitivity(mass, sensitivity, least)
 
-    found = along(moments)
-    if moments is not None:
-        most, plain = _most(found), along(None)
-        found = {key: dr.select(most > 0, x, plain[key]) for key, x in found.items()}
+    found, plain = along(moments, resting), along(None)
+    most = _most(found)
+    found = {key: dr.select(most > 0, x, plain[key]) for key, x in found.items()}
     most = _most(found)
     scale = dr.select(most > 0, dr.rcp(most), 0)
     found = {key: x * scale for key, x in found.items()}

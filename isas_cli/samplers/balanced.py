@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..runtime.errors import InputError
-from ..unknowns.parameters import unflat
+from ..unknowns.parameters import flat, unflat
 from .sampler import Looking, Sampler, Stage1Settings
 
 
@@ -21,6 +21,11 @@ class Shares(Looking):
 
     def look(self, values, seed, iteration, moments=None, spent=0.0) -> mi.Float:
         own = self.settings
+        for u in self.problem.unknowns:
+            # Mostly the only look, and a light that is dark as yet shows nothing of what it lights.
+            if u.lit is not u.start and not dr.any(flat(values[u.key]) != 0):
+                shape = tuple(values[u.key].shape)
+                values = values | {u.key: u.kind.value(u.kind.coarse(u.lit, shape))}
         counting = self._stage1.counting(seed, iteration)
         sensitivity = self._stage1.sensitivity(values, own.passes, seed, iteration, counting)
         tangents = {}

@@ -32,13 +32,13 @@ class Pairs(Residuals):
         self._losses = wrap(_loss_kernel(loss, samples))
 
     def look(self, values, seed, iteration, moments=None, spent=0.0) -> mi.Float:
-        θ = self.blur.vector(values)
-        σ = self.blur.widths(θ, spent)
+        θ, moving = self.blur.vector(values), self.blur.moving(spent)
+        σ = self.blur.widths(θ, spent) * moving
         rng = np.random.default_rng(streams.seed(seed, iteration, "offset_look"))
         probes = self.settings.stage1.probes
         found = [
-            self._pair(θ, σ, pair, seed, iteration * probes + probe, rng)
-            for probe, pair in enumerate(smoothing.joint(σ, probes, rng))
+            self._pair(θ, σ, pair.spread(moving), seed, iteration * probes + probe, rng)
+            for probe, pair in enumerate(smoothing.joint(σ[moving], probes, rng))
         ]
         images = [sum(kind) / len(found) for kind in zip(*found)]
         weights = dr.sqrt(dr.sum(_product([self._denoise(image) for image in images])))
@@ -88,6 +88,7 @@ class Differences(Gradient):
     uses = Sampler.uses
     needs = frozenset(("blur",))
     works = Pairs
+    staged = True
 
     # One offset shows where that one's pair differs; averages over many, where pairs do.
     stage1: Stage1Settings = field(default_factory=lambda: Stage1Settings(probes=8, average=0.7))

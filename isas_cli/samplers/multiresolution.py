@@ -114,6 +114,10 @@ class Multiresolution(Sampler):
     def needs(self) -> frozenset[str]:  # type: ignore[override]
         return self.base.needs
 
+    @property
+    def staged(self) -> bool:  # type: ignore[override]
+        return self.base.staged
+
     def due(self, iteration: int) -> bool:
         return self.base.due(iteration)
 

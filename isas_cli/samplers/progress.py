@@ -60,7 +60,9 @@ class Masses(Looking):
         weighted = noise * dr.sqrt(cost)
         dr.eval(weighted)
         sensitivity = self._stage1.sensitivity(values, passes, seed, first, weighted)
-        along = tangents(sensitivity, curvature, moments, self.settings.least, self._rates)
+        resting = [u.key for u in self.problem.unknowns if not u.moves(spent)]
+        how = moments, self.settings.least, self._rates, resting
+        along = tangents(sensitivity, curvature, *how)
         weights = mi.Float(0)
         for key, tangent in along.items():
             mean, second = self._along(values, key, tangent, passes, seed, first)

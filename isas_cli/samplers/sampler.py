@@ -226,6 +226,8 @@ class Sampler:
     # Whether it draws uniformly, with a word, where the scene's integrator does not differentiate
     # paths in forward mode, instead of being refused: what is taken by itself has to do anywhere.
     forgoes: ClassVar[bool] = False
+    # Whether it draws all pixels alike, as estimators that render whole images do.
+    alike: ClassVar[bool] = False
     # Whether its looks leave out what rests until its stage, so that one is due where a stage
     # begins.
     staged: ClassVar[bool] = False

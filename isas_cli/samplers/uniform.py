@@ -30,5 +30,6 @@ class Uniform(Sampler):
 
     uses = frozenset()
     works = Alike
+    alike = True
 
     refresh: int = 0

@@ -70,6 +70,11 @@ class Blur:
         now = [smoothing.width(b.start, b.end, b.hold, b.until, spent) for b in blurs]
         return self.resolved(np.repeat(now, self._sizes), θ)
 
+    def moving(self, spent: float) -> np.ndarray:
+        """Which entries are optimised at the share ``spent`` of the budget, ``(D,) bool``: what
+        rests is neither blurred nor rendered for."""
+        return np.repeat([u.moves(spent) for u in self.unknowns], self._sizes)
+
     def resolved(self, σ: np.ndarray, θ: np.ndarray) -> np.ndarray:
         """``σ`` raised to what single precision resolves at ``θ``, both ``(D,)``."""
         return smoothing.stable(σ, θ, np.repeat([u.scale for u in self.unknowns], self._sizes))

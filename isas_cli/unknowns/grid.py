@@ -10,14 +10,13 @@ import mitsuba as mi
 import numpy as np
 
 from ..runtime.errors import InputError
-from ..scene.file_checks import check_volume
+from ..scene.file_checks import check_volume, write_bounds
 from .kind import Kind, Loaded
-from .parameters import is_differentiable, is_grid
-from .ranges import fed
+from .parameters import is_differentiable, is_grid, owner
+from .ranges import fed, glows
 
-# Of a density that scatters: where there is none at all, no path tells that some is missing. And
-# the most, as paths cost by their collisions.
-_DENSITY = (1e-3, 1e4)
+# Of a density, as paths cost by their collisions.
+_DENSEST = 1e4
 # Points a side of what is turned before a reader.
 _SHOWN = 64
 # At the ends of its range a path's weight has no derivative, or none but it.
@@ -43,14 +42,19 @@ class Grid(Kind):
 
     def __init__(self, key: str, loaded: Loaded):
         super().__init__(key, loaded)
-        # Which are off the ends by themselves.
+        self.colours = bool(self.role)
+        box = owner(loaded.params, key).bbox()
+        ends = (np.array(end, float).ravel() for end in (box.min, box.max))
+        self._box = tuple(np.concatenate([*ends]).tolist())
         if "albedo" in self.words:
-            self.range, self.unit, self.bare = _ALBEDO, "albedo", (0.0, 0.0)
+            # Which are off the ends by themselves.
+            low, high = _ALBEDO
+            self.range = (0.0 if glows(loaded.params) else low, high)
+            self.unit, self.bare = "albedo", (0.0, 0.0)
         elif "sigma_t" in self.words:
             ends = fed(loaded.params, key)
             factor = next(factor for _, word, factor in ends if word == "sigma_t")
-            low = min(_DENSITY[0] / factor, self.bare[0])  # in thin ones less
-            self.range, self.bare = (low, _DENSITY[1] / factor), (0.0, 0.0)
+            self.range = (0.0, _DENSEST / factor)
         # Down to two points along the longest side.
         self.doublings = max(0, (max(self.present.shape[:3]) - 1).bit_length() - 1)
 
@@ -104,10 +108,12 @@ class Grid(Kind):
         return found.astype(np.float32)
 
     def files(self, array: np.ndarray) -> dict[str, bytes]:
-        """Mitsuba's own format."""
+        """Mitsuba's own format, with the box around the grid in the world: by ``use_grid_bbox`` and
+        no ``to_world`` Mitsuba puts it there, but does not turn it."""
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "grid.vol"
             mi.VolumeGrid(array).write(str(path))
+            write_bounds(path, self._box)
             return {"vol": path.read_bytes()}
 
     def volume(self, array: np.ndarray) -> "np.ndarray | None":

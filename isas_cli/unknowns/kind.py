@@ -21,13 +21,12 @@ from ..config.schema import PoseConfig
 from ..runtime import images
 from ..runtime.errors import InputError
 from .parameters import as_numpy, like
-from .ranges import bare, fed, role, usual
+from .ranges import AIMS, bare, fed, lowest, role, usual
 
 if TYPE_CHECKING:
     from ..scene.outside import Outside
     from ..scene.topology import Topology
-    from ..scene.views import Views
-    from .optics import Glass
+    from ..scene.views import Glass, Views
 
 # An entry counts as seen from this share of a well seen one's sensitivity on. Texels that only
 # light the seen ones by interreflection, or that a view grazes, lie far below it: no view pins
@@ -142,11 +141,17 @@ class Kind:
     aside: str = ""
     role: str = ""
     unheeded: Sequence[str] = ()
+    _lifting: tuple[np.ndarray, np.ndarray] | None = None  # what was lifted, and to what
 
     @property
     def source(self) -> str:
         """The class that it is of, as no other package has it."""
         return f"{type(self).__module__}.{type(self).__qualname__}"
+
+    @property
+    def aims(self) -> bool:
+        """Whether it says where a light shines."""
+        return any(word.endswith(AIMS) for word in self.words)
 
     @classmethod
     def matches(cls, params: mi.SceneParameters, key: str) -> bool:
@@ -175,6 +180,7 @@ class Kind:
         legal = (self.present >= self.range[0]) & (self.present <= self.range[1])
         kept = np.where(legal, np.clip(self.present, low, high), self.present).astype(np.float32)
         self.rewrites = not np.array_equal(kept, self.present, equal_nan=True)
+        self._lifting = (self.present, kept) if self.rewrites else None
         self.present = kept
         if self.range[0] >= 0 and self.range[1] == np.inf:
             # A light or a density, which is added to nothing: in its unit it may be small.
@@ -187,9 +193,33 @@ class Kind:
         have no derivative. An end elsewhere, beyond them or before, was asked for, and stays."""
         least, most = self.range[0] + self.bare[0], self.range[1] - self.bare[1]
         return (
-            low if low != self.range[0] else least,
+            low if low != self.range[0] else lowest(low, least, np.asarray(high)),
             high if high != self.range[1] else most,
         )
+
+    def heed(self, low: float, high: float) -> None:
+        """Be told the range that is given, before anything begins: what the scene has is lifted no
+        farther than into that."""
+        file = self._unlifted
+        if file is None:
+            return
+        low, high = self.kept(low, high)
+        least, most = np.minimum(file, self.present), np.maximum(file, self.present)
+        self.present = np.clip(np.clip(file, low, high), least, most)
+        self._lifting = file, self.present
+        self.rewrites = not np.array_equal(self.present, file, equal_nan=True)
+
+    @property
+    def _unlifted(self) -> np.ndarray | None:
+        """``present`` before it was lifted, unless the kind has made another array of it."""
+        file, lifted = self._lifting or (None, None)
+        return file if lifted is self.present else None
+
+    @property
+    def lifted(self) -> int:
+        """How many numbers of the scene were lifted from the lower end of their range."""
+        file = self._unlifted
+        return 0 if file is None else int((file < self.present).sum())
 
     def value(self, array: np.ndarray):
         """``array`` as the Dr.Jit value that estimators differentiate by, the *leaf*."""

@@ -10,58 +10,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..config.photographs import LENS
-from ..scene.views import Views
+from ..scene.views import CENTRE_X, CENTRE_Y, FOCAL, RADIAL, Glass, Views
 from .cameras import OfCameras
 from .kind import Loaded
 from .parameters import own
 
-# Numbers of a lens as ``Views.lens`` has them.
-FOCAL, CENTRE_X, CENTRE_Y, RADIAL = range(4)
-# What may be unknown → which numbers these are.
-PARTS = dict(zip(LENS, ([FOCAL], [CENTRE_X, CENTRE_Y], [RADIAL])))
 # The farthest that one moves the picture's margin, as a share of the picture's half width.
 _FARTHEST = 0.5
-
-
-@dataclass(frozen=True)
-class Glass:
-    """The lenses of some views: ``of (V,)``: the number of each view's, -1 where nothing of it is
-    unknown; ``focal``, ``width (V,)``:
-    pixels; ``axes (V, 3, 3)``: of each camera to the right, down and forward, in the world, rows;
-    ``parts``: of PARTS, what is unknown, in their order; ``names``: of the lenses."""
-
-    of: np.ndarray
-    focal: np.ndarray
-    width: np.ndarray
-    axes: np.ndarray
-    parts: tuple[str, ...]
-    names: tuple[str, ...]
-
-    def of_views(self, start: int, stop: int) -> "Glass":
-        cut = slice(start, stop)
-        arrays = (each[cut] for each in (self.of, self.focal, self.width, self.axes))
-        return Glass(*arrays, self.parts, self.names)
-
-    @property
-    def columns(self) -> list[int]:
-        return [number for part in self.parts for number in PARTS[part]]
-
-    @property
-    def table(self) -> np.ndarray:
-        """``OfCameras``'s."""
-        columns = self.columns
-        found = np.full((len(self.of), 4), -1)
-        found[:, columns] = self.of[:, None] * len(columns) + np.arange(len(columns))
-        return np.where(self.of[:, None] < 0, -1, found)
-
-    @property
-    def sizes(self) -> np.ndarray:
-        """What moves the middle of the picture's side by a pixel: a share of the focal length, the
-        principal point on the plane at distance 1, k of r (1 + k r²) there."""
-        half = self.width / 2
-        away = half / self.focal
-        return np.stack([1 / half, 1 / self.focal, 1 / self.focal, away**-3 / self.focal], axis=1)
 
 
 class Lens(OfCameras):

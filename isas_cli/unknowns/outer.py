@@ -23,8 +23,9 @@ class Outer(Kind):
     def __init__(self, key: str, loaded: Loaded):
         self.key, self.writes = key, []
         self._outside, self._type = loaded.outside, mi.TensorXf
-        self.present = np.atleast_1d(loaded.outside.values[key]).copy()
-        self.range, self.unit = (-1e6, 1e6), ""
+        self.present = np.atleast_1d(loaded.outside.values[key]).astype(np.float32)
+        # Nobody knows which parameters are alike.
+        self.range, self.unit = (-1e6, 1e6), f"unit of {key}"
         self.scale = min(1.0, float(np.abs(self.present).max(initial=0.0))) or 1.0
 
     def write(self, leaf, written: dict) -> None:

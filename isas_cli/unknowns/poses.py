@@ -277,7 +277,8 @@ def _refusal(kind: str, id: str, params: mi.SceneParameters) -> str:
     key = f"{id}.to_world"
     if key not in params:
         return ""
-    what = owner(params, key).class_name()
+    holder = owner(params, key)
+    what = holder.class_name()
     if what == "SDFGrid" and kind == "rotation":
         return (
             "Mitsuba shows a turned sdfgrid with holes: put it into a shapegroup and turn an "
@@ -285,6 +286,9 @@ def _refusal(kind: str, id: str, params: mi.SceneParameters) -> str:
         )
     if what in _SIZELESS and kind == "scale":
         return "Mitsuba scales no camera with a perspective: leave it out"
+    far = isinstance(holder, mi.Emitter) and mi.has_flag(holder.flags(), mi.EmitterFlags.Infinite)
+    if far and kind != "rotation":
+        return "it is infinitely far away, so that only a rotation of it shows: leave it out"
     turn = np.array(params[key].matrix, np.float64).reshape(4, 4)[:3, :3]
     if what in _TURNED and np.linalg.det(turn) < 0:
         return (

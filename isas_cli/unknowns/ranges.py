@@ -84,7 +84,7 @@ _BARE = {
     "eta": (_SHARE, 0.0),  # of a metal at 0
 }
 _UNITS = {
-    **{word: word for word in ("radiance", "intensity", "irradiance")},
+    **{word: word for word in ("radiance", "intensity", "irradiance", "scale")},
     "sigma_t": "1 / scene unit",
     **dict.fromkeys(("cutoff_angle", "beam_width", "scale_tilt"), "degrees"),
 }
@@ -209,7 +209,9 @@ def _uses(params: mi.SceneParameters) -> dict[mi.Object, list[tuple[mi.Object, s
 def bare(params: mi.SceneParameters, key: str) -> tuple[float, float]:
     """How far values are kept from the lower and the upper end of ``usual``."""
     told = [(word, factor) for _, word, factor in fed(params, key)]
-    ends = [_BARE.get(word, (0.0, 0.0)) for word, _ in told]
+    ends = [
+        _BARE.get(word, (0.0, 0.0)) for word, _ in told if word != "albedo" or not glows(params)
+    ]
     factors = [factor for word, factor in told if word == "sigma_t"]
     if factors:
         # By a scene's unit of length, and by what its numbers are multiplied with: 1e-3 may be more
@@ -220,9 +222,21 @@ def bare(params: mi.SceneParameters, key: str) -> tuple[float, float]:
     return max((a for a, _ in ends), default=0.0), max((b for _, b in ends), default=0.0)
 
 
+def glows(params: mi.SceneParameters) -> bool:
+    """Whether the scene's medium emits (``emission``): its albedo is a radiance, which may be 0."""
+    scenes = (each for each in params.hierarchy if isinstance(each, mi.Scene))
+    return any(only_emits(each.integrator()) for each in scenes)
+
+
+def only_emits(integrator: mi.Integrator) -> bool:
+    """Whether it is ``emission.Emission``, for which there is ``volume.emitted``."""
+    return type(integrator).__name__ == "Emission"
+
+
 def lowest(low: float, least: float, start: np.ndarray) -> float:
     """Above the end ``low`` of a range, what values stay above: ``least``, or a share of a
-    ``start`` all of which is nearer to that end, if by more than a hair."""
+    ``start`` all of which is nearer to that end, if by more than a hair; so of a range's other end.
+    """
     apart = float(start.max()) - low
     return low + _SHARE * apart if _HAIR < apart < least - low else least
 

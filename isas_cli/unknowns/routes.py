@@ -7,6 +7,9 @@ directions of mirrors and clear glass. benchmarks/derivatives.py measures all th
 
 from __future__ import annotations
 
+import functools
+import operator
+
 import mitsuba as mi
 import numpy as np
 
@@ -25,6 +28,8 @@ _ASIDE = {
 _SPLATS = "Ellipsoids", "EllipsoidsMesh"
 # What turns the frame that a material scatters in.
 _TURNING = "normalmap", "nested_texture"
+# Materials that have the lobes of what they are made of, and no other.
+_OF_PARTS = "BlendBSDF", "TwoSidedBRDF", "BumpMap", "NormalMap"
 
 
 def aside(params: mi.SceneParameters, key: str) -> str:
@@ -51,10 +56,16 @@ def refusal(params: mi.SceneParameters, key: str) -> str:
             if inside is not None and inside.class_name() == "Null":
                 return "it changes nothing: what it masks lets all light through, as a gap does"
     for holder, word, _ in fed(params, key):
-        if word in _TURNING and discrete(holder):
+        sharp = mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission
+        if word in _TURNING and flags(holder) & sharp:
             return (
                 "it turns what mirrors and clear glass show, which path replay does not "
                 "differentiate: give the material under it a roughness"
+            )
+        if word == "spec_trans" and _two_sided(params, holder):
+            return (
+                "twosided takes no material that lets light through: take it away, or leave this "
+                "out"
             )
     return ""
 
@@ -66,7 +77,25 @@ def channels(params: mi.SceneParameters, key: str) -> int:
     return int(np.prod(np.shape(params[key]))) // max(1, count)
 
 
+def _two_sided(params: mi.SceneParameters, bsdf: mi.BSDF) -> bool:
+    """Whether a material is, at any depth, within one of two sides."""
+    wholes = (each for each in params.hierarchy if each.class_name() == "TwoSidedBRDF")
+    return any(bsdf in mi.traverse(whole).hierarchy for whole in wholes)
+
+
+def flags(bsdf: mi.BSDF) -> int:
+    """What lobes a material has, as ``mi.BSDFFlags``; of hair without the gap that Mitsuba lists
+    for it and never draws."""
+    name = bsdf.class_name()
+    if name in _OF_PARTS:
+        parts = (each for _, each in held(bsdf) if isinstance(each, mi.BSDF))
+        return functools.reduce(operator.or_, map(flags, parts))
+    return bsdf.flags() & ~mi.BSDFFlags.Null if name == "Hair" else bsdf.flags()
+
+
 def discrete(bsdf: mi.BSDF) -> list[int]:
     """The numbers of a material's lobes that have no density."""
-    flags = (bsdf.flags(number) for number in range(bsdf.component_count()))
-    return [k for k, own in enumerate(flags) if mi.has_flag(own, mi.BSDFFlags.Delta)]
+    if not mi.has_flag(flags(bsdf), mi.BSDFFlags.Delta):
+        return []
+    every = (bsdf.flags(number) for number in range(bsdf.component_count()))
+    return [k for k, own in enumerate(every) if mi.has_flag(own, mi.BSDFFlags.Delta)]

@@ -34,6 +34,12 @@ class Pair:
     minus: np.ndarray
     weight: np.ndarray
 
+    def spread(self, among: np.ndarray) -> "Pair":
+        """Of more entries: these are ``among`` (bool) them, and the others stay where they are."""
+        whole = np.zeros((3, among.size))
+        whole[:, among] = self.plus, self.minus, self.weight
+        return Pair(*whole)
+
 
 def joint(σ: np.ndarray, count: int, rng: np.random.Generator) -> list[Pair]:
     """``count`` pairs, each for all D unknowns at once: two values of f, whatever D is.

@@ -205,11 +205,25 @@ def _check_cones(unknowns: dict[str, Unknown]) -> None:
         holder, _, word = key.rpartition(".")
         cone = unknowns.get(f"{holder}.cutoff_angle") if word == "beam_width" else None
         if cone is not None and not beam.high < cone.low:
-            middle = float(beam.start.item() + cone.start.item()) / 2
-            raise InputError(
+            beams, cones = (
+                [each.item() for each in (u.start, u.truth) if each is not None]
+                for u in (beam, cone)
+            )
+            below, above = max(beams), min(cones)
+            might = (
                 f"scene.unknowns: '{key}' may be up to {beam.high:g} and '{cone.key}' from "
-                f"{cone.low:g} on, so that they might cross: give both a range, such as "
-                f"[{beam.low:g}, {middle - 0.1:g}] and [{middle:g}, {cone.high:g}]"
+                f"{cone.low:g} on, so that they might cross"
+            )
+            if below >= above:
+                raise InputError(
+                    f"{might}, and no ranges part a beam of {below:g} from a cone of {above:g}: "
+                    "let starts and truths of the beam lie below those of the cone, or leave one "
+                    "of the two out"
+                )
+            middle, apart = (below + above) / 2, min(0.1, (above - below) / 4)
+            raise InputError(
+                f"{might}: give both a range, such as "
+                f"[{beam.low:g}, {middle - apart:g}] and [{middle:g}, {cone.high:g}]"
             )
 
 
@@ -268,18 +282,35 @@ def _held_by(params: mi.SceneParameters, key: str, valid: list[str]) -> list[str
     return [f"'{each}'" for each in same if rest and within(owner(params, each))]
 
 
+def _instead(key: str, low: float, high: float, own: np.ndarray) -> str:
+    """What to do where the scene's ``own`` value lies outside its range."""
+    if high == 1 < own.max() <= 255 and "vertex_" in key and own.min() >= 0:
+        return (
+            "Mitsuba takes a mesh's colours of 8 bits as they stand, up to 255: divide them by 255"
+        )
+    return f"give range: {around(low, high, own)}"
+
+
 def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool, begins: bool) -> Unknown:
     where = f"scene.unknowns['{kind.key}']"
-    start = _start(spec.start, kind, loaded, truth_known)
     low, high = _range(spec.range, kind)
+    if spec.range is not None:
+        kind.heed(low, high)
+    start = _start(spec.start, kind, loaded, truth_known)
     if kind.all_of is not None and not (low <= kind.all_of[0] and high >= kind.all_of[1]):
         raise InputError(
             f"{where}.range: a {kind.name} has length 1 after every step, whatever the range: "
             "leave it out"
         )
-    inside = np.all(np.isfinite(start)) and start.min() >= low and start.max() <= high
-    if begins and not inside:
-        raise InputError(f"{where}.start lies outside its range [{low:g}, {high:g}]")
+    finite = np.all(np.isfinite(start))
+    if begins and not (finite and start.min() >= low and start.max() <= high):
+        told = f"lies outside its range [{low:g}, {high:g}]"
+        if spec.start is not None:
+            raise InputError(f"{where}.start {told}")
+        instead = _instead(kind.key, low, high, start) if finite else "mend its file"
+        raise InputError(
+            f"{where}: the scene's own value, the start, {told}; {instead}, or give another start"
+        )
     reason = begins and kind.refusal(start)
     if reason:
         raise InputError(f"{where}.start: {reason}")
@@ -294,15 +325,9 @@ def _unknown(kind: Kind, spec, loaded: Loaded, truth_known: bool, begins: bool) 
             "not finite: mend its file"
         )
     if truth is not None and (truth.min() < low or truth.max() > high):
-        in_bytes = high == 1 < truth.max() <= 255 and "vertex_" in kind.key and truth.min() >= 0
-        instead = (
-            "Mitsuba takes a mesh's colours of 8 bits as they stand, up to 255: divide them by 255"
-            if in_bytes
-            else f"give range: {around(low, high, truth)}"
-        )
         raise InputError(
             f"{where}: the scene's own value, the truth, is outside its range "
-            f"[{low:g}, {high:g}]; {instead}"
+            f"[{low:g}, {high:g}]; {_instead(kind.key, low, high, truth)}"
         )
     reason = truth is not None and kind.refusal(truth)
     if reason:

@@ -13,6 +13,13 @@ from .kind import Kind, Loaded, picture
 from .parameters import is_differentiable, like, owner
 from .ranges import fed
 
+# What materials take of a texture as one number: of three channels Mitsuba has the luminance.
+_NUMBERS = frozenset(
+    ("roughness", "alpha", "alpha_u", "alpha_v", "metallic", "anisotropic", "specular")
+    + ("spec_tint", "spec_trans", "diff_trans", "flatness", "sheen", "sheen_tint", "clearcoat")
+    + ("clearcoat_gloss", "opacity", "weight", "nested_texture")
+)
+_GREY = 0.01  # by which channels of a grey picture may differ
 # Of a to_uv of a lesser determinant all coordinates lie on a line.
 _FLAT = 1e-12
 
@@ -60,6 +67,17 @@ class Texture(Kind):
         if array.any() or not self._lamp:
             return None
         return "a lamp's picture that is zero everywhere cannot be sampled; above 0 somewhere"
+
+    def warnings(self) -> list[str]:
+        # Of other materials ``specular`` is a colour.
+        single = self.words and self.words <= _NUMBERS and not self.role
+        if not single or np.ptp(self.present, axis=2).max() <= _GREY:
+            return []
+        takes = f"{', '.join(sorted(self.words))} take{'s' if len(self.words) == 1 else ''}"
+        return [
+            f"'{self.key}': {takes} the brightness of three channels, which images do not tell "
+            "apart: give a picture of one channel"
+        ]
 
     def pictures(self, array: np.ndarray) -> dict[str, np.ndarray]:
         return picture(array)

@@ -48,6 +48,14 @@ def test_thin_media_need_fewer_scatterings_than_thick_ones():
     assert found["thick"].work > 0.25 * least
 
 
+def test_a_start_that_is_as_good_as_empty_shortens_no_paths():
+    """Light scatters once there, if at all, and many times in what it is to become."""
+    p = filled(3.0, 0.95, 1e-3)
+    plan = decided(p, 60.0)
+    p.unknowns.write(p.unknowns.starts())
+    assert plan.paths.depth == plan.paths.derivative == 8 and plan.work > 0
+
+
 def test_depths_can_be_set_and_no_light_samples():
     p = filled(1.0, 0.6)
     plan = decided(p, max_depth=3, derivative_depth=2)

@@ -15,6 +15,7 @@ from scenes_for_tests import (
     dictionary,
     problem,
     render_targets,
+    under_spots,
     without_targets,
 )
 
@@ -28,10 +29,11 @@ from isas_cli.effects.settings import Effects
 from isas_cli.engine.evaluate import Evaluator
 from isas_cli.estimators.staged import Staged
 from isas_cli.losses import L2
-from isas_cli.rendering import coverage
+from isas_cli.rendering import coverage, targets
 from isas_cli.rendering.integrators import Paths, adapt
 from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns import cameras
+from isas_cli.unknowns.parameters import as_numpy
 
 WALL = "wall.bsdf.reflectance.value"
 ONE = {"light_samples": [1, 1], "directions": 1}  # which then are not measured
@@ -232,6 +234,11 @@ def test_light_samples_are_more_only_where_that_pays():
     assert rules.lights([one, picked, surely])[0] is surely
     dear = dataclasses.replace(picked, time=2.1)
     assert rules.lights([one, dear, paying])[0] is paying
+    dark = dataclasses.replace(picked, noise=math.nan)
+    assert rules.lights([one, dark, paying])[0] is paying
+    none = dataclasses.replace(one, noise=math.nan)
+    assert rules.lights([none, dark, paying]) == (none, "not measured")
+    assert rules.lights([one, dark]) == (one, "not measured")
 
 
 def test_a_run_by_iterations_has_all_effects_and_no_probe(monkeypatch):
@@ -305,6 +312,26 @@ def test_entries_are_asked_for_no_longer_than_is_allowed(monkeypatch):
     assert hasty > 0.5 > patient
 
 
+def test_entries_that_a_wider_cone_lights_are_met_there(monkeypatch, tmp_path):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    scene = under_spots(spot={"cutoff_angle": 40.0, "beam_width": 5.0})
+    p = without_targets(scene, {TEXTURE: 0.5, "spot.cutoff_angle": 10.0})
+    coverage.fill_in(p, 0)
+    assert planning._lost(p, p.integrator.paths, 0.01)[0][TEXTURE] < 0.1
+
+
+def test_a_probe_lights_what_starts_dark_and_leaves_it_dark():
+    dark = dict.fromkeys(("sky.radiance.value", "lamp.emitter.radiance.value"), 0.0)
+    p = problem({TEXTURE: 0.5} | dark)
+    measured = Probe(p, L2(), 3)
+    found = measured.lights(p.integrator.paths, [((1, 1), 1), ((4, 4), 1)])
+    assert all(math.isfinite(each.noise) for each in found)
+    assert not any(as_numpy(p.unknowns.leaves[key]).any() for key in dark)
+    share = measured.cut(2, True).gradient[TEXTURE]
+    assert 0 <= share.value < 1
+    assert not any(as_numpy(p.unknowns.leaves[key]).any() for key in dark)
+
+
 def test_what_is_set_is_done():
     p = problem({TEXTURE: 0.5}, depth=4)
     plan = decided(p, max_depth=2, light_samples=[3, 2], finish=0.3)
@@ -347,6 +374,23 @@ def test_what_is_not_set_is_measured(monkeypatch, tmp_path):
     monkeypatch.setattr(Probe, "lights", lambda self, paths, ways: asked(self, paths, ways[:1]))
     short = decided(p, 60.0, **depths).paths
     assert (short.lights, short.directions) == ((1, 1), 4), "one that was measured is not preferred"
+
+
+def test_a_derivative_that_draws_its_own_light_has_no_say_in_light_samples(monkeypatch, tmp_path):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    p = problem({ROUGHNESS: 0.5}, depth=4)
+    made = configured("estimator", "two_path", {"derivative_sampling": True})
+
+    def plan_of(seconds=None, **settings):
+        return effects.decide(p, Effects(**settings), made, L2(), seconds)
+
+    monkeypatch.setattr(Probe, "lights", None)
+    plan = plan_of(60.0, max_depth=4, derivative_depth=4)
+    assert plan.samples == () and plan.paths.lights == (1, 1)
+    told = plan.statements["light samples"]
+    assert told == "1 for a residual, each picked from 4 directions; the derivative draws its own"
+    told = plan_of(light_samples=[4, 16], directions=1).statements["light samples"]
+    assert told == "4 for a residual; the derivative draws its own: as set"
 
 
 def test_nothing_is_cut_while_differences_need_it(monkeypatch, tmp_path):
@@ -513,7 +557,7 @@ def test_what_leaves_paths_to_mitsuba_cannot_be_planned():
 
 def test_a_staged_run_takes_the_second_estimator_at_the_end():
     class Named:
-        problem, blurs = None, False
+        problem, blurs, stages = None, False, (0.0,)
 
         def __init__(self, name, paths):
             self.name, self.paths_per_step = name, paths
@@ -524,12 +568,27 @@ def test_a_staged_run_takes_the_second_estimator_at_the_end():
     staged = Staged(Named("cheap", 10), Named("full", 30), 0.75)
     told = [(staged.estimate({}, None, 1, 0, s), staged.paths_per_step) for s in (0, 0.74, 0.75, 1)]
     assert told == [("cheap", 10), ("cheap", 10), ("full", 30), ("full", 30)]
+    assert staged.stages == (0.0, 0.75)
 
 
 TINY = [
     *("scene=pottery", "size=tiny", "sampler=uniform", "target.spp=4", "estimator.batch=256"),
     *("evaluation.pixels=512", *QUIET),
 ]
+
+
+@pytest.mark.parametrize(
+    "settings, told",
+    [
+        (["effects.max_depth=2", "effects.derivative_depth=3"], "effects.derivative_depth=3: the"),
+        (["estimator=mitsuba", "effects.max_depth=2"], "estimator=mitsuba leaves the paths to"),
+    ],
+)
+def test_what_cannot_be_had_is_refused_before_targets_are_rendered(
+    settings, told, monkeypatch, refused
+):
+    monkeypatch.setattr(targets, "render", None)
+    refused(["run", *TINY, *settings], told)
 
 
 def test_a_run_says_what_it_left_out(tmp_path, capsys):

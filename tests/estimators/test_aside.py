@@ -10,6 +10,7 @@ import pytest
 from montecarlo import welch
 from scenes_for_tests import without_targets
 
+from isas_cli.config.schema import UnknownConfig
 from isas_cli.engine import assemble
 from isas_cli.estimators import aside
 from isas_cli.estimators.two_path import TwoPath
@@ -21,7 +22,7 @@ from isas_cli.unknowns import routes
 SEEDS, BATCH = 24, 1 << 14
 
 
-def problem(material: dict, unknowns: dict[str, float]):
+def problem(material: dict, unknowns: dict[str, float | UnknownConfig]):
     place = mi.ScalarTransform4f()
     description = {
         "type": "scene",
@@ -108,6 +109,21 @@ def test_gradients_of_a_mask_and_of_its_complement_add_up():
     assert one != 0 != other
 
 
+def test_what_rests_is_not_rendered_for():
+    later = UnknownConfig(start=0.2, during=[0.5, 1])
+    p = problem({"type": "roughplastic", "alpha": 0.2}, {"alpha": later, "eta": 1.4})
+    uniform, estimator = PixelDistribution.uniform(Tiles.over(p.views)), TwoPath(p, L2(), 1024)
+    assert estimator.stages == (0.0,)  # differences are taken from the start
+    for spent, entries in ((0.0, 1), (0.5, 2)):
+        found = estimator.estimate(p.unknowns.starts(), uniform, 1, 3, spent)
+        assert estimator.paths_per_step == (2 + 1 + 2 * entries) * 1024
+        moved = [float(np.ravel(found[f"ball.bsdf.{key}"])[0]) != 0 for key in ("alpha", "eta")]
+        assert moved == [entries == 2, True]
+    colour = "diffuse_reflectance.value"
+    p = problem({"type": "roughplastic", "alpha": 0.2}, {"alpha": later, colour: 0.4})
+    assert TwoPath(p, L2(), 1024).stages == (0.0, 0.5)
+
+
 def test_what_can_be_told_by_no_one_is_refused():
     scene = mi.load_dict(
         {
@@ -136,6 +152,8 @@ def test_a_density_alike_everywhere_is_warned_of():
     assert "wrong" in assemble._flat_densities([One], object())[0]
     One.start = np.random.default_rng(0).random((2, 2, 2, 1))
     assert assemble._flat_densities([One], object()) == []
+    One.start = np.where(np.arange(64) < 16, 2.0, 1e-3).reshape(4, 4, 4, 1)  # a mask
+    assert "25% of its start is as dense" in assemble._flat_densities([One], object())[0]
 
 
 def test_a_step_is_as_small_as_what_it_changes():

@@ -20,7 +20,7 @@ from isas_cli.estimators.silhouettes import ByShape
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.rendering import integrators
 from isas_cli.runtime.errors import InputError
-from isas_cli.samplers.uniform import Alike
+from isas_cli.samplers.uniform import Alike, Uniform
 
 MADE = {
     "two_path": TwoPath,
@@ -93,6 +93,10 @@ def test_which_samplers_go_with_it(estimator):
         else:
             with pytest.raises(InputError, match=rf"sampler={name}|sampler={sampler.name}"):
                 settings.fits(sampler)
+
+
+def test_whole_images_go_with_a_sampler_of_ones_own_that_draws_alike():
+    configured("estimator", "mitsuba").fits(type("Even", (Uniform,), {})())
 
 
 def volumetric():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from blurred_gradients import BATCH, LEVEL, made, p_value, references_of, rows, unbiased, uniform
 from crosses import crossed, some
-from poses_for_tests import AT, COLOUR, PLACE, SIGMA, blurred_problem
+from poses_for_tests import AT, COLOUR, PLACE, RADIANCE, SIGMA, blurred_problem
 from scenes_for_tests import means
 from scipy import stats
 
@@ -344,6 +344,54 @@ def test_every_unknown_has_a_schedule_of_its_own():
         (1.0, (0.1, 0.2)),
     ):
         assert blur.widths(np.array(AT), progress) == pytest.approx(expected)
+
+
+def places_of(p, monkeypatch) -> list[float]:
+    """Where the ball comes to be from now on."""
+    update, places = p.unknowns._update, []
+    monkeypatch.setattr(
+        *(p.unknowns, "_update"),
+        lambda new: (places.append(float(dr.detach(new[PLACE])[0])), update(new)),
+    )
+    return places
+
+
+@pytest.mark.parametrize("scheme, paths", [("joint", (4, 4)), ("separate", (4, 6)), (None, (4, 8))])
+def test_what_rests_is_neither_blurred_nor_rendered_for(scheme, paths, monkeypatch):
+    """``scheme`` None: central differences. Beside it the slopes are those of what moves alone."""
+    p = blurred_problem(glows=True)
+    p.unknowns[PLACE].during = (0.5, 1.0)
+    if scheme is None:
+        estimator = FiniteDifferences(p, losses.L2(), BATCH, 1.0)
+    else:
+        estimator = made(p, smooth="image", scheme=scheme)
+    values, places = p.unknowns.starts(), places_of(p, monkeypatch)
+    found = estimator.estimate(values, uniform(p), 7, 3, 0.0)
+    assert set(places) == {float(np.float32(AT[0]))}
+    assert float(found[PLACE][0]) == 0 != float(found[RADIANCE][0])
+    assert estimator.paths_per_step == paths[0] * BATCH
+    found = estimator.estimate(values, uniform(p), 7, 3, 0.5)
+    assert len(set(places)) > 1 and float(found[PLACE][0]) != 0
+    assert estimator.paths_per_step == paths[1] * BATCH
+
+
+@pytest.mark.parametrize("who", some(("sampler", "renderer"), ("sampler",)))
+def test_nor_is_it_where_pixels_are_chosen_or_paths_differentiated(who, monkeypatch):
+    p = blurred_problem(glows=True)
+    p.unknowns[PLACE].during = (0.5, 1.0)
+    if who == "sampler":
+        stage1 = Stage1Settings(resolution=8, probes=2, denoise="none")
+        blurred = Blurred(Blur(p, "test"), "image")
+        sampler = Differences(stage1=stage1).on(p, losses.L2(), BATCH, blurred=blurred)
+        at = lambda spent: sampler.look(p.unknowns.starts(), 3, 0, None, spent)
+    else:
+        estimator = WholeImages(p, losses.L2(), BATCH, "image", silhouettes="direct")
+        at = lambda spent: estimator.estimate(p.unknowns.starts(), uniform(p), 7, 3, spent)
+    places = places_of(p, monkeypatch)
+    at(0.0)
+    assert set(places) == {float(np.float32(AT[0]))}
+    at(0.5)
+    assert len(set(places)) > 1
 
 
 @pytest.mark.parametrize("method", some(("kernel", "renderer"), ("kernel",)))

@@ -135,6 +135,24 @@ def test_a_blurred_gradient_is_the_mean_over_the_blur():
     assert abs(np.mean(found) - middle) > 4 * error, "the case shows nothing"
 
 
+def test_what_rests_is_not_blurred(monkeypatch):
+    p, places = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}), []
+    for unknown in p.unknowns:
+        unknown.blur = BlurConfig(start=0.1, end=0.1)
+    p.unknowns[TEXTURE].during = (0.5, 1.0)
+    estimator = TwoPath(p, losses.L2(), BATCH, blurred=True)
+    uniform, values = PixelDistribution.uniform(Tiles.over(p.views)), p.unknowns.starts()
+    gradients = estimator.gradients
+    monkeypatch.setattr(
+        estimator, "gradients", lambda at, *given: places.append(at) or gradients(at, *given)
+    )
+    for spent in (0.0, 0.5):
+        estimator.estimate(values, uniform, 1, 0, spent)
+    p.unknowns.write(values)
+    moved = [[bool(dr.any(flat(at[key]) != 0.5)) for key in (TEXTURE, ROUGHNESS)] for at in places]
+    assert moved == [[False, True], [True, True]]
+
+
 def test_beyond_an_end_of_its_range_a_blurred_gradient_is_none(monkeypatch):
     """Of what is clamped there; at the end itself it is that of the same image."""
     p = problem({ROUGHNESS: 0.5})

@@ -31,6 +31,7 @@ RIGHT = [
     ("thindielectric", "thing.bsdf.specular_transmittance.value"),
     ("principled", "thing.bsdf.specular"),
     ("roughplastic", "thing.bsdf.alpha"),
+    ("hair", "thing.bsdf.eumelanin"),
 ]
 
 
@@ -111,7 +112,8 @@ def test_what_the_census_does_not_know_is_said():
 
 def test_what_the_census_found_wrong_runs_with_a_word(scenes):
     bump, matte = "thing.bsdf.nested_texture.data", "thing.bsdf.nested_bsdf.reflectance.value"
-    assert verdicts.verdict("BumpMap", "nested_texture") in verdicts.WRONG
+    for place in (("BumpMap", "nested_texture"), ("NormalMap", "normalmap")):
+        assert verdicts.verdict(*place) in verdicts.WRONG
     unknowns = {key: UnknownConfig(start=0.4) for key in (bump, matte)}
     path = str(scenes["bumpmap-points"])
     found = assemble.bare(SceneConfig(name="file", path=path, unknowns=unknowns))[0].warnings

@@ -234,8 +234,12 @@ def test_only_materials_of_unknowns_are_taken_apart():
     assert p.integrator.cut(paths).lobes is p.integrator.lobes
 
 
-def test_a_map_around_a_gap_is_refused():
-    normal = {"type": "bitmap", "data": mi.TensorXf(np.full((2, 2, 3), 0.5, np.float32))}
-    material = {"type": "normalmap", "normalmap": normal | {"raw": True}, "b": mask(0.6, _DIFFUSE)}
+@pytest.mark.parametrize(
+    "word, start", [("nested_bsdf.opacity.value", 0.5), ("normalmap.data", [0.5, 0.5, 1.0])]
+)
+def test_a_map_around_a_gap_is_refused(word, start):
+    flat = np.tile(np.float32([0.5, 0.5, 1]), (2, 2, 1))
+    normal = {"type": "bitmap", "data": mi.TensorXf(flat), "raw": True}
+    material = {"type": "normalmap", "normalmap": normal, "b": mask(0.6, _DIFFUSE)}
     with pytest.raises(InputError, match="put the map inside"):
-        problem(material, "nested_bsdf.opacity.value")
+        problem(material, word, start)

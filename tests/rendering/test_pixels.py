@@ -155,9 +155,10 @@ def test_tiles_cover_every_pixel_once():
 
 @pytest.mark.parametrize("resolution", [1, 128])
 def test_meters_do_not_make_the_tiles_of_all_small(resolution):
-    """Of cells that are as large as a view, as uniform sampling has them, or smaller."""
+    """Of cells that are as large as a view, as uniform sampling has them, or smaller; nor strips of
+    a pixel's width."""
     large, counts = [(2048, 2048)] * 16, []
-    for small in ([], [(1, 1)], [(1, 1), *[(30, 20)] * (resolution == 1)]):
+    for small in ([], [(1, 1)], [(1, 1), *[(30, 20)] * (resolution == 1)], [(1, 2048)]):
         sizes = large + small
         finest = Cells.over(sizes, resolution).finest
         counts.append(Tiles.over(Views.of(sizes), finest=finest).count)

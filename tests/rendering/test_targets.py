@@ -1,17 +1,28 @@
 """Targets and coverage: unbiased, cached by content, and honest about what is seen."""
 
+import re
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import trimesh
 from isas_cli.scenes import kirby
 from PIL import Image
-from scenes_for_tests import ROUGHNESS, TEXTURE, dictionary, problem, without_targets
+from scenes_for_tests import (
+    ROUGHNESS,
+    TEXTURE,
+    dictionary,
+    problem,
+    under_spots,
+    without_targets,
+)
 from shapes_for_tests import ball, shaped
 
 from isas_cli.config.schema import TargetConfig, UnknownConfig
 from isas_cli.engine import assemble
 from isas_cli.engine.evaluate import Evaluator
+from isas_cli.filters.filter import Layout
 from isas_cli.losses import L2
 from isas_cli.rendering import coverage, targets
 from isas_cli.rendering.renderer import Renderer
@@ -69,7 +80,7 @@ def test_rendered_targets_are_cached_by_content():
 def test_a_damaged_cache_is_made_anew(tmp_path):
     p = problem({TEXTURE: 0.5})
     first, _, key = targets.render(p, paths(2), silent)
-    (tmp_path / f"target-{key}.npz").write_bytes(b"half a file")
+    (tmp_path / f"target-{key}-{mi.variant()}.npz").write_bytes(b"half a file")
     again, _, _ = targets.render(p, paths(2), silent)
     assert np.array_equal(np.array(first), np.array(again))
 
@@ -97,6 +108,51 @@ def test_the_content_hash_sees_what_matters():
         shown = mi.load_dict({"type": "prb", "max_depth": 4, "hide_emitters": hidden})
         hashes |= {assemble._content_hash(scene, shown, mi.traverse(scene), d) for d in ("a", "b")}
     assert len(hashes) == 4
+
+
+def test_the_content_hash_leaves_areas_out():
+    """A GPU adds them up in any order."""
+    scene = mi.load_dict(dictionary(), optimize=False)
+    text, hashes = str(scene), set()
+    assert "surface_area = " in text
+    for area in ("1.5", "1.4999999"):
+        other = re.sub(r"(surface_area =) [^\s,]+", rf"\1 {area}", text)
+        hashes.add(assemble._content_hash(other, None, mi.traverse(scene)))
+    assert len(hashes) == 1
+
+
+def test_normals_that_mitsuba_makes_do_not_tell_scenes_apart(tmp_path, rng):
+    """It adds them up by threads, in any order, but not those that files have."""
+    mesh = trimesh.creation.icosphere(2)
+    mesh.vertices *= rng.uniform(0.8, 1.2, (len(mesh.vertices), 1))
+    # A triangle that is hardly one, and a fold whose two sides cancel.
+    thin = [[0, 0, 2], [1, 0, 2], [2, 1e-6, 2]]
+    fold = [[0, 0, 3], [1, 0, 3], [0, 1, 3]]
+    corners = len(mesh.vertices) + np.array([[0, 1, 2], [3, 4, 5], [3, 5, 4]])
+    points, faces = np.vstack([mesh.vertices, thin, fold]), np.vstack([mesh.faces, corners])
+    trimesh.Trimesh(points, faces, process=False).export(tmp_path / "a.ply", vertex_normal=False)
+    shape = {"type": "ply", "filename": str(tmp_path / "a.ply")}
+    scene = mi.load_dict({"type": "scene", "a": shape}, optimize=False)
+    params = mi.traverse(scene)
+    made = np.array(params["a.vertex_normals"])
+
+    def told(normals: np.ndarray) -> str:
+        params["a.vertex_normals"] = mi.Float(normals)
+        return assemble._content_hash(scene, None, params)
+
+    as_loaded = told(made)
+    assert told(made + rng.uniform(-1e-6, 1e-6, made.shape)) == as_loaded
+    own = made.copy()
+    own[:3] = np.roll(made[:3], 1)
+    assert len({as_loaded, told(-made), told(own)}) == 3
+
+
+def test_what_is_seen_is_kept_by_variant(monkeypatch):
+    """As targets are: what a run gets does not hang on which of a card and a CPU came first."""
+    p = problem({TEXTURE: 0.5})
+    own = coverage._key(p, 1)
+    monkeypatch.setattr(mi, "variant", lambda: "another_ad_rgb")
+    assert coverage._key(p, 1) != own
 
 
 def test_coverage_finds_the_texels_that_no_view_sees():
@@ -156,6 +212,38 @@ def test_what_a_single_pixel_sees_beside_a_camera_is_seen_as_much_as_it_counts()
     )
     # A meter by itself has 1,024 times as many.
     assert 1024 * beside == pytest.approx(alone, rel=0.6)
+
+
+def test_what_a_cone_comes_to_light_counts(monkeypatch, tmp_path):
+    """Of a spot that starts as a small patch of the floor: what the true one shows, the foot of the
+    wall too; of photographs, and for what a run goes by, what any may show."""
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    cone = {"spot.cutoff_angle": 10.0}
+    scene = under_spots(spot={"cutoff_angle": 40.0, "beam_width": 5.0})
+    p = without_targets(scene, {TEXTURE: 0.5, ROUGHNESS: 0.5} | cone)
+    coverage.fill_in(p, 1)
+    u = p.unknowns[TEXTURE]
+    begun = u.kind.seen(coverage.measure(p, {TEXTURE: u.start}, 1)[TEXTURE]).mean()
+    print(begun, u.seen.mean(), u.told.mean())
+    assert begun < 0.25 and min(u.seen.mean(), u.told.mean()) > 0.5
+    for each in p.unknowns:
+        each.truth = None
+    coverage.fill_in(p, 1)
+    assert np.array_equal(u.seen, u.told) and u.seen.mean() > 0.5
+
+
+def test_what_a_dim_lamp_comes_to_light_counts_and_a_run_does_not_go_by_it(monkeypatch, tmp_path):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    as_wide = {"cutoff_angle": 12.0, "intensity": 100.0}
+    scene = under_spots(left=as_wide | {"x": -0.5}, right=as_wide | {"x": 0.5})
+    p = without_targets(scene, {TEXTURE: 0.5, "right.intensity.value": 1e-3})
+    coverage.fill_in(p, 1)
+    u = p.unknowns[TEXTURE]
+    counts = [each[:, half].sum() for each in (u.seen, u.told) for half in np.s_[:8, 8:]]
+    print(counts)
+    assert min(counts[:2]) > 20 and counts[2] > 20 and counts[3] == 0
+    layout = Layout.of(u, u.start.shape, False)
+    assert np.array_equal(np.array(layout.seen).reshape(u.told.shape) > 0, u.told)
 
 
 def test_what_is_hardly_seen_does_not_count_however_much_there_is_of_it():

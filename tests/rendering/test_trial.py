@@ -131,6 +131,23 @@ def test_a_scene_that_mitsuba_cannot_trace_is_refused(monkeypatch):
         trial.look(made, "here")
 
 
+@pytest.mark.parametrize("frozen", [False, True])
+def test_a_full_memory_is_no_fault_of_the_scenes(monkeypatch, frozen):
+    made = problem(description())
+
+    def traced(tried, differentiated):
+        def run():
+            if tried.freezes == frozen:
+                raise RuntimeError("jit_malloc(): out of memory!")
+
+        return run
+
+    monkeypatch.setattr(trial, "_traced", traced)
+    with pytest.raises(RuntimeError, match="out of memory"):
+        trial.look(made, "here")
+    assert made.freezes and not made.warnings
+
+
 def test_hidden_arrays_are_those_of_phase_functions():
     made = problem(FROZEN["blendphase"]())
     assert len(kernels.hidden(made.scene)()) == 2

@@ -10,12 +10,14 @@ from scenes_for_tests import render_targets, without_targets
 from isas_cli import losses
 from isas_cli.estimators.mitsuba import WholeImages
 from isas_cli.rendering import coverage, trial, undone
+from isas_cli.rendering.light import shapes_with
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.runtime.errors import InputError
 
 MIRROR, GAP = "ball.bsdf.specular_reflectance.value", "pane.bsdf.opacity.value"
 TEXTURE = "pane.bsdf.opacity.data"
 FOG = {"type": "homogeneous", "sigma_t": 0.5, "albedo": 0.8}
+HAIR, DIFFUSE = {"type": "hair"}, {"type": "diffuse"}
 MEDIUM = {"cloud": {"type": "sphere", "radius": 0.3, "bsdf": {"type": "null"}, "interior": FOG}}
 
 
@@ -126,5 +128,34 @@ def test_paths_that_are_too_short_are_named_as_a_cause(depth, words):
         coverage.fill_in(made, 1)
 
 
+@pytest.mark.parametrize(
+    "material, word, told",
+    [
+        ({"type": "principled"}, "clearcoat_gloss.value", "while 'clearcoat' is 0: give that a"),
+        ({"type": "hair", "sigma_a": 0.5}, "eumelanin", "beside a 'sigma_a': take that out"),
+    ],
+)
+def test_what_its_material_does_not_heed_is_told_why(material, word, told):
+    lock = {"type": "sphere", "center": [-1, 0, 1], "radius": 0.4, "bsdf": material}
+    with pytest.raises(InputError, match=f"take it off the list; or it has no effect {told}"):
+        coverage.fill_in(problem(f"lock.bsdf.{word}", lock=lock), 0)
+
+
 def test_a_problem_that_misses_nothing_says_nothing():
     assert undone.missed(problem(MIRROR, GAP)) == []
+
+
+@pytest.mark.parametrize(
+    "material, word",
+    [
+        (HAIR, "eumelanin"),
+        ({"type": "blendbsdf", "weight": 0.5, "a": HAIR, "b": DIFFUSE}, "bsdf_0.eumelanin"),
+    ],
+)
+def test_hair_has_no_gap(material, word):
+    """Mitsuba lists one, and never draws it."""
+    lock = {"type": "sphere", "center": [-1, 0, 1], "radius": 0.4, "bsdf": material}
+    made = problem(f"lock.bsdf.{word}", hidden=True, lock=lock)
+    assert undone.missed(made) == []
+    assert sorted(shapes_with(made.scene, "Delta")) == ["ball", "pane"]
+    assert "lock" in shapes_with(made.scene, "Transmission")

@@ -29,7 +29,7 @@ from xml_for_tests import camera
 from isas_cli import losses
 from isas_cli.config.schema import UnknownConfig
 from isas_cli.estimators.two_path import TwoPath
-from isas_cli.rendering import rays, volume
+from isas_cli.rendering import coverage, rays, volume
 from isas_cli.rendering.integrators import Integrator, Medium
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.runtime.errors import InputError
@@ -74,12 +74,54 @@ def test_a_medium_ends_where_its_extinction_does(fills):
     beside = mi.Ray3f(dr.full(mi.Point3f, 0, 64) + [-0.5, -0.4, 5], mi.Vector3f(0, 0, -1))
     seen = np.array(p.integrator.primal(p.scene, rays.stream(mi.UInt32(1), 64), beside)[0])
     assert fills != np.allclose(seen, SKY)
+    as_mitsuba_shows_it(p)
+
+
+def as_mitsuba_shows_it(p) -> None:
+    """The truth, in the mean of all pixels."""
     p.unknowns.write(p.unknowns.truths())
     ray = smooth_rays(p)
     found = np.array(p.integrator.primal(p.scene, rays.stream(mi.UInt32(1), N), ray)[0])
     wanted = np.array(mi.render(p.scene, spp=N // 256, seed=5)).reshape(-1, 3).T
     error = found.std(axis=1) / math.sqrt(N)
-    assert (np.abs(found.mean(axis=1) - wanted.mean(axis=1)) < 6 * error).all()
+    assert (np.abs(found.mean(axis=1) - wanted.mean(axis=1)) < 6 * error + 1e-4).all()
+
+
+@pytest.mark.parametrize(
+    "sizes, flipped, own",
+    [
+        ([1, 1, 1], False, True),
+        ([1.3, 0.6, 0.9], False, True),
+        ([1, 1, -1], True, True),
+        ([1, 1, -1], False, False),
+    ],
+    ids=["turned", "stretched", "mirrored and flipped", "mirrored"],
+)
+def test_a_shell_stands_anyhow_and_inside_out_it_is_left_to_mitsuba(sizes, flipped, own):
+    """Of a cube that is mirrored the normals point inwards, and its medium is around it."""
+    place = mi.ScalarTransform4f().rotate([0.6, 0.8, 0], 40).scale(sizes)
+    described = description(*uneven())
+    described["box"] |= {"to_world": place, "flip_normals": flipped}
+    for each in ("sigma_t", "albedo"):
+        grid = described["box"]["interior"][each]
+        grid["to_world"] = place @ grid["to_world"]
+    p = without_targets(described, {DENSITY: UnknownConfig(start=1.0)})
+    assert isinstance(p.integrator, Medium) == own
+    as_mitsuba_shows_it(p)
+
+
+def test_an_emission_inside_out_is_refused():
+    described = description(0.5, 0.5, "emission")
+    described["box"]["flip_normals"] = True
+    with pytest.raises(InputError, match="of normals that point outwards"):
+        without_targets(described, {DENSITY: UnknownConfig(start=1.0)})
+
+
+def test_a_medium_that_no_path_enters_is_told_what_lets_it(monkeypatch, tmp_path):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    p = without_targets(description(*uneven(), "prb"), {DENSITY: 1.0})
+    with pytest.raises(InputError, match="let paths into its medium .the integrator volpath"):
+        coverage.fill_in(p, 1)
 
 
 def test_an_emission_that_does_not_fill_its_shell_is_refused():

@@ -14,6 +14,7 @@ from isas_cli.engine.evaluate import Evaluator
 from isas_cli.engine.optimiser import Stepper
 from isas_cli.rendering import rays
 from isas_cli.runtime.errors import InputError
+from isas_cli.samplers import progress
 from isas_cli.samplers.allocation import masses, tangents
 from isas_cli.samplers.progress import Masses, Progress
 from isas_cli.samplers.sampler import Moments, Stage1Settings
@@ -222,6 +223,24 @@ def test_nothing_left_to_gain_is_no_reason_to_stop():
     huge = {"a": mi.Float([np.inf, np.inf])}
     found = np.array(tangents(one, one, Moments(zero, huge, zero, {"a": 0.02}), 1e-3)["a"])
     assert np.allclose(found, np.array(tangents(one, one, None, 1e-3)["a"]))
+
+
+def test_what_rests_has_no_mass_from_the_first_look_on(monkeypatch):
+    """But where nothing else has any."""
+    p, found = problem({TEXTURE: 0.5, ROUGHNESS: 0.5}), []
+    p.unknowns[TEXTURE].during = (0.5, 1.0)
+    monkeypatch.setattr(
+        progress, "tangents", lambda *given: found.append(tangents(*given)) or found[-1]
+    )
+    sampler, values = prepared(p, 4, 8), p.unknowns.starts()
+    for spent in (0.0, 0.6):
+        sampler.look(values, 1, 0, None, spent)
+    p.unknowns.write(values)
+    assert [bool(dr.any(each[TEXTURE] > 0)) for each in found] == [False, True]
+    assert all(dr.all(each[ROUGHNESS] > 0) for each in found)
+    one, none = {"a": mi.Float([1.0, 2.0])}, mi.Float([0.0])
+    kept = tangents(one | {"b": none}, one | {"b": none}, None, 1e-3, None, ["a"])
+    assert np.allclose(np.array(kept["a"]), np.array(tangents(one, one, None, 1e-3)["a"]))
 
 
 def test_scalars_whose_error_is_below_their_noise_stay_in():

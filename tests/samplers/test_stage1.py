@@ -88,6 +88,18 @@ def test_balanced_matches_brute_force():
     assert difference < 0.1 < uniform
 
 
+def test_balanced_sees_what_lights_that_start_dark_will_light():
+    settings, found = Stage1Settings(resolution=8, spp=16, denoise="none"), []
+    for start in (0.0, 1.0):
+        lamps = dict.fromkeys(("sky.radiance.value", "lamp.emitter.radiance.value"), start)
+        p = problem({TEXTURE: 0.5} | lamps)
+        sampler = Balanced(stage1=settings).on(p, losses.L2(), 512)
+        found.append(np.array(sampler.look(p.unknowns.starts(), 1, 0)))
+        p.unknowns.write(p.unknowns.starts())
+    dark, lit = found
+    assert dark.any() and np.allclose(dark, lit, rtol=1e-3)
+
+
 @pytest.mark.parametrize("quality", ["fast", "balanced", "high"])
 def test_denoising_keeps_energy_and_sign(quality, rng):
     cells = Cells.over([(64, 64), (64, 32), (20, 64)], 32)

@@ -25,6 +25,7 @@ from isas_cli.samplers.ours import Ours
 from isas_cli.samplers.progress import Progress
 from isas_cli.samplers.sampler import Stage1Settings
 from isas_cli.samplers.uniform import Uniform
+from isas_cli.scene.file_checks import read_bounds
 from isas_cli.unknowns.parameters import as_numpy, flat
 
 STAGE1 = Stage1Settings(resolution=8, spp=2, denoise="none")
@@ -276,8 +277,16 @@ def test_the_error_counts_what_matters_at_the_truth(monkeypatch, tmp_path):
 
 def test_no_density_at_all_is_judged_at_the_start(monkeypatch, tmp_path):
     monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr("isas_cli.unknowns.grid._DENSITY", (0.0, 10.0))
     p = problem(0.0, 0.4, "emission")
+    coverage.fill_in(p, 1)
+    assert p.unknowns[ALBEDO].seen.mean() > 0.5 and p.unknowns[DENSITY].seen.mean() > 0.5
+
+
+def test_what_glows_is_seen_where_no_density_is_known_yet(monkeypatch, tmp_path):
+    monkeypatch.setenv("ISAS_CACHE_DIR", str(tmp_path))
+    p = problem(2.0, 0.4, "emission", density=0.0)
+    for each in p.unknowns:
+        each.truth = None
     coverage.fill_in(p, 1)
     assert p.unknowns[ALBEDO].seen.mean() > 0.5 and p.unknowns[DENSITY].seen.mean() > 0.5
 
@@ -301,6 +310,13 @@ def test_starts_from_files(tmp_path, rng):
         with pytest.raises(InputError, match=words) as told:
             kind.start(str(tmp_path / name), "start")
         assert "\n" not in str(told.value)
+
+
+def test_a_grid_s_file_says_what_box_it_fills(tmp_path):
+    """Into which Mitsuba puts it by `use_grid_bbox`."""
+    kind = problem(*uneven()).unknowns[DENSITY].kind
+    (tmp_path / "grid.vol").write_bytes(kind.files(kind.present)["vol"])
+    assert read_bounds(tmp_path / "grid.vol") == pytest.approx((-1, -1, -1, 1, 1, 1))
 
 
 def test_volumes_turn(rng):

@@ -180,6 +180,31 @@ def test_a_texture_knows_whether_its_edges_meet(mode, wraps, channels, turned):
     assert found.axes == ((0, wraps), (1, wraps))
 
 
+def test_a_picture_of_which_the_brightness_alone_is_taken_is_told():
+    """As of glTF's occlusion, roughness and metal in one."""
+    packed, grey = texture(5)[:4], np.repeat(texture(5)[:4, :, :1], 3, axis=2)
+
+    def told(texels: np.ndarray, *names: str) -> list[str]:
+        paint = {"type": "principled", **dict.fromkeys(names, {"type": "ref", "id": "packed"})}
+        bitmap = {"type": "bitmap", "data": mi.TensorXf(texels), "raw": True}
+        scene = {"type": "scene", "packed": bitmap, "ball": {"type": "sphere", "bsdf": paint}}
+        loaded = Loaded(mi.traverse(mi.load_dict(scene, optimize=False)))
+        ((key, kind),) = (each for each in registry.offered(loaded).items() if "data" in each[0])
+        return kind(key, loaded).warnings()
+
+    (line,) = told(packed, "roughness")
+    assert "roughness takes the brightness of three channels" in line
+    (line,) = told(packed, "metallic", "roughness")
+    assert "metallic, roughness take the brightness" in line and "of one channel" in line
+    for texels, names in (
+        (grey, ["roughness"]),
+        (packed[..., :1], ["roughness"]),
+        (packed, ["base_color"]),
+        (packed, ["base_color", "roughness"]),
+    ):
+        assert told(texels, *names) == []
+
+
 def test_textures_of_one_colour_know_it_as_well():
     """And stay what they are, with the lamp's odds of each place."""
     wraps, scene = {"base_color": False, "roughness": True}, dictionary()

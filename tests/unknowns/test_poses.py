@@ -227,6 +227,8 @@ def thing(name: str) -> dict:
     if name.startswith("mirrored "):
         return {"type": name.split()[1], "to_world": place.scale([-1, 1, 1])}
     more = {"aperture_radius": 0.1, "focus_distance": 3.0} if name == "thinlens" else {}
+    if name == "envmap":
+        more["bitmap"] = mi.Bitmap(np.ones((4, 8, 3), np.float32))
     return {"type": name, **more} | ({"flip_normals": True} if name == "sphere" else {})
 
 
@@ -243,6 +245,9 @@ def thing(name: str) -> dict:
         ("thinlens", "scale", "Mitsuba scales no camera with a perspective"),
         ("perspective", "rotation", None),
         ("orthographic", "scale", None),
+        ("envmap", "scale", "infinitely far away, so that only a rotation of it shows"),
+        ("envmap", "rotation", None),
+        ("directional", "translation", "infinitely far away, so that only a rotation of it shows"),
     ],
 )
 def test_what_mitsuba_does_not_move_well_is_refused_in_one_line(name, kind, words):

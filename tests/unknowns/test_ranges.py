@@ -8,10 +8,13 @@ from icc import P3, profile
 from PIL import Image
 
 from isas_cli.config.schema import UnknownConfig
+from isas_cli.engine import assemble
 from isas_cli.runtime.errors import InputError
 from isas_cli.unknowns import ranges, registry, routes
 from isas_cli.unknowns.kind import Loaded
 from isas_cli.unknowns.specs import parse
+from isas_cli.unknowns.unknowns import Unknowns
+from isas_cli.unknowns.value import Value
 
 INFINITE = np.inf
 
@@ -132,6 +135,13 @@ def test_a_truth_beyond_the_range_is_told_the_range_that_holds_it():
     assert ranges.around(0.0, 1.0, np.float32([-0.3105, 1.3612])) == "[-0.311, 1.37]"
 
 
+def test_a_start_that_nobody_gave_is_called_the_scene_s_own():
+    params, key = ball(type="principled", clearcoat=1.75), "ball.bsdf.clearcoat.value"
+    told = r"the start, lies outside its range \[0, 1\]; give range: \[0, 1.75\], or give another"
+    with pytest.raises(InputError, match=told):
+        parse(params, {key: UnknownConfig()}, False)
+
+
 @pytest.mark.parametrize("g", [0.9905, 0.9962, 0.9999, -0.9999, 0.999999])
 def test_a_range_that_is_told_does_not_come_to_what_cannot_be_rendered(g):
     """A phase function's g of 1, which is refused, or an index of 1."""
@@ -192,6 +202,7 @@ def test_a_grid_is_what_takes_it_wherever_it_stands(shared):
     made = parse(params, {key: UnknownConfig(start=0.5) for key in (density, albedo)}, False)
     assert [(u.low, u.high) for u in made] == [(1e-3, 1e4), (0.01, 0.99)]
     assert made[0].kind.words == {"sigma_t"} and made[1].kind.words == {"albedo"}
+    assert [u.kind.colours for u in made] == [False, True]
 
 
 @pytest.mark.parametrize("scale, floor", [(5.0, 1e-3), (2e-4, 2e-7)])
@@ -237,6 +248,75 @@ def test_a_thin_grid_with_nothing_in_it_stays_above_a_share_of_its_most():
     assert made.low == pytest.approx(2e-5) and made.truth.min() >= np.float32(made.low)
 
 
+DENSITY, ALBEDO = "box.interior_medium.sigma_t.data", "box.interior_medium.albedo.data"
+HALF = np.repeat(np.float32([0, 2]), 4).reshape(2, 2, 2, 1)
+
+
+def cloud(kind: str = "heterogeneous", integrator: str = "prbvolpath", **own) -> mi.SceneParameters:
+    box = {"type": "cube", "interior": {"type": kind, **own}}
+    described = {"type": "scene", "integrator": {"type": integrator}, "box": box}
+    return mi.traverse(mi.load_dict(described, optimize=False))
+
+
+def half_empty() -> mi.SceneParameters:
+    return cloud(sigma_t=grid(1.0) | {"data": mi.TensorXf(HALF)}, albedo=grid(0.5, 3))
+
+
+@pytest.mark.parametrize("given", [None, [0, 5]])
+def test_no_density_comes_to_nothing(given, tmp_path):
+    """Where there is none no path tells that some is missing."""
+    np.save(tmp_path / "half.npy", HALF)
+    spec = UnknownConfig(start=str(tmp_path / "half.npy"), range=given)
+    (made,) = parse(half_empty(), {DENSITY: spec}, True)
+    for least in (made.low, made.start.min(), made.truth.min()):
+        assert least == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize(
+    "given, least", [(None, "0.001"), ([1e-5, 5], "1e-05"), ([1e-3, 5], "0.001")]
+)
+def test_a_truth_is_lifted_no_farther_than_into_its_range_and_that_is_told(given, least):
+    (made,) = parse(half_empty(), {DENSITY: UnknownConfig(start=1.0, range=given)}, True)
+    assert made.truth.min() == pytest.approx(float(least)) and made.truth.max() == 2
+    (told,) = assemble._lifted([made])
+    assert f"4 of the scene's 8 numbers are below {least} and count as that" in told
+    (of_photographs,) = parse(half_empty(), {DENSITY: UnknownConfig(range=given)}, False)
+    assert of_photographs.start.min() == pytest.approx(float(least))
+    assert assemble._lifted([of_photographs]) == []
+
+
+def test_a_range_that_ends_below_what_values_stay_above_holds_its_truth():
+    params, key = cloud("homogeneous", albedo=0.003), "box.interior_medium.albedo.value.value"
+    (made,) = parse(params, {key: UnknownConfig(start=0.002, range=[0, 0.005])}, True)
+    assert made.truth == pytest.approx(0.003) and 0 < made.low < 1e-4
+    assert not made.kind.rewrites and assemble._lifted([made]) == []
+
+
+class Logarithm(Value):
+    """In units of its own, as examples/plugin's."""
+
+    def __init__(self, key: str, loaded: Loaded):
+        super().__init__(key, loaded)
+        self.range, self.bare = [-20.0, 0.0], (0.0, 0.0)
+        self.present = np.log(self.present)
+
+
+def test_what_a_kind_makes_of_its_scene_s_value_is_not_lifted_as_if_it_were_that():
+    params, key = cloud("homogeneous", albedo=0.003), "box.interior_medium.albedo.value.value"
+    made = Logarithm(key, Loaded(params))
+    assert made.rewrites
+    made.heed(-7.0, 0.0)
+    assert made.present == pytest.approx(np.log(0.01)) and made.lifted == 0
+
+
+def test_what_a_medium_emits_may_be_black():
+    grids = cloud(integrator="emission", sigma_t=grid(2.0), albedo=grid(0.0, 3))
+    plain = cloud("homogeneous", "emission", sigma_t=2.0, albedo=0.0)
+    for params, key in ((grids, ALBEDO), (plain, "box.interior_medium.albedo.value.value")):
+        (made,) = parse(params, {key: UnknownConfig(start=0.5)}, True)
+        assert made.low == 0 and not made.truth.any()
+
+
 @pytest.mark.parametrize(
     "word, low, high", [("cutoff_angle", 15.1, 90.0), ("beam_width", 0.0, 19.9)]
 )
@@ -256,6 +336,22 @@ def test_a_beam_may_not_become_wider_than_its_cone():
         parse(params, both, True)
     beam.range, cone.range = [0.0, 16.9], [17.0, 90.0]
     assert len(parse(params, both, True)) == 2
+
+
+@pytest.mark.parametrize(
+    "starts, words",
+    [
+        ((10.0, 40.0), r"might cross: give both a range, such as \[0, 17.4\] and \[17.5, 90\]$"),
+        ((14.9, 15.15), r"such as \[0, 15.0375\] and \[15.075, 90\]$"),
+        ((19.5, 17.0), "no ranges part a beam of 19.5 from a cone of 17: let starts and truths"),
+    ],
+)
+def test_ranges_advised_for_a_spot_hold_starts_and_truths(starts, words):
+    lamp = {"type": "spot", "cutoff_angle": 20.0, "beam_width": 15.0}
+    params = mi.traverse(mi.load_dict({"type": "scene", "spot": lamp}, optimize=False))
+    keys = "spot.beam_width", "spot.cutoff_angle"
+    with pytest.raises(InputError, match=words):
+        parse(params, {k: UnknownConfig(start=v) for k, v in zip(keys, starts)}, True)
 
 
 def test_a_grid_s_range_is_of_what_its_medium_makes_of_it():
@@ -316,6 +412,20 @@ def test_a_shared_map_of_normals_around_a_mirror_is_refused(under, refused):
     (key,) = (key for key in params.keys() if key.endswith(".data"))
     told = "it turns what mirrors and clear glass show"
     assert (told in routes.refusal(params, key)) == refused
+
+
+@pytest.mark.parametrize("around", ["", "twosided", "twosided, blendbsdf"])
+def test_what_lets_light_through_is_not_found_within_two_sides(around):
+    """Mitsuba would not load the result."""
+    material = {"type": "principled", "base_color": 0.5}
+    if "blendbsdf" in around:
+        material = {"type": "blendbsdf", "weight": 0.5, "a": material, "b": DIFFUSE}
+    params = ball(**({"type": "twosided", "a": material} if around else material))
+    (key,) = (key for key in params.keys() if key.endswith("spec_trans.value"))
+    assert (key in registry.offered(Loaded(params))) == (not around)
+    if around:
+        with pytest.raises(InputError, match="twosided takes no material that lets light through"):
+            parse(params, {key: UnknownConfig(start=0.5)}, True)
 
 
 @pytest.mark.parametrize("word, channels", [("normalmap", 3), ("roughness", 1)])
@@ -437,6 +547,16 @@ def test_how_wide_a_light_is_is_no_brightness(light, role):
     params = mi.traverse(mi.load_dict({"type": "scene", "spot": spot}, optimize=False))
     (made,) = parse(params, {f"spot.{light}": UnknownConfig(start=40.0)}, True)
     assert made.kind.role == role
+
+
+def test_a_light_s_scale_is_not_averaged_with_colours():
+    sky = {"type": "envmap", "bitmap": mi.Bitmap(np.ones((4, 8, 3), np.float32))}
+    described = {"type": "scene", "sky": sky, "ball": {"type": "sphere", "bsdf": DIFFUSE}}
+    scene = mi.load_dict(described, optimize=False)
+    keys = "sky.scale", "ball.bsdf.reflectance.value"
+    found = parse(mi.traverse(scene), {key: UnknownConfig(start=0.4) for key in keys}, True)
+    assert found[0].kind.unit == "scale"
+    assert Unknowns(mi.traverse(scene), found).unit is None
 
 
 def test_a_truth_with_what_is_no_number_is_refused():

@@ -47,11 +47,11 @@ class Cells:
 
     @property
     def finest(self) -> float:
-        """The shortest side of any cell, in pixels, but of a view that is one: its border cuts
-        tiles off."""
-        sides = zip(self.film_sizes, self.sizes)
-        several = ((w / c, h / r) for (w, h), (c, r) in sides if c * r > 1)
-        return min(map(min, several), default=math.inf)
+        """The shortest side of any cell, in pixels, but along what has one cell of a view: its
+        border cuts tiles off."""
+        views = zip(self.film_sizes, self.sizes)
+        ways = (way for film, cells in views for way in zip(film, cells))
+        return min((pixels / count for pixels, count in ways if count > 1), default=math.inf)
 
     def place(self, pixels: Views, samples: int, seed: mi.UInt32) -> tuple:
         """``samples`` random pixels of each cell: (view, column, row), cell after cell. Traced."""
