@@ -11,7 +11,7 @@ STAMP := $(VENV)/.installed
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check --quiet
 # Neighbouring tests share problems, so each worker gets a run of them.
 WORKERS := -n auto --dist worksteal
-BENCHMARKS := $(filter-out benchmarks/_% benchmarks/animations.py benchmarks/black_box.py benchmarks/choosing.py benchmarks/crossed.py benchmarks/derivatives.py benchmarks/effects.py benchmarks/exports.py benchmarks/filters.py benchmarks/glowing_grid.py benchmarks/gpu.py benchmarks/pages.py benchmarks/pbdr.py benchmarks/reproduce.py benchmarks/shapes.py benchmarks/soak.py benchmarks/sooner.py benchmarks/steps_or_paths.py benchmarks/unseen.py benchmarks/volumes.py,$(sort $(wildcard benchmarks/*.py)))
+BENCHMARKS := $(filter-out benchmarks/_% benchmarks/animations.py benchmarks/black_box.py benchmarks/choosing.py benchmarks/crossed.py benchmarks/derivatives.py benchmarks/effects.py benchmarks/exports.py benchmarks/filters.py benchmarks/glowing_grid.py benchmarks/gpu.py benchmarks/pages.py benchmarks/pbdr.py benchmarks/reproduce.py benchmarks/settings.py benchmarks/shapes.py benchmarks/soak.py benchmarks/sooner.py benchmarks/steps_or_paths.py benchmarks/unseen.py benchmarks/volumes.py,$(sort $(wildcard benchmarks/*.py)))
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -21,7 +21,7 @@ setup: $(STAMP) ## make .venv with pinned packages and .venv/bin/isas
 demo: setup ## recover a pottery texture in about three minutes and write a report
 	@$(VENV)/bin/isas run scene=pottery size=default budget.seconds=60
 
-test: setup ## run the tests, a worker a core: about twenty minutes on two
+test: setup ## run the tests, a worker a core: about forty minutes on two
 	@$(VENV)/bin/python -m pytest $(WORKERS)
 
 test-all: setup ## run the slow tests as well, and compute all that tests compare with anew

@@ -7,7 +7,7 @@ It draws a disc behind a board, with hard edges and noise, and has no derivative
 unknown's blur. A renderer that is another program is called by a command instead:
 
     export ISAS_ALLOW=./draw
-    isas run scene=external 'external.command=./draw --radius {radius} --seed {seed} {out}' …
+    isas run scene=external 'external.command=./draw --radius={radius} --seed={seed} {out}' …
 """
 
 from __future__ import annotations

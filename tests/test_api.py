@@ -65,7 +65,7 @@ def test_a_program_that_uses_hydra_itself_keeps_what_it_has_there(tmp_path, monk
     (tmp_path / "config.yaml").write_text("mine: 1\n")
     monkeypatch.setattr(one, "run", lambda cfg, folder: 0)
     monkeypatch.setattr(HydraConfig.instance(), "cfg", None)
-    with initialize_config_dir(str(tmp_path), version_base="1.2"):
+    with initialize_config_dir(str(tmp_path), version_base="1.2", job_name="theirs"):
         known = GlobalHydra.instance()
         HydraConfig.instance().set_config(hydra_compose("config", return_hydra_config=True))
         before = [known.hydra, HydraConfig.instance().cfg, version.getbase()]
@@ -74,6 +74,7 @@ def test_a_program_that_uses_hydra_itself_keeps_what_it_has_there(tmp_path, monk
         after = [known.hydra, HydraConfig.instance().cfg, version.getbase()]
         assert [id(each) for each in after] == [id(each) for each in before]
         assert hydra_compose("config").mine == 1
+        assert hydra_compose("config", return_hydra_config=True).hydra.job.name == "theirs"
 
 
 def test_bad_settings_are_errors_of_one_line(tmp_path):

@@ -1,6 +1,7 @@
 """The rooms of isas_cli and who may know whom: imports run one way."""
 
 import ast
+import graphlib
 import re
 import subprocess
 import sys
@@ -27,6 +28,7 @@ FLOORS = (
     ("cli",),
 )
 LEVEL = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
+INIT = "__init__.py"
 
 
 def imported(path: Path) -> set[str]:
@@ -42,6 +44,24 @@ def imported(path: Path) -> set[str]:
             names = [node.module] if node.module else [alias.name for alias in node.names]
             rooms |= {name.partition(".")[0] for name in names}
     return rooms & set(LEVEL)
+
+
+def reached(path: Path) -> set[str]:
+    """The modules that a module imports, also in functions and for annotations alone."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            place = path.parents[node.level - 1].joinpath(*(node.module or "").split("."))
+            for inner in (place / alias.name for alias in node.names):
+                files = [f for at in (inner, place) for f in (at.with_suffix(".py"), at / INIT)]
+                found |= {str(f.relative_to(ROOT)) for f in [f for f in files if f.exists()][:1]}
+    return found
+
+
+def test_no_modules_know_each_other_in_a_circle():
+    """But through the front door, by which whoever imports any of them comes in."""
+    known = {str(path.relative_to(ROOT)): reached(path) - {INIT} for path in ROOT.rglob("*.py")}
+    graphlib.TopologicalSorter({**known, INIT: ()}).prepare()  # or CycleError, which names them
 
 
 def test_every_package_is_a_room():

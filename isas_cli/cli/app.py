@@ -212,7 +212,9 @@ def _parser() -> argparse.ArgumentParser:
     landscape.add_argument(
         "--along", nargs="+", metavar="KEY", help="one or two numbers (default: all, if no more)"
     )
-    landscape.add_argument("--spp", type=int, default=32, help="paths a pixel and point, twice")
+    landscape.add_argument(
+        "--spp", type=int, help="paths a pixel and point, twice (default: 32; scene=external: 2)"
+    )
     report = commands.add_parser("report", help=_SUMMARIES["report"])
     report.add_argument("folder", type=_path, help="a run's folder")
     export = commands.add_parser("export", help=_SUMMARIES["export"])

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..runtime import backend, cache, llvm
-from ..runtime.errors import InputError, IsasError
+from ..runtime.errors import InputError, IsasError, installing
 
 PACKAGES = ("mitsuba", "drjit", "hydra-core", "OpenImageIO", "mitsuba-oidn")
 GRADIENT_TOLERANCE = 1e-3  # float32 sums and differences; a wrong gradient is off by far more
@@ -39,8 +39,8 @@ def main(variant: str = "auto") -> int:
         try:
             for name, value in check():
                 table.add_row(name, value)
-        except IsasError as error:
-            problems.append(str(error))
+        except (IsasError, RuntimeError) as error:  # the latter is Mitsuba's or Dr.Jit's
+            problems.append(" ".join(str(error).split()))
     console = Console(soft_wrap=True, highlight=False)
     console.print(table)
     for problem in problems:
@@ -59,12 +59,14 @@ def _versions() -> list[tuple[str, str]]:
         except importlib.metadata.PackageNotFoundError:
             missing.append(name)
     if missing:
-        raise InputError(f"Python packages are missing: pip install {' '.join(missing)}")
+        raise InputError(f"Python packages are missing: {installing(' '.join(missing))}")
     return rows
 
 
 def _machine(machine: backend.Backend) -> list[tuple[str, str]]:
     rows = [("variant", machine.variant), ("device", machine.device)]
+    if machine.left_out:
+        rows.append(("GPU", f"left out: {machine.left_out}"))
     if machine.llvm_path:
         library = llvm.find()
         rows.append(("LLVM", f"{library.version}, {library.origin}: {library.path}"))
@@ -104,9 +106,11 @@ def _denoiser() -> list[tuple[str, str]]:
 
         clean = np.array(mitsuba_oidn.denoise(mi.TensorXf(noise)))
     except (ImportError, RuntimeError) as error:
-        raise InputError(f"the denoiser fails ({error}): pip install mitsuba-oidn") from error
+        advice = installing("mitsuba-oidn==0.1.2")
+        raise InputError(f"the denoiser fails ({error}): {advice}") from error
     if not (abs(clean.mean() - noise.mean()) < 0.1 and clean.std() < 0.5 * noise.std()):
-        raise InputError("the denoiser gives wrong results: pip install mitsuba-oidn==0.1.2")
+        advice = installing("mitsuba-oidn==0.1.2")
+        raise InputError(f"the denoiser gives wrong results: {advice}")
     return [("denoiser", f"ok (noise {noise.std():.2f} before, {clean.std():.2f} after)")]
 
 
@@ -115,7 +119,7 @@ def _gradient() -> list[tuple[str, str]]:
     if not difference < GRADIENT_TOLERANCE:  # so written, NaN fails too
         raise InputError(
             f"the gradient of a test scene is wrong (relative difference {difference:.1e}): "
-            "pip install mitsuba==3.9.1 drjit==1.5.0"
+            f"{installing('mitsuba==3.9.1 drjit==1.5.0')}"
         )
     return [("gradient", f"gradient ok (relative difference {difference:.1e})")]
 

@@ -20,9 +20,11 @@ FILE = "landscape.csv"
 # Beyond start, truth and all that the run visited, in widths of the first blur: shown, and as far
 # again as there is blur to speak of.
 _BEYOND, _BLURRED = 1.0, 3.0
+# Paths a pixel and point; of another renderer each is a whole picture.
+_USUAL, _FEW = 32, 2
 
 
-def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
+def main(folder: Path, along: list[str] | None = None, spp: int | None = None) -> int:
     """Measure and draw the landscape of the run in ``folder``; writes landscape.csv and
     plots/landscape.png beside its record and prints the picture's path.
 
@@ -31,7 +33,7 @@ def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
     run has no more. Raises InputError for others, for unknowns without a blur, and where scene or
     targets have changed since the run.
     """
-    if spp < 1:
+    if spp is not None and spp < 1:
         raise InputError(f"--spp {spp}: at least 1")
     run = records.load(folder)
     one.check_writable(folder, "a landscape is drawn beside the run: copy it")
@@ -41,14 +43,14 @@ def main(folder: Path, along: list[str] | None = None, spp: int = 32) -> int:
     names = [name for name in names if _of_unknown(name, keys)]
     chosen = _chosen(along, names, folder)
     typed, _ = experiment.checked(cfg)
-    machine, (choices,) = experiment.started([cfg], typed)
+    _, (choices,) = experiment.started([cfg], typed)
     if choices.loss.windows:
         raise InputError(f"{folder}: loss={cfg.loss.name}: a landscape is of losses of pixels")
     with interrupt.prompt(), Display(Budget(iterations=1)) as display:
         phases = experiment.Phases(display)
-        problem = experiment.built(typed, phases)
-        resumption.check_same(problem, machine, run.manifest, folder, None)
+        problem = experiment.built(typed, phases, (), [(run.manifest, folder)])
         phases.begin("landscape")
+        spp = spp or (_FEW if problem.integrator.black_box else _USUAL)
         found = _measured(problem, choices, cfg.seed, run, chosen, spp, phases)
         phases.begin(None)
     _write(found, Path(folder))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from pathlib import Path
 
@@ -26,9 +27,9 @@ def main(arguments: list[str]) -> int:
     one.no_flags("photos", arguments)
     for argument in arguments:
         if argument.startswith(_OUTPUT):
-            output = Path(argument.removeprefix(_OUTPUT)).expanduser()
+            output = Path(os.path.expanduser(argument.removeprefix(_OUTPUT)))
         else:
-            folder = "=" not in argument or Path(argument).expanduser().is_dir()
+            folder = "=" not in argument or os.path.isdir(os.path.expanduser(argument))
             (folders if folder else settings).append(argument)
     folders += [each.partition("=")[2] for each in settings if each.startswith("photos.path=")]
     settings = [each for each in settings if not each.startswith("photos.path=")]

@@ -15,7 +15,7 @@ from rich.table import Table
 from ..config import paths
 from ..config.photographs import CAMERA, UPS, PhotosConfig
 from ..engine import resumption
-from ..engine.display import say
+from ..engine.display import number, say
 from ..records.files import write_json
 from ..runtime import backend, images, interrupt
 from ..runtime.errors import InputError
@@ -57,6 +57,11 @@ def main(
             say(told)
         own = typed.scene.photos
         cameras, over = _cameras(pictures, own)
+        if not any(relighting.masked(camera.image, _mask(camera)) for camera in cameras):
+            raise InputError(
+                f"{pictures}: no view has a mask or alpha, which say what is scored: put masks "
+                "into its folder masks, called as the pictures are"
+            )
         across, doubts = turns.across(cameras, over)
         files = [camera.image for camera in cameras]
         doubts += images.unheeded(files, [images.doubted(f, _linear(f, own)) for f in files])
@@ -89,7 +94,7 @@ def main(
                 found[camera.name] = _score(image, seen, camera, own, where, ways, fitted)
             except relighting.Nothing as error:
                 left.append(camera.name)
-                say(f"{where}: left out: {error}")
+                say(f"{where}: left out: {str(error).removeprefix(f'{where}: ')}")
             if found:
                 told = {"views": found, "mean": relighting.mean(found), "left_out": left}
                 write_json(output / SCORES, told | {"light": light and str(light)})
@@ -98,7 +103,7 @@ def main(
     table = Table("view", *_HEADS.values())
     for name, scores in [*found.items(), ("mean", relighting.mean(found))]:
         known = (scores[key] for key in _HEADS)
-        table.add_row(escape(name), *("–" if each is None else f"{each:.4g}" for each in known))
+        table.add_row(escape(name), *(number(each, ".4g") for each in known))
     Console().print(table)
     print(f"renderings and {SCORES}: {output}")
     return 0
@@ -135,10 +140,15 @@ def _score(
     ``ways``: whether that is turned, and whether its mask lies otherwise. Raises InputError."""
     from ..measure import relighting
 
-    mask = None if camera.hides else camera.mask  # which is to say where the object is
+    mask = _mask(camera)
     turned, across = ways[0], None if mask is None else ways[1]
     linear = _linear(camera.image, own)
     return relighting.of_picture(image, seen, camera, mask, where, turned, fitted, linear, across)
+
+
+def _mask(camera: Camera) -> Path | None:
+    """The file that says where the object is, which a mask of what moves does not."""
+    return None if camera.hides else camera.mask
 
 
 def _linear(file: Path, own: PhotosConfig) -> bool | None:
@@ -162,9 +172,8 @@ def _cameras(pictures: Path, own: PhotosConfig) -> tuple[list, set[str]]:
     kept = {name: getattr(own, name) for name in ("encoding", "orientation")}
     whole = place.absolute()
     tries = [(root, str(whole.relative_to(root))) for root in layouts.around(whole)]
-    mine = _is_of(place, own)
-    if mine:
-        kept |= {name: getattr(own, name) for name in ("images", "masks", "scale", "missing")}
+    if _is_of(place, own):
+        kept |= {n: getattr(own, n) for n in ("images", "masks", "scale", "missing", "without")}
         tries = [(paths.of_set(own.path), own.cameras)]
     for root, file in tries:
         file = None if file == "." else file
@@ -180,10 +189,9 @@ def _cameras(pictures: Path, own: PhotosConfig) -> tuple[list, set[str]]:
             if root == tries[-1][0]:
                 hint = "; photos.… are the run's, where SET is its photos.path"
                 raise InputError(f"{error}{hint if 'photos.' in str(error) else ''}") from None
+    found.cameras = reading.without(found.cameras, settings.without, sources.missing)
     photographs.check(found, sources)
     found.notes += photographs.elsewhere(found, sources)
-    if mine:
-        found.cameras = reading.without(found.cameras, own.without)
     cameras, told = finding.masked(found.cameras, root, sources)
     over, more = turns.turned(cameras, found, settings.orientation)
     for line in (*found.notes, *photographs.left_out(sources), *told, *more):

@@ -19,10 +19,10 @@ def main(folder: Path, iteration: str | None = None) -> int:
     number = re.fullmatch(r"iteration=(\d{1,8})", iteration or "iteration=0")
     if not number:
         raise InputError(f"{iteration}: give iteration=N, a whole number from 0 on")
-    from ..engine import replay
+    from ..engine import experiment
 
     with interrupt.prompt():
-        found = replay.of(folder, int(number[1]) if iteration else None)
+        found = experiment.replay(folder, int(number[1]) if iteration else None)
     console = Console()
     console.print(f"iteration {found.iteration}, at the values of the checkpoint")
     table = Table("unknown", "entries of the gradient", "not finite")

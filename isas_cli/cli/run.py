@@ -71,7 +71,7 @@ def _resume(arguments: list[str], wanted: str, overrides: list[str]) -> int:
     if not folder:
         raise InputError("resume is empty: give resume=DIR, a run's folder")
     changes = resumption.parse(overrides)
-    place = Path(folder).expanduser()
+    place = Path(os.path.expanduser(folder))
     if place.is_dir():
         one.check_writable(place, "a run goes on where it is: copy it")
     with one.argv(["isas", "run", *arguments]), interrupt.prompt():
@@ -79,7 +79,8 @@ def _resume(arguments: list[str], wanted: str, overrides: list[str]) -> int:
 
 
 def _split(arguments: list[str]) -> tuple[list[str], list[str]]:
-    """Hydra's flags and the overrides among them. Raises InputError for flags that Hydra lacks."""
+    """Hydra's flags and the overrides among them. Raises InputError for flags that Hydra lacks, and
+    for others beside -m."""
     from hydra._internal.utils import get_args_parser
 
     parser = get_args_parser()
@@ -87,8 +88,9 @@ def _split(arguments: list[str]) -> tuple[list[str], list[str]]:
     def refuse(message: str) -> None:
         raise InputError(f"{message}; see isas run --help")
 
-    parser.error = refuse
-    overrides = parser.parse_intermixed_args(arguments).overrides
+    parser.error, parser.allow_abbrev = refuse, False
+    given = parser.parse_intermixed_args(arguments)
+    overrides = given.overrides
     remaining = list(overrides)
     flags = []
     for argument in arguments:
@@ -96,4 +98,7 @@ def _split(arguments: list[str]) -> tuple[list[str], list[str]]:
             remaining.remove(argument)
         else:
             flags.append(argument)
+    others = [flag for flag in flags if flag not in sweep.MULTIRUN]
+    if given.multirun and others:
+        raise InputError(f"{others[0]}: not beside -m: leave one of them out")
     return flags, overrides

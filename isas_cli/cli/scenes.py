@@ -8,6 +8,8 @@ from rich.text import Text
 
 from ..config import method, searchpath
 
+_WIDE = 1000  # columns, of which a table takes what it needs
+
 
 def _comment(text: str) -> str:
     first = text.splitlines()[0] if text else ""
@@ -17,14 +19,16 @@ def _comment(text: str) -> str:
 def main() -> int:
     """Print scenes with their unknowns and sizes, then samplers and losses."""
     console = Console()
+    if not console.is_terminal:  # for files and other programs a line a row
+        console.width = _WIDE
     # For copying: never cut.
     names, keys = Column("scene", no_wrap=True), Column("unknowns", no_wrap=True)
     sizes = Column("sizes", no_wrap=True)
     table = Table(names, "problem", keys, sizes, title="isas run scene=NAME size=SIZE")
-    for name, file in searchpath.files("scene").items():
-        node = method.read(file)
+    for name in method.options("scene"):
+        node = method.whole(name)
         unknowns = "\n".join(node.get("unknowns") or {}) or "scene.unknowns=…"
-        problem = node.get("description", "")
+        problem = node.get("description") or ""
         own = method.flat(method.said(name, "method"))
         if words := [f"{group}={own[group]}" for group in ("estimator", "sampler") if group in own]:
             problem += f" Takes {' '.join(words)}."

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 from typing import TYPE_CHECKING
 
 from rich import box
@@ -47,8 +48,10 @@ def main(arguments: list[str]) -> int:
 
 
 def _settings(words: list[str]) -> list[str]:
-    """A word alone is a file: short for ``scene=file scene.path=FILE``."""
-    files = [word for word in words if "=" not in word and not word.startswith("~")]
+    """A word alone is a file: short for ``scene=file scene.path=FILE``. A file's name may have =
+    in it."""
+    alone = [word for word in words if "=" not in word and not word.startswith("~")]
+    files = [word for word in words if word in alone or os.path.isfile(word)]
     if len(files) > 1:
         raise InputError(f"{files[1]}: one file is enough; see isas unknowns --help")
     others = [word for word in words if word not in files]

@@ -10,7 +10,8 @@ from ..config.presets import PRESETS
 from ..config.roles import meaning
 from ..runtime import interrupt
 from ..runtime.errors import InputError
-from . import one, race
+from . import one
+from .sweeps import race
 
 _OWN = ("samplers", "contestants", "repeats", "at", "best", "hydra.run.dir")
 _REPEATS, _BEST = 1024, 256

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+from pathlib import Path
 
 import numpy as np
 import plotille
@@ -12,9 +13,11 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from ..engine.display import number
 from ..records import Run
 from ..records.follow import KILLED, RUNNING, UNREADABLE, Follower, Standing, alive
 
+_RACE = "race.yaml"  # what `isas race` leaves in its folder
 _MEASURES = {"image_rmse": "cyan", "parameter_rmse": "magenta"}
 _SILENT_SECONDS = 60.0  # checkpoints come every few seconds
 _BAR = 30
@@ -31,8 +34,8 @@ def line(standing: Standing) -> str:
     steps = f"/{budget.iterations}" if budget and budget.iterations is not None else ""
     parts = [_spent(standing), f"it {last['iteration']:.0f}{steps}"]
     parts += [f"{name} {_error(standing, name)}" for name in _MEASURES if name in last]
-    parts.append(f"loss {_number(last.get('loss'))}")
-    return "  ".join([*parts, _rate(standing)])
+    parts.append(f"loss {number(last.get('loss'))}")
+    return "  ".join([*parts, f"{_rate(standing)} M paths/s"])
 
 
 def ending(follower: Follower) -> list[str]:
@@ -43,7 +46,7 @@ def ending(follower: Follower) -> list[str]:
     if run is None or status == RUNNING:
         return []
     summary = run.summary or {}
-    resume = f"isas run {shlex.quote(f'resume={follower.folder}')}"
+    resume = _resume(follower.folder)
     if status == KILLED:
         text = "killed: its process has gone without a word"
         saved = (follower.folder / "checkpoint" / "state.npz").is_file()
@@ -63,6 +66,14 @@ def ending(follower: Follower) -> list[str]:
     elif not run.complete:
         said.append(f"pictures and report are missing; make them with: {resume}")
     return said
+
+
+def _resume(folder: Path) -> str:
+    """What goes on with a run; of a race's with all of it, at equal billed time."""
+    race = folder.absolute().parent.parent
+    if (race / _RACE).is_file():
+        return f"isas race {shlex.quote(f'resume={race}')}"
+    return f"isas run {shlex.quote(f'resume={folder}')}"
 
 
 def page(follower: Follower, console: Console) -> RenderableType:
@@ -108,10 +119,9 @@ def _cells(follower: Follower, state: str) -> list[Text]:
     shown = [_state(follower, state)]
     if not standing.last:
         return shown
-    rate = "–" if standing.rate is None else f"{standing.rate / 1e6:.2f}"
     texts = [_spent(standing), f"{standing.last['iteration']:.0f}"]
     texts += [_error(standing, name) for name in _MEASURES]
-    return shown + [Text(text) for text in [*texts, rate]]
+    return shown + [Text(text) for text in [*texts, _rate(standing)]]
 
 
 def _state(follower: Follower, status: str) -> Text:
@@ -143,17 +153,17 @@ def _errors(standing: Standing) -> RenderableType:
     for name, colour in {**_MEASURES, "loss": ""}.items():
         if name in standing.last:
             values = (standing.last[name], standing.first.get(name), standing.share(name))
-            made.add_row(Text(name, style=colour), *(_number(value) for value in values))
+            made.add_row(Text(name, style=colour), *(number(value) for value in values))
     return made
 
 
 def _speed(standing: Standing) -> Text:
     last, seconds = standing.last, standing.last["seconds"]
-    parts = [f"iteration {last['iteration']:,.0f}", _rate(standing)]
+    parts = [f"iteration {last['iteration']:,.0f}", f"{_rate(standing)} M paths/s"]
     if seconds:
         parts.append(f"stage 1 {100 * last.get('stage1_seconds', 0.0) / seconds:.1f} %")
     if "learning_rate" in last:
-        parts.append(f"learning rate {_number(last['learning_rate'])}")
+        parts.append(f"learning rate {number(last['learning_rate'])}")
     return Text("  ".join(parts))
 
 
@@ -218,13 +228,9 @@ def _spent(standing: Standing) -> str:
 
 def _error(standing: Standing, name: str) -> str:
     share = standing.share(name)
-    known = _number(standing.last.get(name))
+    known = number(standing.last.get(name))
     return known if share is None else f"{known} ×{share:.3g}"
 
 
 def _rate(standing: Standing) -> str:
-    return "– M paths/s" if standing.rate is None else f"{standing.rate / 1e6:.2f} M paths/s"
-
-
-def _number(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3g}"
+    return number(standing.rate and standing.rate / 1e6, ".2f")

@@ -18,13 +18,14 @@ from hydra import initialize_config_dir, version
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import ChoiceSweep, RangeSweep
+from hydra.core.utils import JobRuntime
 from hydra.errors import HydraException, OverrideParseException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from ..runtime import allowed
 from ..runtime.errors import InputError, nearest
-from . import dropped, method, paths, presets, schema
+from . import dropped, grammar, method, paths, presets, schema
 from .grammar import literal, plain
 from .method import options
 
@@ -42,17 +43,28 @@ _PATHS = (
 )
 # Of these several are several runs.
 _SEVERAL = "scene.path", *(f"scene.photos.{name}" for name in ("path", "mesh", "environment"))
+# Names of views in a list: numbers with _ or a point are names, too.
+_VIEWS = "scene.photos.test", "scene.photos.without"
+_ITEM = re.compile(r"""(['"]).*?(?<!\\)\1|(?<![^\[,])(\s*)(\d[\w.+-]*)(?=\s*(?:[\],]|$))""")
 # Files in a list, or beside what is no file.
 _FILES = "scene.targets", "scene.masks", "scene.photos.texture"
 # photos.path is short for scene.photos.path.
 _SHORT = "photos.", "external."
 # Names of another renderer, which no schema can list.
 _PARAMETERS = "scene.external.parameters="
+# Of a scene's builder, which may have more than the scene's file says.
+_ARGUMENT = "scene.arguments."
 # The sampler that another goes around.
 _BASE = "sampler.base"
 # Choices within choices, as typed and as Hydra takes them.
 _WITHIN = {_BASE: f"sampler@{_BASE}", "optimizer.filter": "filter@optimizer.filter"}
 _CHOICES = ("sampler", "estimator", "loss", "prior", "effects", *_WITHIN)
+# How Hydra says several names otherwise than with commas.
+_SEVERAL_NAMES = re.compile(r"(choice|glob|shuffle|sort|tag)\(")
+# Texts, which Hydra would take for numbers where they look like some.
+_TEXTS = "name", "scene.name"
+# Hydra's own, which are of jobs that Hydra runs.
+_OF_JOBS = "env_set", "env_copy", "chdir"
 _LONGEST = 2000  # of a message, which may quote what was typed
 # What OmegaConf says of a value that does not fit; the second, of a number beyond all floats.
 _REFUSALS = (OmegaConfBaseException, OverflowError)
@@ -65,8 +77,9 @@ def translate(overrides: Iterable[str]) -> list[str]:
 
     ``scene.unknowns={"a.b": {"start": 0.5}}`` is JSON, or as Python prints it, whose quoted keys
     Hydra's grammar does not know: it is rewritten with bare keys. Otherwise nothing can be added
-    with '+', as what is not in the configuration has no effect, or removed with '~', as all that is
-    in it is needed, but for unknowns, poses and what the scene takes by itself.
+    with '+', as what is not in the configuration has no effect, but for arguments of a builder, or
+    removed with '~', as all that is in it is needed, but for unknowns, poses and what the scene
+    takes by itself.
     """
     return [_translate(override) for override in presets.unpacked(list(overrides), _BASE)]
 
@@ -87,13 +100,18 @@ def _translate(override: str) -> str:
             return f"++{setting}{','.join(each.partition('=')[2] for each in made)}"
     if key in _PATHS and value not in ("", "null") and value[0] not in "'\"":
         # A shell puts one's home in some places only.
-        several = key in _SEVERAL and "," in value and not paths.exists(Path(value).expanduser())
+        whole = Path(os.path.expanduser(value))
+        several = key in _SEVERAL and "," in value and not paths.exists(whole)
         every = value.split(",") if several else [value]
         return f"{key}={','.join(literal(os.path.expanduser(each)) for each in every)}"
     if key in _FILES and "~" in value:  # a shell does not look into lists
         home = os.path.expanduser("~/")
         value = re.sub(r"(^|[\[,\s'\"])~/", lambda found: found.group(1) + home, value)
         bare = override = f"{key}={value}"
+    if key in _VIEWS and value:
+        bare = override = f"{key}={_ITEM.sub(_as_name, value)}"
+    if key in _TEXTS and re.fullmatch(r"[\w.+-]+(,[\w.+-]+)*", value) and value != "null":
+        return f"{key}={','.join(map(grammar.override, value.split(',')))}"
     if bare.startswith("hydra") or bare.startswith("~hydra"):
         return override
     if bare in ("~scene.method", "~scene.method=null"):  # the latter of a contestant
@@ -116,10 +134,19 @@ def _translate(override: str) -> str:
         raise InputError(
             f"{bare}: names a choice and makes none: say {key.rpartition('.')[0]}=NAME"
         )
-    if key in (*_GROUPS, *_WITHIN) and not all(map(_may_be_a_name, value.split(","))):
+    words = [] if _SEVERAL_NAMES.match(value) else map(str.strip, value.split(","))
+    if key in (*_GROUPS, *_WITHIN) and not all(map(_may_be_a_name, words)):
         names = options(_WITHIN.get(key, key).partition("@")[0])
         raise InputError(f"{bare}: give one name; valid: {', '.join(names)}")
+    if override.startswith("+") and key.startswith(_ARGUMENT):
+        return f"++{bare}"  # one that has a default; the builder refuses others
     return f"{_WITHIN[key]}={value}" if key in _WITHIN else bare
+
+
+def _as_name(found: re.Match) -> str:
+    """One of ``_ITEM`` so that Hydra reads it as a name; quoted ones and whole numbers stay."""
+    blank, word = found[2], found[3]
+    return found[0] if word is None or word.isdigit() else f"{blank}{literal(word)}"
 
 
 def _unquoted(text: str) -> str:
@@ -233,7 +260,7 @@ def initialized() -> Iterator[None]:
     """Within, Hydra composes as isas does. What a program that uses it as well had there is put
     back."""
     known, base = GlobalHydra.instance(), version.getbase()
-    theirs = known.hydra
+    theirs, job = known.hydra, JobRuntime.instance().get("name")
     known.clear()
     try:
         with initialize_config_dir(schema.folder(), version_base="1.3", job_name="isas"):
@@ -241,6 +268,7 @@ def initialized() -> Iterator[None]:
     finally:
         known.hydra = theirs
         GlobalHydra.set_instance(known)
+        JobRuntime.instance().set("name", job)
         if isinstance(base, version.Version):
             version.VersionBase.instance().setbase(base)
 
@@ -253,14 +281,46 @@ def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
     overrides = complete(overrides)
     try:
         with initialized():
-            cfg = hydra_compose("config", overrides, return_hydra_config=hydra)
+            cfg = hydra_compose("config", overrides, return_hydra_config=True)
+            for name in _OF_JOBS:
+                if cfg.hydra.job[name]:
+                    raise InputError(
+                        f"hydra.job.{name}: has no effect: set the environment, or the folder, "
+                        "before isas begins"
+                    )
+            added = [o for o in overrides if o.startswith(f"++{_ARGUMENT}")]
+            if added and cfg.scene.builder is None:
+                raise InputError(f"{added[0][2:]}: the scene has no builder to take it")
             OmegaConf.resolve(cfg.scene)
+            with open_dict(cfg):
+                _name(cfg)
+                if not hydra:
+                    del cfg["hydra"]
     except (HydraException, *_REFUSALS, yaml.YAMLError, OSError, ValueError) as error:
         text = explain(error, overrides)
         for typed, hydra_s in _WITHIN.items():
             text = text.replace(hydra_s, typed)
         raise InputError(text[:_LONGEST]) from error
     return dropped.settled(cfg)
+
+
+def _name(cfg: DictConfig) -> None:
+    """Names each choice as its file is called. Raises InputError where that says another name: its
+    runs would be taken for another choice's. A scene, known by its content, may have another."""
+    files = cfg.hydra.runtime.choices
+    if OmegaConf.is_missing(cfg.scene, "name"):
+        cfg.scene.name = files.scene.removesuffix(".yaml")
+    for choice in _CHOICES:
+        file = files.get(_WITHIN.get(choice, choice))
+        if file is None:  # such as the base of a sampler that goes around none
+            continue
+        name, node = file.removesuffix(".yaml"), OmegaConf.select(cfg, choice)
+        if (node.get("name") or name) != name:
+            raise InputError(
+                f"{choice}={name}: its file says name: {node.name}, or takes it from another: "
+                f"write name: {name} there"
+            )
+        node.name = name
 
 
 def complete(overrides: list[str]) -> list[str]:

@@ -47,9 +47,10 @@ def completed(overrides: list[str]) -> list[str]:
     typed = dict(o.lstrip("+").partition("=")[::2] for o in overrides)
     if NONE in overrides or "scene" not in typed:
         return overrides
+    scene = whole(typed["scene"])
     own = flat(said(typed["scene"], "method"))
-    if typed["scene"] == "photos" and _moving(typed, overrides):
-        own |= _OF_MOVING
+    if "photos" in scene and _moving(scene, typed, overrides):
+        own = _OF_MOVING | own
     preset = typed.get("sampler") in PRESETS
     chosen = typed.get("estimator", typed["sampler"] if preset else own.get("estimator"))
     # The renderer's derivative is another estimator in all but its name.
@@ -68,16 +69,19 @@ def completed(overrides: list[str]) -> list[str]:
     return [f"{key}={override(value)}" for key, value in own.items() if left(key)] + overrides
 
 
-def _moving(typed: dict[str, str], overrides: list[str]) -> bool:
-    """Whether ``overrides``, ``typed`` by key, of scene=photos, make the object's pose unknown, or
-    leave its shape to a hull, which is unknown. No files are read, but for the one that may name a
-    plane."""
-    said = {k.removeprefix("scene.photos."): v.strip("'\"") for k, v in typed.items()}
+def _moving(scene: dict[str, Any], typed: dict[str, str], overrides: list[str]) -> bool:
+    """Whether a ``scene`` of photographs with ``overrides``, ``typed`` by key, makes the object's
+    pose unknown, or leaves its shape to a hull, which is unknown. No files are read, but for the
+    one that may name a plane."""
+    own = {k: override(v) for k, v in (scene["photos"] or {}).items() if v is not None}
+    own |= {key.removeprefix("scene.photos."): value for key, value in typed.items()}
+    said = {key: value.strip("'\"") for key, value in own.items()}
     if any(said.get(name, "").lower() in _YES for name in ("pose", "edges")):
         return True
     if any(said.get(name, "null") != "null" for name in ("mesh", "plane", "sphere")):
         return False
-    chosen = " ".join(o for o in overrides if o.lstrip("+").startswith("scene.unknowns"))
+    unknowns = (o for o in overrides if o.lstrip("+").startswith("scene.unknowns"))
+    chosen = " ".join([*(scene.get("unknowns") or {}), *unknowns])
     if chosen and ".vertices" not in chosen:
         return False
     if said.get("start", "null") != "null":
@@ -93,7 +97,7 @@ def taken(cfg: DictConfig) -> list[str]:
     """What ``cfg`` has from its scene, as it would be typed."""
     own = flat(cfg.scene.method or OmegaConf.create())
     if cfg.scene.photos.path is not None and cfg.estimator.name == _OF_MOVING["estimator"]:
-        own |= _OF_MOVING
+        own = _OF_MOVING | own
     same = own.get("estimator") == cfg.estimator.name
     found = []
     for key, value in own.items():
@@ -110,13 +114,25 @@ def options(group: str) -> list[str]:
 
 
 def said(scene: str, group: str) -> DictConfig:
-    """What the YAML of a scene says of ``group``; nothing of a scene that is none."""
-    if (file := searchpath.files("scene").get(scene)) is None:
-        return OmegaConf.create()
-    found = read(file).get(group)
-    if found is not None and not isinstance(found, DictConfig):
+    """What a scene says of ``group``; nothing of a scene that is none."""
+    found = whole(scene).get(group)
+    if found is not None and not isinstance(found, dict):
+        file = searchpath.files("scene")[scene]
         raise InputError(f"{file}: {group}: holds no settings by name")
-    return found or OmegaConf.create()
+    return OmegaConf.create(found or {})
+
+
+def whole(scene: str, *above: str) -> dict[str, Any]:
+    """The YAML of a scene, over those of the scenes in its defaults (``above``: whose defaults name
+    it), nothing resolved; nothing of a scene that is none."""
+    file = searchpath.files("scene").get(scene)
+    if file is None or scene in above:
+        return {}
+    own = OmegaConf.to_container(read(file))
+    names = [str(each).partition("@")[0] for each in own.pop("defaults", None) or ()]
+    names += ["_self_"] * ("_self_" not in names)  # as Hydra does
+    bases = {name: whole(name.removeprefix("/scene/"), scene, *above) for name in names}
+    return OmegaConf.to_container(OmegaConf.merge(*(bases | {"_self_": own}).values()))
 
 
 def read(file: "Traversable") -> DictConfig:
@@ -134,8 +150,9 @@ def flat(method: DictConfig) -> dict[str, Any]:
     """``{"estimator": {"name": "plateau", "spp": 4}}`` → ``{"estimator": "plateau",
     "estimator.spp": 4}``."""
     found = {}
-    for group, value in method.items():
-        several = value.items() if isinstance(value, DictConfig) else (("name", value),)
+    # What refers to other settings does so where it is put.
+    for group, value in OmegaConf.to_container(method).items():
+        several = value.items() if isinstance(value, dict) else (("name", value),)
         for name, each in several:
             found[group if name == "name" else f"{group}.{name}"] = each
     return found

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import datetime
 import importlib.resources
+import os
 import re
+import shlex
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,7 +22,12 @@ _FILES = (
 )
 # Of these, what is looked for in the set first.
 _IN_SET = ("scene.photos.images", "scene.photos.masks")
+# Whose words may be files.
+_COMMAND = "scene.external.command"
 _SCENES = "isas_cli.scenes"
+# What folders of runs, failed ones too, of races and of comparisons hold.
+_MADE = {"config.yaml", "manifest.json"}, {"config.yaml", "log.txt"}, {"race.yaml"}, {"races.yaml"}
+_MADE += ({"methods.csv", "report.html"},)
 
 
 def exists(path: Path) -> bool:
@@ -51,6 +58,10 @@ def locate(cfg: DictConfig, started_in: str | None) -> None:
 
     for key, named in _said(cfg):
         OmegaConf.update(cfg, key, _each(named, found))
+    words, there = _words(cfg), _in_command(cfg, home)
+    if there and not home.samefile("."):  # its program is called as ISAS_ALLOW names it
+        whole = [found(word) if word in there else word for word in words]
+        OmegaConf.update(cfg, _COMMAND, shlex.join(whole))
     for unknown in cfg.scene.unknowns.values():
         # Without an ending it is a word, such as 'sphere'.
         if isinstance(unknown.start, str) and Path(unknown.start).suffix:
@@ -66,6 +77,11 @@ def named(cfg: DictConfig) -> list[tuple[str, str]]:
         if unknown is not None and isinstance(start := unknown.get("start"), str):
             if Path(start).suffix:
                 listed.append((f"scene.unknowns.{key}.start", start))
+    listed += [(_COMMAND, word) for word in _in_command(cfg, Path())]
+    if function := OmegaConf.select(cfg, "scene.external.function"):
+        module = function.rpartition(".")[0].replace(".", "/")
+        files = (f"{module}.py", f"{module}/__init__.py")  # where they are not installed
+        listed += [("scene.external.function", name) for name in files if _is_file(Path(name))]
     return listed
 
 
@@ -83,6 +99,21 @@ def _said(cfg: DictConfig) -> Iterator[tuple[str, Any]]:
         yield key, value
 
 
+def _words(cfg: DictConfig) -> list[str]:
+    try:
+        return shlex.split(OmegaConf.select(cfg, _COMMAND) or "")
+    except ValueError:
+        return []
+
+
+def _in_command(cfg: DictConfig, folder: Path) -> list[str]:
+    """The words of a renderer's command that are files, seen from ``folder``: its program only
+    where it is not looked for among the installed ones."""
+    words = _words(cfg)
+    own = words if words and "/" in words[0] else words[1:]
+    return [word for word in own if _is_file(folder / word)]
+
+
 def elsewhere(cfg: DictConfig, started_in: str | None) -> str | None:
     """Of files that ``cfg`` names relative to the working directory, one that is another file than
     what the same name means in ``started_in``, where both are there."""
@@ -96,23 +127,47 @@ def elsewhere(cfg: DictConfig, started_in: str | None) -> str | None:
 
 
 def newer(cfg: DictConfig, than: str) -> str | None:
-    """A file that ``cfg`` names, or that a scene's XML does, changed after the time ``than`` (ISO
-    8601); None where none was. Of folders of photographs the files in them are not asked."""
+    """A file that ``cfg`` names, that a scene's XML does or that lies in a folder of photographs,
+    changed after the time ``than`` (ISO 8601); None where none was. Sets that come along change
+    with isas alone, and are not asked."""
     try:
         since = datetime.datetime.fromisoformat(than).timestamp()
     except ValueError:
         return None
-    for key, name in named(cfg):
+    for key, name in [*named(cfg), *_of_set(cfg)]:
         path = Path(name)
         files = [path]
         with contextlib.suppress(OSError, UnicodeDecodeError):
             if path.suffix.lower() == ".xml":
                 files += _within(path, {path})
+            elif path.is_dir():
+                files += _below(path)
         for file in files:
             with contextlib.suppress(OSError):
                 if file.is_file() and file.stat().st_mtime > since:
                     return str(file) if file != path else f"{key}={name}"
     return None
+
+
+def _of_set(cfg: DictConfig) -> Iterator[tuple[str, str]]:
+    """What settings name from a set of photographs on, which may lie beside it."""
+    path = OmegaConf.select(cfg, "scene.photos.path")
+    for key in (*_IN_SET, "scene.photos.cameras"):
+        if path is not None and (value := OmegaConf.select(cfg, key)) is not None:
+            yield key, str(of_set(path) / value)
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    """The files in a folder and the folders in it, but for hidden ones and what isas makes."""
+    seen: set[str] = set()  # links may lead round
+    for place, folders, files in os.walk(folder, followlinks=True):
+        real = os.path.realpath(place)
+        if real in seen or any(made <= {*files} for made in _MADE):
+            folders.clear()
+            continue
+        seen.add(real)
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        yield from (Path(place, name) for name in files if not name.startswith("."))
 
 
 def _within(path: Path, seen: set[Path], around: tuple[Path, ...] = ()) -> list[Path]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, List, Optional
 
 from ..runtime.errors import InputError
-from .roles import at_least
+from .meanings import at_least
 
 UPS = ("x", "y", "z", "-x", "-y", "-z")
 # In place of one, of lights for scores: as the camera of each view stands.

@@ -13,8 +13,8 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from ..runtime.errors import InputError
 from ..runtime.schedule import factor
 from . import presets, searchpath
+from .meanings import Role, at_least, setting
 from .photographs import PhotosConfig
-from .roles import Role, at_least, setting
 
 # Dr.Jit counts the lanes of a kernel in 32 bits.
 MOST_LANES = 2**31
@@ -237,6 +237,11 @@ class SceneConfig:
     poses: Dict[str, Optional[PoseConfig]] = field(default_factory=dict)
     unknowns: Dict[str, Optional[UnknownConfig]] = field(default_factory=dict)
 
+    @property
+    def outside(self) -> bool:
+        """Whether another renderer makes its pictures, whatever the scene is called."""
+        return self.external.function is not None or self.external.command is not None
+
     def __post_init__(self) -> None:
         at_least(-1, scene__max_depth=self.max_depth)
 
@@ -402,20 +407,23 @@ class Config:
     def __post_init__(self) -> None:
         at_least(0, seed=self.seed, threads=self.threads)
         scene = self.scene
+        # One's own, with external in its defaults, has another name.
+        own = any(each is not None for each in (scene.builder, scene.path, scene.photos.path))
+        external = scene.name == "external" or scene.outside and not own
         if scene.photos.path is not None:
             self._of_photographs()
         elif scene.name == "photos":
             raise InputError("scene=photos needs photographs: give photos.path=DIR")
         elif scene.photos != PhotosConfig():
             raise InputError(f"photos.…: only scene=photos has it, not scene={scene.name}")
-        elif scene.name == "external":
+        elif external:
             scene.external.check()
             for name in ("builder", "path", "max_depth"):
                 if (value := getattr(scene, name)) is not None:
                     raise InputError(f"scene.{name}={value}: scene=external has none: leave it out")
         elif scene.builder is None and scene.path is None:
             raise InputError(f"scene={scene.name} needs a file: give scene.path=FILE.xml")
-        if scene.name != "external" and scene.external != ExternalConfig():
+        if not external and scene.external != ExternalConfig():
             raise InputError(f"scene.external.…: only scene=external has it, not {scene.name}")
         if scene.builder is not None:
             if scene.path is not None:

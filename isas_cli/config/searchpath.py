@@ -107,7 +107,7 @@ def words() -> list[str]:
 def _place(text: str, where: str) -> str:
     """A folder, whole, or ``pkg://NAME``. Raises InputError."""
     if not text.startswith(_PACKAGE):
-        text = text and str(Path(text.removeprefix(_FOLDER)).expanduser().resolve())
+        text = text and str(Path(os.path.expanduser(text.removeprefix(_FOLDER))).resolve())
     try:
         there = bool(text) and _opened(text).is_dir()
     except InputError:

@@ -13,7 +13,15 @@ import mitsuba as mi
 import numpy as np
 
 from ..config.schema import OptimizerConfig, SceneConfig, TargetConfig
-from ..rendering import black_box, coverage, integrators, light, picture_edges, targets, trial
+from ..rendering import (
+    black_box,
+    coverage,
+    integrators,
+    light,
+    picture_edges,
+    targets,
+    trial,
+)
 from ..rendering.black_box import Places
 from ..runtime import backend
 from ..runtime.errors import InputError
@@ -26,6 +34,7 @@ from ..scene import (
     scene_file,
     sensor_checks,
     stand_ins,
+    weights,
 )
 from ..scene.outside import Outside
 from ..scene.photos import building, importing, noise, photographs
@@ -34,6 +43,7 @@ from ..scene.views import Views
 from ..unknowns import verdicts
 from ..unknowns.optics import Lens
 from ..unknowns.parameters import own, owner, read
+from ..unknowns.ranges import only_emits
 from ..unknowns.specs import check_stages, narrow_blurs, parse
 from ..unknowns.unknowns import Unknown, Unknowns
 
@@ -47,6 +57,8 @@ _FACTORS = (
 # Of targets: what is too dark to have a colour, as a share of the mean; the difference of channels,
 # as a share of their mean, that is one; and the share of the others that has.
 _DARK, _COLOURED, _MANY = 0.2, 0.3, 0.05
+# Of densities: by which those that are alike differ, and the share of a start that is many.
+_ALIKE, _DENSE = 1e-6, 0.05
 
 
 def bare(
@@ -57,13 +69,16 @@ def bare(
     # Earlier scenes that nobody uses: collected in the middle of a frozen kernel, they break it.
     gc.collect()
     taken = None if scene.photos.path is None else photographs.load(scene.photos)
-    other = Outside(scene.external) if scene.name == "external" else None
+    other = Outside(scene.external, scene.unknowns) if scene.outside else None
     loaded, integrator, description = _loaded(scene, taken, other)
     sensors = loaded.sensors()
     if not sensors:
         raise InputError(f"{where_of(scene)} has no sensor: add at least one camera")
     if not loaded.emitters():
-        raise InputError(f"{where_of(scene)} has no emitter: without light all images are black")
+        why = "without light all images are black"
+        if only_emits(integrator):
+            why = 'emission needs a sky: add <emitter type="constant">, of radiance 0 for none'
+        raise InputError(f"{where_of(scene)} has no emitter: {why}")
     every = [tuple(int(x) for x in s.film().crop_size()) for s in sensors]
     sizes = every if taken is None else every[: len(taken.shown)]
     pixels = sum(width * height for width, height in sizes)
@@ -127,6 +142,7 @@ def bare(
             *_doubtful_starts(found),
             *_wrong(params, found),
             *_flat_densities(found, adapted),
+            *_lifted(found),
             *_traded(unknowns, truth_known),
             *_products(unknowns),
             *(sensor_checks.doubts(loaded) if scene.path is not None else ()),
@@ -175,6 +191,8 @@ def problem(
     result, taken, every = bare(scene)
     truth_known = taken is None and scene.targets is None
     check(result)
+    if scene.weights is not None:  # masks, which they may depend on, are not read yet
+        weights.of_views(scene.weights, [np.ones(1)] * len(result.film_sizes))
     # isas's own scenes hold nothing that cannot be frozen.
     if taken is None and result.freezes and not str(scene.builder).startswith("isas_cli.scenes."):
         trial.look(result, where_of(scene))
@@ -188,7 +206,7 @@ def problem(
     phase("coverage")
     # Not the run's own seed: runs are compared over the same entries.
     coverage.fill_in(result, target.seed)
-    # Last, because this may take minutes and nothing can be refused after it.
+    # Last, because this may take minutes: what can be refused without it has been.
     if truth_known:
         phase("targets")
         pixels, variance, digest = targets.render(result, target, rendered)
@@ -369,23 +387,44 @@ def _other_pictures(scene: mi.Scene, integrator: integrators.Integrator) -> list
     """Where a file's own integrator shows something else."""
     if isinstance(integrator, integrators.Medium):
         return stand_ins.within(scene)
-    return [] if integrator.black_box else stand_ins.warnings(scene, integrator.mitsuba)
+    if integrator.black_box:
+        return []
+    told = stand_ins.warnings(scene, integrator.mitsuba)
+    if "media" in integrator.simulates:
+        return [*told, *stand_ins.of_media(scene)]
+    filled = (each.id() for each in light.every_shape(scene) if each.is_medium_transition())
+    if names := ", ".join(dict.fromkeys(filled)):
+        told.append(
+            f"{names}: what fills it is not simulated, as the scene's integrator follows no paths "
+            'in media: take <integrator type="volpath"/>'
+        )
+    return told
 
 
 def _flat_densities(found: list[Unknown], integrator: integrators.Integrator) -> list[str]:
-    """Of densities that start alike everywhere, where Mitsuba follows paths in media: it learns by
-    collisions that are none, of which it samples none where a density is the largest."""
-    flat = [
-        each.key
-        for each in found
-        if each.kind.hides and "sigma_t" in each.kind.words and np.ptp(each.start) == 0
-    ]
-    if not flat or isinstance(integrator, integrators.Medium):
+    """Of densities much of whose start is as dense as its densest place, where Mitsuba follows
+    paths in media: it learns by collisions that are none, of which it samples none there."""
+    if isinstance(integrator, integrators.Medium):
         return []
+    dense = [each for each in found if each.kind.hides and "sigma_t" in each.kind.words]
+    flat = ((each.key, each.start >= (1 - _ALIKE) * each.start.max()) for each in dense)
     return [
-        f"'{key}' starts alike everywhere, where Mitsuba's derivative by a density is wrong: start "
-        "from values that differ, such as {uniform: [0.5, 1.5], seed: 1}"
-        for key in flat
+        f"'{key}': {at.mean():.0%} of its start is as dense as its densest place, where Mitsuba's "
+        "derivative by a density is wrong: start from values that differ, such as "
+        "{uniform: [0.5, 1.5], seed: 1}"
+        for key, at in flat
+        if at.all() or at.sum() > max(1, _DENSE * at.size)
+    ]
+
+
+def _lifted(found: list[Unknown]) -> list[str]:
+    """Of media whose truth lies below where values stay: it is rendered as it is lifted."""
+    return [
+        f"'{each.key}': {each.kind.lifted} of the scene's {each.start.size} numbers are below "
+        f"{each.truth.min():.3g} and count as that, in targets too: a range that begins nearer to "
+        "0 keeps them"
+        for each in found
+        if each.truth is not None and each.kind.words & {"sigma_t", "albedo"} and each.kind.lifted
     ]
 
 
@@ -410,8 +449,6 @@ def _wrong(params: mi.SceneParameters, found: list[Unknown]) -> list[str]:
 def where_of(scene: SceneConfig) -> str:
     if scene.photos.path is not None:
         return f"photos.path={scene.photos.path}"
-    if scene.name == "external":
-        return "scene=external"
     return f"scene.path={scene.path}" if scene.path is not None else f"scene={scene.name}"
 
 
@@ -425,14 +462,27 @@ def _content_hash(
     """
     hashed = hashlib.blake2b(digest_size=16)
     told = f"{scene}{integrator} {getattr(integrator, 'hide_emitters', None)}"
-    # Objects that say nothing of themselves tell their address.
-    hashed.update(re.sub(r"\[0x[0-9a-f]+\]", "", told).encode())
+    # Objects that say nothing of themselves tell their address. Areas are sums, of which a GPU's
+    # last bits differ from load to load.
+    hashed.update(re.sub(r"\[0x[0-9a-f]+\]|surface_area = .*", "", told).encode())
     hashed.update(description.encode())
     for key in sorted(params.keys()):
         value = read(params, key)
         hashed.update(key.encode())
-        if dr.is_array_v(value) and not dr.is_special_v(value):
+        if turn := _made(params, key):
+            # Mitsuba's threads add these up in any order: last bits differ from load to load.
+            hashed.update(f"made {turn}".encode())
+        elif dr.is_array_v(value) and not dr.is_special_v(value):
             hashed.update(np.ascontiguousarray(np.array(value)).tobytes())
         else:
             hashed.update(str(value).encode())
     return hashed.hexdigest()
+
+
+def _made(params: mi.SceneParameters, key: str) -> int:
+    """``mesh_checks.made_normals`` of a mesh, where ``key`` is its normals; else 0."""
+    shape, _, word = key.rpartition(".")
+    words = [f"{shape}.{name}" for name in ("vertex_positions", "faces", "vertex_normals")]
+    if word != "vertex_normals" or not all(each in params for each in words):
+        return 0
+    return mesh_checks.made_normals(*(np.array(params[each]).reshape(-1, 3) for each in words))

@@ -61,17 +61,20 @@ class Choices:
 
     def check_on(self, problem: Problem) -> None:
         """Raises InputError for what they cannot do on ``problem``, which needs no targets yet."""
+        from .. import effects
         from . import footprint
 
         # What is said here is said again where they get to work; others share this problem.
         problem = replace(problem, warnings=[*problem.warnings])
         self.estimator.check(problem, self.sampler, self.loss)
+        effects.check(problem, self.effects, self.estimator)
         if self.profile and not problem.integrator.has_forward:
             raise InputError(
                 "profile=true differentiates paths in forward mode, which the scene's "
                 f"integrator {problem.integrator.name} cannot: leave it out"
             )
-        footprint.check(problem, self.estimator.batch, self.estimator.outlines)
+        paths = self.estimator.paths_at_once(problem)
+        footprint.check(problem, self.estimator.batch, self.estimator.outlines, paths)
         beside = ["a prior"] if self.prior.on(problem.unknowns) is not None else []
         beside += ["estimator.blurred"] if self.estimator.whole else []
         other = (u for u in problem.unknowns if u.kind.aside or not u.kind.carried)

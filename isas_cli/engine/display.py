@@ -20,8 +20,9 @@ _ROOMY = 100  # columns of a terminal from which on the bar may be long
 _BESIDE = 12  # columns of the spinner, the longest phase's name and the gaps
 
 
-def _number(value) -> str:
-    return "–" if value is None or value != value else f"{value:.3g}"
+def number(value: float | None, form: str = ".3g") -> str:
+    """For terminals: – where it is not known."""
+    return "–" if value is None or value != value else format(value, form)
 
 
 class Stderr(Console):
@@ -137,9 +138,9 @@ class Display:
         rate = f"{row['paths'] / seconds / 1e6:.2f}" if seconds else "–"
         fields = [f"{seconds:5.1f}{spent} s", f"it {row['iteration']:3d}{steps}"]
         if "parameter_rmse" in row:
-            fields.append(f"param {_number(row['parameter_rmse'])}")
-        fields.append(f"image {_number(row.get('image_rmse'))}")
-        fields.append(f"loss {_number(row.get('loss'))}")
+            fields.append(f"param {number(row['parameter_rmse'])}")
+        fields.append(f"image {number(row.get('image_rmse'))}")
+        fields.append(f"loss {number(row.get('loss'))}")
         fields.append(f"{rate} M paths/s")
         return fields
 
@@ -178,7 +179,7 @@ class RaceDisplay(Display):
     def ended(self, name: str, status: str, first: dict, last: dict) -> None:
         """A contestant's record is finished."""
         measure = "parameter_rmse" if "parameter_rmse" in last else "image_rmse"
-        change = f"{measure} {_number(first.get(measure))} → {_number(last.get(measure))}"
+        change = f"{measure} {number(first.get(measure))} → {number(last.get(measure))}"
         self.say(f"{name}: {status}, {change}")
 
 

@@ -140,7 +140,7 @@ class Evaluator:
     @cached_property
     def floor(self) -> Floor | None:
         """What fitting the targets' noise leaves."""
-        return floor.measure(self, self.seed)
+        return floor.measure(self.problem, self.pixels, self.products, self.seed)
 
     def __call__(self, values: dict) -> dict[str, float]:
         """``loss``, ``image_rmse``, ``parameter_rmse``, ``parameter_rmse/<key>``, and ``value/…``:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import shlex
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -12,18 +13,20 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
+from .. import records
 from ..config import method, schema
 from ..config.schema import Config
 from ..records import trackers
-from ..runtime import backend, interrupt
+from ..runtime import backend, interrupt, memory
 from ..runtime.budget import Budget
 from ..runtime.errors import InputError, NumericalError
 from .choices import Choices
-from .display import Display
+from .display import Display, say
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
     from .recorder import Recorder
+    from .replay import Replay
 
 _LENSES = 4  # that are told one by one
 
@@ -48,15 +51,44 @@ def resume(folder: Path, changes: dict | None = None) -> int:
     streams continue as if there had been no stop. Raises InputError when there is nothing to
     continue, when the scene or its targets have changed since, or when the run is still going on.
     """
-    from .resumption import check_same, prepare
+    from .resumption import check_variant, prepare
 
     earlier = prepare(Path(folder), changes or {})
     typed, budget = checked(earlier.cfg)
     machine, (choices,) = started([earlier.cfg], typed)
-    planned = earlier.manifest.get("plan")
-    with _recorder(earlier.cfg, typed, budget, choices, earlier.folder, planned) as recorder:
-        check_same(recorder.loop.problem, machine, earlier.manifest, earlier.folder)
+    check_variant(machine, earlier.manifest, earlier.folder)
+    begun = earlier.manifest
+    made = _recorder(earlier.cfg, typed, budget, choices, earlier.folder, begun)
+    with memory.kept("isas run", earlier.folder), made as recorder:
         return _go(recorder, lambda: recorder.reopen(machine, earlier))
+
+
+def replay(folder: Path, iteration: int | None = None) -> "Replay":
+    """An iteration of the run in ``folder`` again, at the values of its checkpoint, by default the
+    last. Raises InputError where there is no such run or its scene has changed since."""
+    from .replay import again
+    from .resumption import check_variant, configuration
+    from .workshop import Workshop
+
+    run = records.load(folder)
+    arrays, state = records.load_checkpoint(folder)
+    cfg, _ = configuration(folder, run, {})
+    typed, budget = checked(cfg)
+    machine, (choices,) = started([cfg], typed)
+    why = "their random numbers differ, and with them every path"
+    check_variant(machine, run.manifest, folder, why)
+    with Display(budget) as display:
+        phases = Phases(display)
+        problem = built(typed, phases, [choices], [(run.manifest, folder)])
+        phases.begin("replay")
+        loop = Workshop(problem).loop(choices, typed, budget, run.manifest.get("plan"))
+        try:
+            loop.restore(arrays, state)
+        except (KeyError, ValueError, TypeError) as error:
+            raise InputError(f"{folder}/checkpoint does not fit this run: {error!r}") from error
+        found = again(loop, max(0, state["iteration"] - 1) if iteration is None else iteration)
+        phases.begin(None)
+    return found
 
 
 def checked(cfg: DictConfig) -> tuple[Config, Budget]:
@@ -78,6 +110,8 @@ def started(cfgs: Iterable[DictConfig], typed: Config) -> tuple[backend.Backend,
     made = [(Choices.of(cfg), schema.typed(cfg)) for cfg in cfgs]
     for choices, own in made:
         choices.check(own)
+    if machine.left_out:
+        say(f"variant={machine.variant}, as the GPU cannot be used: {machine.left_out}")
     return machine, [choices for choices, _ in made]
 
 
@@ -106,18 +140,32 @@ class Phases:
         self.display.targets(done, total)
 
 
-def built(typed: Config, phases: Phases, choices: Iterable[Choices] = ()) -> "Problem":
+def built(
+    typed: Config,
+    phases: Phases,
+    choices: Iterable[Choices] = (),
+    begun: Iterable[tuple[dict, Path]] = (),
+) -> "Problem":
     """The problem of a configuration, its phases timed. Raises InputError before there are targets
-    where one of ``choices``, which are to run on it, cannot."""
+    where one of ``choices``, which are to run on it, cannot; also, as early as it can be told,
+    where it is not what runs have ``begun`` with: manifest and folder of each."""
     from . import assemble, floor
+    from .resumption import check_same
+
+    begun = list(begun)
 
     def check(problem: "Problem") -> None:
+        for each in begun:
+            check_same(problem, *each)
         if typed.budget.converged:
             floor.check(problem, typed.scene.weights)
         for each in choices:
             each.check_on(problem)
 
-    return assemble.problem(typed.scene, typed.target, phases.rendered, phases.begin, check)
+    made = assemble.problem(typed.scene, typed.target, phases.rendered, phases.begin, check)
+    for each in begun:
+        check_same(made, *each)
+    return made
 
 
 @contextmanager
@@ -127,21 +175,21 @@ def _recorder(
     budget: Budget,
     choices: Choices,
     folder: Path,
-    planned: dict | None = None,
+    begun: dict | None = None,
 ) -> Iterator["Recorder"]:
-    """Everything up to the loop, compiled; no folder is written yet. ``planned``: the effects of a
+    """Everything up to the loop, compiled; no folder is written yet. ``begun``: the manifest of a
     run that goes on. Afterwards the scene, which a program may hold, has the values that it was
     loaded with, but for what unknowns rewrite, and no gradients."""
     with Display(budget) as display:
         phases = Phases(display)
-        problem = built(typed, phases, [choices])
+        problem = built(typed, phases, [choices], [(begun, folder)] if begun else ())
         try:
             phases.begin("prepare")
             from .recorder import Recorder
             from .workshop import Workshop
 
             workshop = Workshop(problem)
-            loop = workshop.loop(choices, typed, budget, planned)
+            loop = workshop.loop(choices, typed, budget, (begun or {}).get("plan"))
             phases.begin(None)
             loop.clock.unbilled_seconds.update(phases.seconds)
             yield Recorder(cfg, typed, loop, folder, display, workshop.renderer)
@@ -161,7 +209,8 @@ def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
     display.phase("compile")
     loop.rehearse()
     interrupt.check()
-    with interrupt.graceful(display.interrupted) as stop:
+    full = memory.kept("isas run", recorder.folder)
+    with interrupt.graceful(display.interrupted) as stop, full:
         display.phase("pictures")
         begin()
         _tell(recorder)
@@ -170,9 +219,9 @@ def _go(recorder: "Recorder", begin: Callable[[], None]) -> int:
             status = loop.run(recorder.hooks(stop))
         except NumericalError as error:
             recorder.close(NumericalError.ended)
-            from . import replay
+            from .replay import again
 
-            found = replay.again(loop, loop.position.iteration - 1)
+            found = again(loop, loop.position.iteration - 1)
             _announce(recorder, NumericalError.ended, recorder.illustrate())
             where = shlex.quote(str(recorder.folder))
             raise NumericalError(f"{error}; {found}; isas replay {where}") from error
@@ -210,7 +259,9 @@ def _announce(recorder: "Recorder", status: str, page: Path) -> None:
     if recorder.held_out is not None:
         mean = recorder.held_out["mean"]
         told = ", ".join(f"{k.upper()} {v:.4g}" for k, v in mean.items() if v is not None)
-        say(f"{len(recorder.held_out['views'])} views held out: {told}")
+        left = recorder.held_out.get("left_out")
+        more = f"; {left} more were not scored" if left else ""
+        say(f"{len(recorder.held_out['views'])} views held out: {told}{more}")
     lenses = held_out.of_views(recorder.loop.whole, recorder.loop.stepper.values).get("lens", {})
     for name, numbers in list(lenses.items())[:_LENSES]:
         told = ", ".join(f"{what.replace('_', ' ')} {x:.4g}" for what, x in numbers.items())
@@ -230,4 +281,8 @@ def _announce(recorder: "Recorder", status: str, page: Path) -> None:
         say("interrupted: the record is complete up to here; go on with")
         say(f"  isas run {shlex.quote(f'resume={recorder.folder}')}")
     # The one line on standard output: where the result is.
-    print(f"{'report' if recorder.typed.report else 'record'}: {page}")
+    try:
+        print(f"{'report' if recorder.typed.report else 'record'}: {page}", flush=True)
+    except OSError as error:
+        if error.errno != errno.EIO:  # of a terminal that is gone
+            raise

@@ -11,9 +11,11 @@ set against theirs. Neighbours that the images hardly tell apart have more.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
+import mitsuba as mi
 import numpy as np
 
 from ..rendering.stratified import noise
@@ -22,7 +24,6 @@ from ..runtime.errors import InputError
 
 if TYPE_CHECKING:
     from ..scene.problem import Problem
-    from .evaluate import Evaluator
 
 STOPS = "budget.converged=true stops a run at its targets' noise"
 # How far numbers are moved, of their own size, at most of their range.
@@ -63,10 +64,10 @@ def check(problem: "Problem", weights) -> None:
         )
 
 
-def measure(evaluator: "Evaluator", seed: int) -> Floor | None:
-    """Of the evaluator's problem; None where the targets' noise or the truth is not known, where
-    something moves, where pixels have weights, or where no image shows the unknowns. Renders."""
-    problem = evaluator.problem
+def measure(problem: "Problem", pixels: mi.UInt32, products: Callable, seed: int) -> Floor | None:
+    """Of a problem, by an evaluator's ``pixels`` and ``products``; None where the targets' noise or
+    the truth is not known, where something moves, where pixels have weights, or where no image
+    shows the unknowns. Renders."""
     variance, unknowns = problem.variance, problem.unknowns
     if variance is None or not np.all(np.isfinite(variance)) or not problem.truth_known:
         return None
@@ -75,12 +76,12 @@ def measure(evaluator: "Evaluator", seed: int) -> Floor | None:
     if any(u.kind.moves_geometry for u in unknowns):
         return None
     truths = {u.key: u.truth for u in unknowns}
-    here, squares, errors = variance[np.array(evaluator.pixels)], {}, {}
+    here, squares, errors = variance[np.array(pixels)], {}, {}
     channels = 3 * problem.views.total
     for number, u in enumerate(unknowns):
         rng = np.random.default_rng(streams.seed(seed, 1 + number, "evaluation_place"))
         moved = _moved(u, rng)
-        shown = evaluator.products(unknowns.values_of(truths | {u.key: moved}))
+        shown = products(unknowns.values_of(truths | {u.key: moved}))
         image, error = float(shown.mean()), u.error(moved)
         if not (image > 0 and error > 0):
             continue
@@ -120,7 +121,8 @@ def told(problem: "Problem", floor: Floor | None) -> dict | None:
 
 
 def _moved(unknown, rng: np.random.Generator) -> np.ndarray:
-    """The truth with each entry that is seen a little up or down, within its range."""
+    """The truth with each entry that is seen a little up or down, within its range: no farther than
+    both ways are free, one at an end as far as usual ones, lest most of them move the same way."""
     truth = unknown.truth
     # Ranges may be wide: of densities, and of parameters whose meaning only others know.
     sizes = [
@@ -128,6 +130,10 @@ def _moved(unknown, rng: np.random.Generator) -> np.ndarray:
     ]
     step = _MOVED * min(max(sizes), unknown.high - unknown.low)
     signs = rng.choice([-1.0, 1.0], truth.shape) * unknown.seen
-    there = truth + step * signs
-    there = np.where((there < unknown.low) | (there > unknown.high), truth - step * signs, there)
+    room = np.minimum(truth - unknown.low, unknown.high - truth)
+    free = room[unknown.seen & (room > 0)]
+    usual = np.median(free) if free.size else step
+    step = np.minimum(step, np.where(room > 0, room, usual)) * signs
+    there = truth + step
+    there = np.where((there < unknown.low) | (there > unknown.high), truth - step, there)
     return np.clip(there, unknown.low, unknown.high).astype(truth.dtype)

@@ -16,15 +16,17 @@ if TYPE_CHECKING:
 # Bytes that are surely needed at the same time. A pixel's target: as it is compared with, and as it
 # was read or rendered. An unknown's entry: value, gradient, Adam's two moments and its count of
 # steps; start, truth and whether it is seen. A drawn pixel: which it is, its probability, two
-# random streams, radiance and adjoint. An edge in a view, where silhouettes are drawn: its weight
-# and their sum so far (``outline.draw``).
-_TARGET, _ENTRY, _LANE, _EDGE = 24, 29, 90, 16
+# random streams, radiance and adjoint. A path more of a drawn pixel, in the same launch: its
+# radiance. An edge in a view, where silhouettes are drawn: its weight and their sum so far
+# (``outline.draw``).
+_TARGET, _ENTRY, _LANE, _PATH, _EDGE = 24, 29, 90, 12, 16
 
 
-def check(problem: "Problem", lanes: int, outlines: bool = False) -> None:
+def check(problem: "Problem", lanes: int, outlines: bool = False, paths: int = 0) -> None:
     """Raises InputError where ``problem`` with ``lanes`` pixels a step needs more memory than is
     free, with an estimate from below and what to reduce. ``outlines``: whether silhouettes of what
-    moves are drawn. On a CPU: what a GPU has free is not known."""
+    moves are drawn; ``paths``: of the largest launch, where a pixel has several. On a CPU: what a
+    GPU has free is not known."""
     if not mi.variant().startswith("llvm"):
         return
     entries = sum(u.start.size for u in problem.unknowns)
@@ -33,7 +35,7 @@ def check(problem: "Problem", lanes: int, outlines: bool = False) -> None:
     parts = {
         "targets": (problem.views.total * _TARGET, "the resolution of the views"),
         "unknowns": (entries * _ENTRY, size),
-        "a step": (lanes * _LANE, "estimator.batch"),
+        "a step": (lanes * _LANE + max(0, paths - lanes) * _PATH, "estimator.batch"),
     }
     if outlines:
         params = mi.traverse(problem.scene)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..records import RunWriter
@@ -20,12 +22,23 @@ _LEAST = 256
 _NAMES = ("psnr", "ssim", "flip")
 
 
-def measure(problem: Problem, values: dict, spp: int, seed: int, writer: RunWriter) -> dict:
+def measure(
+    problem: Problem,
+    values: dict,
+    spp: int,
+    seed: int,
+    writer: RunWriter,
+    given_up: Callable[[], bool] = lambda: False,
+    told: Callable[[int, int], None] = lambda number, count: None,
+) -> dict | None:
     """By view, PSNR, SSIM and FLIP of renderings at ``values`` with ``spp`` paths a pixel or
     ``_LEAST``, and their means; pictures go to frames/held_*. ``problem``: with the views held out.
 
     Where exposures are unknown, a view's own is nowhere said: ``exposure`` is fitted to it by least
     squares, a factor or one for each channel.
+
+    ``given_up``: asked before each view: ``left_out`` is how many it leaves out, and None is
+    returned where these are all; ``told(number, count)``: which view, from 1, is begun of how many.
     """
     spp = max(spp, _LEAST)
     problem.unknowns.write(values)
@@ -33,26 +46,31 @@ def measure(problem: Problem, values: dict, spp: int, seed: int, writer: RunWrit
     exposure = problem.unknowns.of(Exposure)
     channels = 0 if exposure is None else exposure.start.shape[1]
     masks = _per_view(problem)
-    views = {}
-    for view, name in enumerate(problem.names):
+    shown, views = [view for view, mask in enumerate(masks) if mask.any()], {}
+    for number, view in enumerate(shown, 1):
+        if given_up():
+            break
+        told(number, len(shown))
+        name = problem.names[view]
         seeds = lambda s, v=view: streams.seed(seed, (v << 16) + s, "frame")
         image, target = renderer.view(view, spp, seeds), problem.target_image(view)
-        if not masks[view].any():
-            continue
         factor = _fitted(image, target, masks[view], channels)
         image = (image * factor).astype(np.float32)
         views[name] = likeness.metrics(image, target, masks[view])
         if channels:
             views[name]["exposure"] = [float(x) for x in factor[:channels]]
         if view < _KEPT:
-            shown = {"target": target, "result": image, "weight": masks[view]}
-            for what, picture in shown.items():
+            frames = {"target": target, "result": image, "weight": masks[view]}
+            for what, picture in frames.items():
                 names = _RGB if picture.ndim == 3 else ["Y"]
                 tags = {"what": f"held-out {what}", "view": name}
                 writer.frame(f"held_{what}_v{view:02d}", picture, names, tags, None)
+    if not views:
+        return None
     found = {name: [v[name] for v in views.values() if v[name] is not None] for name in _NAMES}
     mean = {name: float(np.mean(each)) if each else None for name, each in found.items()}
-    return {"views": views, "mean": mean, "spp": spp}
+    left = {"left_out": len(shown) - len(views)} if len(views) < len(shown) else {}
+    return {"views": views, "mean": mean, "spp": spp, **left}
 
 
 def of_views(problem: Problem, values: dict) -> dict:

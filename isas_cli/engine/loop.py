@@ -32,8 +32,8 @@ from .optimiser import Stepper
 _REHEARSAL_STEPS = 5
 # Evaluations crowd towards the start, where the error falls fastest.
 _EVALUATION_POWER = 1.5
-# A look may cost as much as the last did, or the rehearsal's, only where that is no more than this
-# share of what is left: what it finds must pay.
+# A look may cost as much as the last did, or the rehearsal's, by its paths, only where that is no
+# more than this share of what is left: what it finds must pay.
 _MOST_OF_REST = 1 / 4
 # If more than this share of the touched gradient entries since the last evaluation is not finite,
 # going on makes no sense.
@@ -131,9 +131,21 @@ class Loop:
     def scheduled(self) -> float:
         """Progress of the learning rate's schedule, which runs from the first step to the end of
         the budget: a sampler whose first look takes long must not begin at a rate half decayed."""
-        seconds, paths = self.position.before
-        before = self.budget.spent(seconds, 0, paths)
-        return (self.spent - before) / (1 - before) if before < 1 else 1.0
+        return self._scheduled(self.budget)
+
+    def _scheduled(self, budget: Budget) -> float:
+        p = self.position
+        seconds, paths = p.before
+        before = budget.spent(seconds, 0, paths)
+        spent = budget.spent(self.clock.seconds, p.iteration, p.paths)
+        return (spent - before) / (1 - before) if before < 1 else 1.0
+
+    def turned_from(self, budget: Budget) -> dict[str, bool]:
+        """Of unknowns that move where by another budget they would rest, or the other way round,
+        whether they move, by key."""
+        now, then = self.scheduled, self._scheduled(budget)
+        items = self.problem.unknowns
+        return {u.key: u.moves(now) for u in items if u.moves(now) != u.moves(then)}
 
     def rehearse(self) -> None:
         """Compile everything the run will launch, measure the gradient's scale, start afresh."""
@@ -144,7 +156,7 @@ class Loop:
             values = self.stepper.values
             doubt = reliability.warning(self.sampler, values, self.seed, _REHEARSAL_BASE)
             self.warnings = [doubt] if doubt else []
-            if not self._affordable():
+            if not self._affordable(first=True):
                 self.warnings.append(
                     f"sampler={self.sampler.settings.name}: its first look would take more than "
                     f"{_MOST_OF_REST:.0%} of the budget, so pixels are drawn uniformly: give more, "
@@ -257,7 +269,7 @@ class Loop:
         turned = self._turned()
         due = first or turned or self.sampler.settings.due(p.iteration)
         draws = self.scheduled >= self.estimator.undrawn
-        if draws and due and self._affordable():
+        if draws and due and self._affordable(first):
             seconds, paths = self.clock.seconds, p.paths
             with self.clock.billed("stage1"):
                 p.at = self.scheduled
@@ -266,13 +278,16 @@ class Loop:
             if first:
                 p.paths += self.sampler.paths_before
             p.looked = self.clock.seconds - seconds, p.paths - paths
-        elif self._distribution is None:  # no look of this run pays, or none is needed yet
-            self._spread(dr.opaque(mi.Float, 1, self.sampler.cells.count))
+        elif self._distribution is None or (turned and draws):
+            # No look of this run pays, or none is needed yet; or what now moves was left out of the
+            # last one.
+            p.at, self._weights = self.scheduled, None
+            self._spread(None)
         if p.iteration == 0:
             p.before = self.clock.seconds, p.paths
         with self.clock.billed("step"):
             scheduled = self.scheduled
-            self._gradients = self._estimate(p.iteration)
+            self._gradients = self._estimate(p.iteration, scheduled)
             self.stepper.step(self._gradients, scheduled)
         p.paths += self.estimator.paths_per_step
         p.iteration += 1
@@ -285,9 +300,12 @@ class Loop:
         now, then = self.scheduled, self.position.at
         return any(u.moves(now) != u.moves(then) for u in self.problem.unknowns)
 
-    def _affordable(self) -> bool:
-        """Whether a look would leave time for what it finds."""
-        seconds, paths = self.position.looked
+    def _affordable(self, first: bool) -> bool:
+        """Whether a look, or the ``first`` of a run or level, which may trace more, would leave
+        time for what it finds."""
+        seconds, traced = self.position.looked
+        paths = self.sampler.paths_per_look + first * self.sampler.paths_before
+        seconds *= paths / traced if traced else 1
         return self.budget.spent(seconds, 0, paths) <= _MOST_OF_REST * (1 - self.spent)
 
     def _finer(self) -> bool:
@@ -318,17 +336,21 @@ class Loop:
         return self._distribution
 
     def gradient(self, iteration: int) -> dict:
-        """What an iteration estimates at the present values, by key; after a look where there was
-        none."""
-        if self._distribution is None:
+        """What an iteration estimates at the present values and share of the schedule, by key;
+        before any, after a look."""
+        if self._distribution is None and self.position.iteration:  # no look of this run paid
+            self._spread(None)
+        elif self._distribution is None:
             self._look(iteration)
         before = self._memory
-        found = self._estimate(iteration, max(self.scheduled, self.estimator.undrawn))
+        found = self._estimate(iteration)
         self._memory = before
         return found
 
-    def _spread(self, weights: mi.Float) -> None:
-        """From the cells' weights to the distribution that draws follow."""
+    def _spread(self, weights: mi.Float | None) -> None:
+        """From the cells' weights to the distribution that draws follow; None: uniform."""
+        if weights is None:
+            weights = dr.opaque(mi.Float, 1, self.sampler.cells.count)
         self._distribution = self.sampler.distribution(weights)
         dr.eval(self._distribution.cdf)
 

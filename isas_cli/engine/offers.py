@@ -9,12 +9,16 @@ import mitsuba as mi
 
 from ..config.schema import SceneConfig
 from ..rendering import lobes, onlookers, trial, undone
+from ..runtime import memory
 from ..runtime.errors import InputError
 from ..scene import mesh_checks
 from ..unknowns import registry, verdicts
 from ..unknowns.kind import Kind, Loaded
+from ..unknowns.ranges import glows
 from ..unknowns.unknowns import Unknown
 from . import assemble
+
+_APART = "emission takes an extinction that is alike in all channels: give it as one number"
 
 
 @dataclass
@@ -79,6 +83,8 @@ def of(scene: SceneConfig) -> Offers:
         for made in kinds:
             if hidden.intersection(made.writes):
                 offers[made.key].refused = lobes.HIDDEN
+            elif "sigma_t" in made.words and made.present.shape[-1] == 3 and glows(params):
+                offers[made.key].refused = _APART
             else:
                 replayed.append(Unknown(made, made.present, made.present, *made.range, None))
         return replayed
@@ -90,6 +96,8 @@ def of(scene: SceneConfig) -> Offers:
         for key, views in onlookers.of(problem).items():
             offers[key].views = views
     except RuntimeError as error:
+        if memory.exhausted(error):
+            raise
         raise trial.untraceable(assemble.where_of(scene), error) from error
     for missed in undone.missed(problem):
         offers[missed.key].refused = undone.reason(problem.integrator, [missed])

@@ -11,13 +11,16 @@ from omegaconf import DictConfig, OmegaConf
 
 from .. import records
 from ..config.schema import Config
-from ..runtime import backend, interrupt
+from ..runtime import backend, interrupt, memory
 from ..runtime.budget import Budget
 from ..runtime.errors import InputError, NumericalError
+from ..scene import outside
 from . import resumption
 from .choices import Choices
 from .display import RaceDisplay
 from .experiment import Phases, built, checked, started
+
+_FAILED = "failed"  # by another renderer: goes on with its race
 
 
 @dataclass
@@ -68,12 +71,16 @@ def run(entries: list[Entry], slice_seconds: float, begin: Callable[[], None]) -
     All share one process and, where scene and targets are the same, these and every compiled
     kernel. Each round every entry gets one slice, the order rotating by one, so that a drift of
     the machine falls on all alike. One that fails numerically, or that had, is recorded as such and
-    the others go on. Returns 0, a failure's status, or 130 after Ctrl-C.
+    the others go on, as they do where another renderer fails one. Returns 0, a failure's status, or
+    130 after Ctrl-C.
     """
-    machine, made = started([entry.cfg for entry in entries], entries[0].typed)
+    # What has no record yet may say auto, by which others are not gone on with.
+    first = next((entry for entry in entries if entry.earlier is not None), entries[0])
+    machine, made = started([entry.cfg for entry in entries], first.typed)
     with RaceDisplay(len(entries)) as display:
         lanes = _Lanes(entries, made, display, machine)
-        with interrupt.graceful(display.interrupted) as stop:
+        full = memory.kept("isas race", first.folder.parent.parent)
+        with interrupt.graceful(display.interrupted) as stop, full:
             begin()
             lanes.open()
             return lanes.run(slice_seconds, stop)
@@ -95,22 +102,22 @@ class _Lanes:
         self.entries, self.display, self.machine = entries, display, machine
         phases = Phases(display)
         problems = {}
+        going = [(e, e.earlier.manifest) for e in entries if e.earlier is not None]
+        for entry, manifest in going:
+            resumption.check_variant(machine, manifest, entry.folder)
         # All scenes before the first kernel: a material that comes later compiles all anew.
         for entry in entries:
             if entry.problem_key not in problems:
                 sharing = [c for c, e in zip(made, entries) if e.problem_key == entry.problem_key]
-                problems[entry.problem_key] = built(entry.typed, phases, sharing)
+                begun = [(m, e.folder) for e, m in going if e.problem_key == entry.problem_key]
+                problems[entry.problem_key] = built(entry.typed, phases, sharing, begun)
         phases.begin("prepare")
         workshops = {key: Workshop(problem) for key, problem in problems.items()}
         self.recorders: list[Recorder] = []
         for entry, choices in zip(entries, made):
             interrupt.check()
             workshop = workshops[entry.problem_key]
-            planned = None
-            if entry.earlier is not None:
-                earlier = entry.earlier.manifest
-                planned = earlier.get("plan")
-                resumption.check_same(workshop.problem, machine, earlier, entry.folder)
+            planned = None if entry.earlier is None else entry.earlier.manifest.get("plan")
             loop = workshop.loop(choices, entry.typed, entry.budget, planned)
             lane = display.lane(entry.name)
             renderer = workshop.renderer
@@ -157,7 +164,7 @@ class _Lanes:
         for number in everyone:
             self._guarded(number, ends, begin)
             earlier = self.entries[number].earlier
-            if earlier is not None and earlier.failed:
+            if earlier is not None and earlier.failed and number not in ends:
                 ends[number] = NumericalError.ended
         turn = 0
         while len(ends) < len(hooks) and not stop():
@@ -173,29 +180,36 @@ class _Lanes:
     def _finish(self, ends: dict[int, str], stop) -> int:
         """What was dear to compute first, of all; then the pictures. Returns the exit status."""
         for number, recorder in enumerate(self.recorders):
-            recorder.close(ends[number])
+            if ends[number] != _FAILED:
+                recorder.close(ends[number])
         interrupted = "interrupted" in ends.values()
         # Stopped once, a race has its pictures made; stopped while they are made, it does not.
         given_up = (lambda: False) if interrupted else stop
         for number, recorder in enumerate(self.recorders):
-            if not given_up():
-                recorder.illustrate(given_up)
+            if not given_up() and ends[number] != _FAILED:
+                self._guarded(number, ends, lambda n: self.recorders[n].illustrate(given_up))
             self.display.ended(self.entries[number].name, ends[number], *recorder.ends)
         if interrupted or given_up():
             return interrupt.STATUS
-        return NumericalError.status if NumericalError.ended in ends.values() else 0
+        if NumericalError.ended in ends.values():
+            return NumericalError.status
+        return InputError.status if _FAILED in ends.values() else 0
 
     def _loop(self, number: int):
         return self.recorders[number].loop
 
     def _guarded(self, number: int, ends: dict, act) -> None:
-        """``act(number)``; a numerical failure ends this entry and no other."""
+        """``act(number)``; a numerical failure, or another renderer's, ends this entry and no
+        other."""
         try:
             act(number)
         except NumericalError as error:
             ends[number] = NumericalError.ended
             folder = shlex.quote(str(self.recorders[number].folder))
             self.display.say(f"{self.entries[number].name}: {error}; isas replay {folder}")
+        except outside.Failed as error:
+            ends[number] = _FAILED
+            self.display.say(f"{self.entries[number].name}: {error}; resume= goes on with it")
         finally:
             self._detach(self.recorders[number])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
     from .profiling import Profile
 
 # Written besides the billed time; a kill loses about this much work, or, where writing is slow
-# (large textures), as much as keeps writing below this share of the time.
-_CHECKPOINT_SECONDS = 5.0
+# (large textures), as much as keeps writing below this share of the time, up to the most.
+_CHECKPOINT_SECONDS, _CHECKPOINT_MOST = 5.0, 600.0
 _CHECKPOINT_SHARE = 0.01
 # Of the images' error, what is much to be left out of them.
 _MUCH = 0.5
@@ -56,6 +57,7 @@ class Recorder:
         self._begun: dict = {}  # the manifest of a run that goes on
         self._saved, self._status = 0.0, ""
         self._pause = _CHECKPOINT_SECONDS
+        self._costs: list[float] = []  # of the last three checkpoints, seconds
         self._snapshots = 0
         # Of what may be doubted, the last row and value that were not.
         self._good: dict[str, tuple[dict, np.ndarray]] = {}
@@ -102,7 +104,7 @@ class Recorder:
             raise InputError(f"{self.folder}{what}: {error!r}") from error
         with loop.clock.unbilled("writing"):
             # The row of this iteration stays; trackers drop what comes after it.
-            writer = RunWriter.reopen(self.folder, state["iteration"])
+            writer = RunWriter.reopen(self.folder, state["iteration"], state)
             self._take(writer, purge_step=state["iteration"] + 1)
             rows = self.writer.rows
             if rows:
@@ -112,6 +114,8 @@ class Recorder:
                 *(machine, state["iteration"], loop.clock.seconds),
                 *(earlier.earlier_budget, earlier.failed),
             )
+            if earlier.earlier_budget and (turned := loop.turned_from(earlier.earlier_budget)):
+                entry["turned"] = turned
             self._resumed = [*earlier.manifest.get("resumed", []), entry]
             self._begun = earlier.manifest
             self.writer.manifest({**earlier.manifest, "resumed": self._resumed})
@@ -195,7 +199,10 @@ class Recorder:
             arrays, state = self.loop.export()
             self.writer.checkpoint(arrays, state)
         self._saved = self._own_seconds()
-        self._pause = max(_CHECKPOINT_SECONDS, (self._saved - begun) / _CHECKPOINT_SHARE)
+        # The least: one may have met a disk that stood still.
+        self._costs = [*self._costs[-2:], self._saved - begun]
+        wanted = max(_CHECKPOINT_SECONDS, min(self._costs) / _CHECKPOINT_SHARE)
+        self._pause = min(wanted, _CHECKPOINT_MOST)
 
     def close(self, status: str) -> None:
         """Checkpoint and summary: what was dear to compute. ``illustrate`` completes the record."""
@@ -224,7 +231,8 @@ class Recorder:
             self._measure()
         self.display.phase("pictures")
         # The start as well: rendered before the loop it would only delay it.
-        for make in (self._result, self._start, self._density, self._held_out):
+        score = partial(self._held_out, given_up)
+        for make in (self._result, self._start, self._density, score):
             if not given_up():
                 with loop.clock.unbilled("pictures"):
                     make()
@@ -258,7 +266,7 @@ class Recorder:
         if density is not None:
             self.pictures.density(density, self.loop.position.iteration)
 
-    def _held_out(self) -> None:
+    def _held_out(self, given_up: Callable[[], bool]) -> None:
         problem, typed = self.loop.whole, self.typed
         if problem.held_out is not None:
             self.held_out = held_out.measure(
@@ -267,6 +275,8 @@ class Recorder:
                 typed.frames.spp,
                 typed.seed,
                 self.writer,
+                given_up,
+                lambda number, count: self.display.phase(f"held-out views {number} of {count}"),
             )
 
     @property
@@ -335,9 +345,14 @@ class Recorder:
                     f"{entry['iteration']}, before that"
                 )
             if entry.get("earlier_budget") and self.loop.stepper.paced:
+                turned = [
+                    f", and '{key}' {'began to move' if moves else 'came to rest'}"
+                    for key, moves in entry.get("turned", {}).items()
+                ]
                 warnings.append(
                     f"the budget was {entry['earlier_budget']} up to iteration "
                     f"{entry['iteration']}: the learning rate{blurs} followed another schedule"
+                    f"{''.join(turned)}"
                 )
         return warnings
 

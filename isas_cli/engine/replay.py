@@ -8,23 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import records
 from ..estimators.estimator import Gradients
 from ..estimators.staged import Staged
 from ..estimators.two_path import TwoPath
 from ..runtime import streams
-from ..runtime.errors import InputError
 from ..unknowns.parameters import as_numpy, flat, unflat
-from . import experiment, resumption
-from .display import Display
 from .loop import Loop
-from .workshop import Workshop
 
 # Pixels that are told apart, of as many as there are.
 _MOST = 5
@@ -62,30 +56,6 @@ class Replay:
         ]
         told = f"iteration {self.iteration} again: {', '.join(keys) or 'all entries are finite'}"
         return f"{told}; first {self.places[0]}" if self.places else told
-
-
-def of(folder: Path, iteration: int | None = None) -> Replay:
-    """The iteration of the run in ``folder`` at the values of its checkpoint, by default the last.
-    Raises InputError where there is no such run or its scene has changed since."""
-    run = records.load(folder)
-    arrays, state = records.load_checkpoint(folder)
-    cfg, _ = resumption.configuration(folder, run, {})
-    typed, budget = experiment.checked(cfg)
-    machine, (choices,) = experiment.started([cfg], typed)
-    with Display(budget) as display:
-        phases = experiment.Phases(display)
-        problem = experiment.built(typed, phases, [choices])
-        why = "their random numbers differ, and with them every path"
-        resumption.check_same(problem, machine, run.manifest, folder, why)
-        phases.begin("replay")
-        loop = Workshop(problem).loop(choices, typed, budget, run.manifest.get("plan"))
-        try:
-            loop.restore(arrays, state)
-        except (KeyError, ValueError, TypeError) as error:
-            raise InputError(f"{folder}/checkpoint does not fit this run: {error!r}") from error
-        found = again(loop, max(0, state["iteration"] - 1) if iteration is None else iteration)
-        phases.begin(None)
-    return found
 
 
 def again(loop: Loop, iteration: int) -> Replay:

@@ -62,7 +62,7 @@ class Continuation:
     cfg: DictConfig
     recorded: DictConfig
     manifest: dict
-    earlier_budget: str | None
+    earlier_budget: Budget | None
     arrays: dict[str, np.ndarray]
     state: dict
     failed: bool
@@ -99,7 +99,7 @@ def prepare(folder: Path, changes: dict) -> Continuation:
     if changes and budget.spent(*spent) >= 1 > before.spent(*spent):
         # Going on would drop the rows after the checkpoint and make none of them again.
         raise InputError(f"{folder}: more than that is spent: {_larger(budget, *spent)}")
-    earlier = None if before == budget else str(before)
+    earlier = None if before == budget else before
     recorded = changed(_read(run.config), changes)
     failed = (run.summary or {}).get("status") == NumericalError.ended
     return Continuation(folder, cfg, recorded, run.manifest, earlier, arrays, state, failed)
@@ -136,7 +136,7 @@ def changed_since(folder: Path, typed: Config) -> str | None:
     ``typed`` settings; None where that cannot be told, as of starts whose files are gone."""
     from . import assemble
 
-    if typed.scene.name == "external":  # which has no scene
+    if typed.scene.outside:  # which has no scene
         return None
     try:
         now = assemble.bare(typed.scene)[0].content_hash
@@ -192,26 +192,35 @@ def changed(cfg: DictConfig, changes: dict) -> DictConfig:
     return cfg
 
 
-def check_same(
-    problem: "Problem",
+def check_variant(
     machine: "Backend",
     earlier: dict,
     folder: Path,
-    why: str | None = "billed seconds of both would not be comparable",
+    why: str = "billed seconds of both would not be comparable",
 ) -> None:
-    """Raises InputError unless scene, targets, starts and variant are those that it began with.
-    ``why``: what another variant would change (None: nothing)."""
-    import mitsuba as mi
-
-    if why is not None and earlier.get("variant") != machine.variant:
+    """Raises InputError unless the variant is that which it began with. ``why``: what another would
+    change."""
+    if earlier.get("variant") != machine.variant:
         raise InputError(
             f"{folder} began with variant={earlier.get('variant')}, and this machine takes "
             f"{machine.variant}: {why}"
         )
+
+
+def check_same(problem: "Problem", earlier: dict, folder: Path) -> None:
+    """Raises InputError unless scene, targets, starts and what parameter_rmse is are those that it
+    began with; before there are targets, where that can be told already."""
+    import mitsuba as mi
+
     now = {"scene_hash": problem.content_hash, "target_hash": problem.target_hash}
     now["start_hash"] = problem.unknowns.start_hash
     versions = (earlier.get("packages") or {}).get("mitsuba"), mi.__version__
     newer = "" if versions[0] == versions[1] else ", or is Mitsuba {1}'s and not {0}'s"
+    if problem.targets is None:
+        if problem.truth_known and versions[0] and newer:
+            now["target_hash"] = "another"  # of what is rendered
+        else:
+            del now["target_hash"]
     for name, value in now.items():
         if earlier.get(name) != value:
             what = name.split("_")[0]
@@ -219,3 +228,9 @@ def check_same(
                 f"{folder}: its {what} has changed since{newer.format(*versions)} (hash "
                 f"{earlier.get(name)}, now {value}): start a new run"
             )
+    said, unit = earlier.get("parameter_rmse_is"), manifest.headline(problem.unknowns.unit)
+    if said not in (None, unit):
+        raise InputError(
+            f"{folder}: its parameter_rmse is in '{said}', and now it would be in '{unit}': start "
+            "a new run"
+        )

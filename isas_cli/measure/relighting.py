@@ -22,6 +22,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 from scipy.ndimage import binary_erosion, convolve1d
 from scipy.spatial import cKDTree
 
@@ -130,7 +131,7 @@ def of_picture(
     it; ``across``: whether its mask lies otherwise (``turns.across``; None: if their sizes tell).
     Raises InputError, naming ``where``."""
     picture = images.load(camera.image, finite=False, linear=linear, turned=turned).image
-    both = picture, _mask(camera.image, mask, where, turned, across)
+    both = picture, _fitting(_mask(camera.image, mask, where, turned, across), picture)
     seen = (_seen(each, camera, rendering, where) for each in both)
     exposed = image if relit else image * np.float32(camera.exposure)
     return _scored(exposed, *seen, where, relit)
@@ -189,13 +190,32 @@ def _mask(
     turned: bool = True,
     across: bool | None = None,
 ) -> np.ndarray:
-    beside = picture.parent.with_name(f"{picture.parent.name}_mask") / f"{picture.stem}.png"
-    if listed is not None or beside.is_file():
-        return turns.mask(listed or beside, picture, turned, across)
+    file = _mask_file(picture, listed)
+    if file is not None:
+        return turns.mask(file, picture, turned, across)
     alpha = images.read_alpha(picture, turned)
     if alpha is None:
-        raise InputError(f"{where}: no mask, nor alpha: what is not the object would count")
+        raise Nothing(f"{where}: no mask, nor alpha: what is not the object would count")
     return alpha
+
+
+def masked(picture: Path, listed: Path | None) -> bool:
+    """Whether anything says where the object is: a mask, ``listed`` or beside, or alpha."""
+    return _mask_file(picture, listed) is not None or images.has_alpha(picture)
+
+
+def _mask_file(picture: Path, listed: Path | None) -> Path | None:
+    """That of a picture's mask, ``listed`` or beside, or None."""
+    beside = picture.parent.with_name(f"{picture.parent.name}_mask") / f"{picture.stem}.png"
+    return listed or (beside if beside.is_file() else None)
+
+
+def _fitting(mask: np.ndarray, picture: np.ndarray) -> np.ndarray:
+    """A mask ``(H, W)`` of the picture's size, where it has another and the same shape."""
+    size, wanted = mask.shape[1::-1], picture.shape[1::-1]
+    if size == wanted or turns.factor(size, wanted) is None:
+        return mask
+    return np.asarray(Image.fromarray(mask).resize(wanted, Image.Resampling.BOX), np.float32)
 
 
 def _as_large(pixels: np.ndarray, image: np.ndarray, where: str) -> np.ndarray:

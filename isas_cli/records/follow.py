@@ -13,12 +13,10 @@ from typing import Any
 
 import psutil
 
-from .. import records
 from ..runtime.budget import Budget
 from ..runtime.errors import InputError
-from . import Run
 from .files import walked
-from .reader import load_failed, read_json
+from .reader import Run, load, load_failed, read_json
 
 RUNNING, KILLED, UNREADABLE = "running", "killed", "unreadable"
 _READ = ("manifest.json", "config.yaml", "history.csv", "summary.json")
@@ -64,10 +62,12 @@ def failed(folder: Path) -> bool:
 
 def alive(manifest: dict[str, Any]) -> bool | None:
     """Whether the process that last wrote the run still exists; None where that cannot be known:
-    it ran on another machine, or an older isas did not record it."""
+    it ran on another machine or in another container, or an older isas did not record it."""
     latest = [manifest, *manifest.get("resumed", [])][-1]
     pid, started = latest.get("pid"), latest.get("started")
     if not pid or not started or latest.get("host") != platform.node():
+        return None
+    if latest.get("pid_namespace", ours := pid_namespace()) != ours:
         return None
     try:
         since = datetime.datetime.fromisoformat(started).timestamp()
@@ -84,6 +84,25 @@ def alive(manifest: dict[str, Any]) -> bool | None:
     # A number is given again: a process that began after the run is another. The manifest's time
     # is cut to seconds, and a process's is only known to within a clock tick.
     return begun <= since + 1
+
+
+def unended(manifest: dict[str, Any]) -> str:
+    """How a run without a summary stands, in words."""
+    found = alive(manifest)
+    if found is None:
+        return "killed, or not yet at its end"
+    if found:
+        return "still running, or ended by an error"
+    return "no summary: stopped before it could end its record"
+
+
+def pid_namespace() -> str | None:
+    """In which the numbers of processes hold: containers have their own, and may share a host's
+    name. None where that cannot be known."""
+    try:
+        return os.readlink("/proc/self/ns/pid")
+    except OSError:
+        return None
 
 
 def ticks_of(pid: int) -> int | None:
@@ -166,7 +185,7 @@ def _read(folder: Path) -> Run | None:
         if "manifest.json" not in files:
             return load_failed(folder) if failed(folder) else None
         try:
-            return records.load(folder)
+            return load(folder)
         except InputError:
             if attempt == _TRIES - 1:
                 raise

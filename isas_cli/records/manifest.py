@@ -14,6 +14,7 @@ import psutil
 from .. import __version__
 from ..runtime import guests
 from ..runtime.backend import Backend
+from ..runtime.budget import Budget
 from . import follow
 from .files import OWN_UNIT, RELATIVE
 
@@ -36,6 +37,7 @@ def process() -> dict:
         "started": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
         "host": platform.node(),
         "pid": os.getpid(),
+        "pid_namespace": follow.pid_namespace(),
         "ticks": follow.ticks_of(os.getpid()),
     }
 
@@ -66,7 +68,7 @@ def versions(entry: dict) -> dict[str, str]:
 
 
 def continuation(
-    backend: Backend, iteration: int, seconds: float, earlier_budget: str | None, failed: bool
+    backend: Backend, iteration: int, seconds: float, earlier_budget: Budget | None, failed: bool
 ) -> dict:
     """The manifest's entry for a continuation that starts at ``iteration``, ``seconds`` billed.
 
@@ -74,7 +76,7 @@ def continuation(
     ended in a numerical failure."""
     return {
         **({"failed": True} if failed else {}),
-        **({"earlier_budget": earlier_budget} if earlier_budget else {}),
+        **({"earlier_budget": str(earlier_budget)} if earlier_budget else {}),
         **_made(),
         "threads": backend.threads,
         "device": backend.device,
@@ -83,7 +85,7 @@ def continuation(
     }
 
 
-def _headline(unit: str | None) -> str:
+def headline(unit: str | None) -> str:
     """What ``parameter_rmse`` is, in words that a label can take; ``unit``: of all unknowns, None
     where they differ."""
     return RELATIVE if unit is None else unit or OWN_UNIT
@@ -125,7 +127,7 @@ def describe(
         **({} if plan is None else {"plan": plan}),
         **({} if floor is None else {"targets": floor}),
         "views": [list(size) for size in problem.film_sizes],
-        "parameter_rmse_is": _headline(problem.unknowns.unit),
+        "parameter_rmse_is": headline(problem.unknowns.unit),
         "unknowns": {
             u.key: {
                 "kind": u.kind.name,

@@ -116,15 +116,17 @@ def _run(folder: Path, manifest: dict[str, Any]) -> Run:
     )
 
 
-def load_checkpoint(folder: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The arrays and the state that `RunWriter.checkpoint` last wrote. Raises InputError when there
-    is none, it is damaged, or it was written under another schema version."""
+def load_checkpoint(
+    folder: Path, arrays: bool = True
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The ``arrays``, if wanted, and the state that `RunWriter.checkpoint` last wrote. Raises
+    InputError when there is none, it is damaged, or it was written under another schema version."""
     path = Path(folder) / "checkpoint" / "state.npz"
     if not path.is_file():
         raise InputError(f"{folder} holds no checkpoint: it has no checkpoint/state.npz")
     try:
         with open(path, "rb") as stored, np.load(stored, allow_pickle=False) as file:
-            members = {name: file[name] for name in file.files}
+            members = {n: file[n] for n in (file.files if arrays else ["state"])}
         wrapped = json.loads(members.pop("state").tobytes().decode())
     except Exception as error:  # numpy, zipfile and json each have their own kinds for damage
         raise InputError(f"{path}: damaged: {one_line(error)}") from error

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from ..runtime.errors import InputError, nearest
+from ..runtime.errors import InputError, extra, nearest
 
 if TYPE_CHECKING:
     import numpy as np
@@ -44,8 +44,7 @@ def check(name: str) -> None:
         raise InputError(f"tracker={name}: no such tracker; {nearest(name, NAMES)}")
     if name == "tensorboard" and importlib.util.find_spec("tensorboardX") is None:
         raise InputError(
-            "tracker=tensorboard needs tensorboardX, which is not installed: "
-            "pip install '.[tensorboard]' in isas's source folder"
+            f"tracker=tensorboard needs tensorboardX, which is not installed: {extra(name)}"
         )
 
 

@@ -9,12 +9,14 @@ import io
 import json
 import math
 import operator
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..runtime.errors import InputError
+from . import manifest
 from .files import (
     AFTER_KEYS,
     BEFORE_KEYS,
@@ -27,7 +29,7 @@ from .files import (
     write_json,
     write_text,
 )
-from .reader import read_json, read_rows
+from .reader import load_checkpoint, read_json, read_rows
 
 RECORD_FILES = ("manifest.json", "config.yaml", "history.csv", "summary.json")
 # How names of pictures and meshes begin: others in such folders may be a user's own.
@@ -84,25 +86,31 @@ class RunWriter:
             ) from error
 
     @classmethod
-    def reopen(cls, folder: Path, iteration: int) -> "RunWriter":
+    def reopen(
+        cls, folder: Path, iteration: int, state: dict[str, Any] | None = None
+    ) -> "RunWriter":
         """The writer of a run that goes on after ``iteration``: rows and snapshots beyond
         it, made after the checkpoint that is continued, go and will be made again, and so does
-        the summary of the earlier end. Raises InputError when the folder cannot be written or
-        another process writes it."""
+        the summary of the earlier end. ``state``: that checkpoint's, as it was read. Raises
+        InputError when the folder cannot be written, when another process writes it, and when one
+        has written another checkpoint since."""
         writer = cls.__new__(cls)
         writer.folder = Path(folder)
-        columns, rows = read_rows(writer.folder / "history.csv")
-        writer._columns = columns
-        place = columns.index("iteration") if columns else 0
-        writer._rows = [row for row in rows if int(row[place]) <= iteration]
         try:
             writer._claim()
+            if state is not None:
+                writer._check_still(state)
+            columns, rows = read_rows(writer.folder / "history.csv")
+            writer._columns = columns
+            place = columns.index("iteration") if columns else 0
+            writer._rows = [row for row in rows if int(row[place]) <= iteration]
             if columns:
                 writer._history()
             for name in ("summary.json", "error.txt"):
                 (writer.folder / name).unlink(missing_ok=True)
             for old in writer.folder.glob("frames/progress_*_i*"):
-                if int(old.stem.rpartition("_i")[2]) > iteration:
+                made = re.fullmatch(r".*_i(\d+)", old.stem)  # a user's own copy is called otherwise
+                if made and int(made[1]) > iteration:
                     old.unlink()
             for pattern in _LEFT_OVER:
                 for old in writer.folder.glob(pattern):
@@ -110,6 +118,16 @@ class RunWriter:
         except OSError as error:
             raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from error
         return writer
+
+    def _check_still(self, state: dict[str, Any]) -> None:
+        """Raises InputError unless the checkpoint is that of ``state``."""
+        _, now = load_checkpoint(self.folder, arrays=False)
+        if any(now[name] != state[name] for name in ("iteration", "billed")):
+            self.release()
+            raise InputError(
+                f"{self.folder}: another process went on with it meanwhile, from iteration "
+                f"{state['iteration']} to {now['iteration']}: once it has ended, resume again"
+            )
 
     def _claim(self) -> None:
         """Keep other processes out for as long as this one lives, where the disk has locks; the
@@ -128,8 +146,6 @@ class RunWriter:
 
     def _check_alone(self) -> None:
         """By the record alone. Raises InputError."""
-        from . import manifest
-
         try:
             known = read_json(self.folder / "manifest.json")
         except InputError:  # none yet

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import matplotlib
@@ -15,9 +16,11 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from ..runtime import images
 from ..runtime.errors import InputError
+from .figures import figure
 
 LARGEST = 512  # pixels a side: a sheet shows less than that
 _MAGENTA = (255, 0, 255)  # no colour map here holds it: it marks NaN and infinite pixels
+_CELL, _GAP, _LEFT, _RIGHT, _TOP, _BARS = 2.1, 0.08, 0.4, 0.3, 0.6, 0.6  # inches
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,53 @@ def bar(canvas: Figure, axes: Axes, scale: Scale) -> None:
     made.ax.tick_params(labelsize=8)
     made.outline.set_visible(False)
     made.set_label(scale.label, fontsize=8)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a sheet: pictures by column, None where none was saved. ``scales``: likewise; one
+    that has no picture is shown as its bar."""
+
+    title: str
+    pictures: Mapping[str, np.ndarray | None]
+    scales: Mapping[str, Scale] = field(default_factory=dict)
+
+    @property
+    def height(self) -> float:
+        """In inches."""
+        saved = (image for image in self.pictures.values() if image is not None)
+        return _CELL * aspect(next(saved, np.zeros((1, 1)))) if self.pictures else _BARS
+
+
+def sheet(
+    rows: list[Row], columns: list[str], exposure: float, words: str, inks: Mapping[str, str] = {}
+) -> Figure:
+    """Lays the cells out by hand, in inches, so that all have one size whatever the labels are.
+    ``words`` stand above; ``inks``: colours of columns' titles, others are black."""
+    width = _LEFT + len(columns) * (_CELL + _GAP) + _RIGHT
+    height = _TOP + sum(row.height + _GAP for row in rows) + _GAP
+    canvas = figure(width, height, layout=None)
+    canvas.text(_LEFT / width, 1 - 0.12 / height, words, va="top", fontsize=9, color="#444444")
+    bottom = height - _TOP
+    for row in rows:
+        bottom -= row.height + _GAP
+        for place, column in enumerate(columns):
+            left = _LEFT + place * (_CELL + _GAP)
+            if column in row.pictures:
+                box = (left / width, bottom / height, _CELL / width, row.height / height)
+                axes = canvas.add_axes(box, xticks=[], yticks=[])
+                axes.spines[:].set_visible(False)
+                draw(axes, row.pictures[column], exposure, row.scales.get(column))
+                if row is rows[0]:
+                    title, ink = shortened(column, _CELL), inks.get(column, "black")
+                    axes.set_title(title, fontsize=11, pad=4, color=ink)
+            elif column in row.scales:
+                above = bottom + max(row.height / 2, 0.45)  # what its own words need
+                box = ((left + 0.1) / width, above / height, (_CELL - 0.3) / width, 0.12 / height)
+                bar(canvas, canvas.add_axes(box), row.scales[column])
+        label, middle = shortened(row.title, row.height), (bottom + row.height / 2) / height
+        canvas.text(0.2 / width, middle, label, rotation=90, ha="center", va="center", fontsize=9)
+    return canvas
 
 
 def exposure(

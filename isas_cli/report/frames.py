@@ -14,13 +14,12 @@ from matplotlib.figure import Figure
 
 from ..records import key_of
 from . import cells
-from .figures import Picture, figure, save, styled
+from .figures import Picture, save, styled
 
 _VIEW = re.compile(r"(target|start|result|error|density)_v(\d+)$")
 _HELD = re.compile(r"held_(target|result|weight)_v(\d+)$")
 _TEXTURE = re.compile(r"(truth|start|result)_(.+)$")
 Frames = dict[str, dict[str, np.ndarray]]
-_CELL, _GAP, _LEFT, _TOP, _BOTTOM = 2.1, 0.08, 0.4, 0.55, 0.75  # inches
 
 
 def write_sheets(folder: Path) -> list[Picture]:
@@ -155,34 +154,15 @@ def _textures_sheet(textures: Frames, path: Path) -> Picture:
 
 
 def _sheet(rows: Frames, columns: list[str], exposure: float, words: str) -> Figure:
-    """Lays the cells out by hand, in inches, so that all have one size whatever the labels are."""
+    """A line for each of ``rows``, and below them the bars of their colours."""
     scales = {
         column: scale([row[column] for row in rows.values() if column in row])
         for column, scale in (("error", cells.error_scale), ("density", cells.density_scale))
         if column in columns
     }
-    heights = [_CELL * cells.aspect(next(iter(row.values()))) for row in rows.values()]
-    width = _LEFT + len(columns) * (_CELL + _GAP)
-    below = _BOTTOM if scales else 0.1
-    height = _TOP + sum(heights) + _GAP * len(rows) + below
-    canvas = figure(width, height, layout=None)
-    canvas.text(_LEFT / width, 1 - 0.12 / height, words, va="top", fontsize=9, color="#444444")
-    bottom = height - _TOP
-    for index, (title, row) in enumerate(rows.items()):
-        cell_height = heights[index]
-        bottom -= cell_height + _GAP
-        for place, column in enumerate(columns):
-            left = _LEFT + place * (_CELL + _GAP)
-            box = (left / width, bottom / height, _CELL / width, cell_height / height)
-            axes = canvas.add_axes(box, xticks=[], yticks=[])
-            axes.spines[:].set_visible(False)
-            cells.draw(axes, row.get(column), exposure, scales.get(column))
-            if index == 0:
-                axes.set_title(column, fontsize=11, pad=4)
-            if place == 0:
-                axes.set_ylabel(cells.shortened(title, cell_height), fontsize=9)
-    for column, scale in scales.items():
-        left = _LEFT + columns.index(column) * (_CELL + _GAP)
-        box = ((left + 0.1) / width, 0.52 / height, (_CELL - 0.2) / width, 0.12 / height)
-        cells.bar(canvas, canvas.add_axes(box), scale)
-    return canvas
+    lines = [
+        cells.Row(title, {column: row.get(column) for column in columns}, scales)
+        for title, row in rows.items()
+    ]
+    bars = [cells.Row("", {}, scales)] if scales else []
+    return cells.sheet(lines + bars, columns, exposure, words)

@@ -15,10 +15,10 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from ..records import KEY_PREFIX, VALUE_PREFIX, Run, write_text
+from ..records.follow import unended
 from .figures import Picture
 
 _MEASURES = ("loss", "image_rmse", "parameter_rmse")
-_NO_SUMMARY = "no summary: stopped before it could end its record"
 
 
 def write_page(run: Run, pictures: list[Picture], plots: list[Picture]) -> Path:
@@ -71,11 +71,11 @@ def number(value: float | None) -> str:
 
 
 def _from_history(run: Run) -> dict[str, Any]:
-    """What the rows written so far tell of a run that had no time to write its summary."""
+    """What the rows written so far tell of a run that has no summary."""
     rows = run.history.astype(object).where(run.history.notna(), None).to_dict("records")
     last = rows[-1] if rows else {}
     return {
-        "status": _NO_SUMMARY,
+        "status": unended(run.manifest),
         "scene": _named(run.config.get("scene")),
         "sampler": _named(run.config.get("sampler")),
         "loss": _named(run.config.get("loss")),

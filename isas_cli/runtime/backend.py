@@ -25,7 +25,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from . import llvm
+from . import llvm, memory
 from .errors import InputError, nearest
 
 SUFFIX = "_ad_rgb"
@@ -47,18 +47,25 @@ print(name.value.decode(errors="replace"))
 
 
 _EARLIER = "loaded before isas_cli was imported"
+_NO_GPU = "no NVIDIA GPU found"
+_NOT_TAKEN = (
+    "Dr.Jit does not take it: it needs compute capability 7.5 or more, a current driver, and "
+    "libcuda.so, which DRJIT_LIBCUDA_PATH may name"
+)
 
 
 @dataclass(frozen=True)
 class Backend:
     """What a process runs on: LLVM's path and version are None for a CUDA variant, and the path of
-    one that a program had loaded before."""
+    one that a program had loaded before. ``left_out``: why "auto" does not take the GPU that there
+    is."""
 
     variant: str
     llvm_path: Path | None
     llvm_version: str | None
     threads: int
     device: str
+    left_out: str = ""
 
 
 def start(variant: str = "auto", threads: int = 0) -> Backend:
@@ -74,6 +81,8 @@ def start(variant: str = "auto", threads: int = 0) -> Backend:
     if threads < 0:
         raise InputError(f"threads={threads} is negative: give 0 (one for each core) or more")
     gpu, why_not = _find_gpu() if variant == "auto" or variant.startswith("cuda") else (None, "")
+    if gpu and (unfit := _unfit()):
+        gpu, why_not = None, f"{gpu}: {unfit}"
     if variant == f"cuda{SUFFIX}" and not gpu:
         raise InputError(
             f"variant={variant} cannot run here ({why_not}): use variant=llvm{SUFFIX} or auto"
@@ -83,11 +92,11 @@ def start(variant: str = "auto", threads: int = 0) -> Backend:
     import mitsuba as mi
 
     _check_name(variant, mi.variants())
+    left_out = why_not if variant == "auto" and why_not != _NO_GPU else ""
     if variant == "auto":
         variant = ("cuda" if gpu else "llvm") + SUFFIX
-    needed = dr.JitBackend.CUDA if gpu else dr.JitBackend.LLVM
-    if not dr.has_backend(needed):
-        where = f"LLVM at {library.path}" if library else f"CUDA on {gpu}"
+    if library and not dr.has_backend(dr.JitBackend.LLVM):
+        where = f"LLVM at {library.path}"
         raise InputError(f"variant={variant}: Dr.Jit cannot use {where} (its message is above)")
     mi.set_variant(variant)
     _import_plugins()
@@ -101,6 +110,7 @@ def start(variant: str = "auto", threads: int = 0) -> Backend:
         llvm_version=library.version if library else None,
         threads=dr.thread_count(),
         device=_device[0],
+        left_out=left_out,
     )
 
 
@@ -221,7 +231,7 @@ def sync() -> None:
 def _find_gpu() -> tuple[str | None, str]:
     """(name of the first GPU, ""), or (None, why no GPU can be used)."""
     if not glob.glob("/dev/nvidia[0-9]*") and not Path("/dev/dxg").exists():
-        return None, "no NVIDIA GPU found"
+        return None, _NO_GPU
     command = [sys.executable, "-I", "-S", "-c", _CUDA_PROBE]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
@@ -229,8 +239,30 @@ def _find_gpu() -> tuple[str | None, str]:
         return None, "the NVIDIA driver does not answer"
     if done.returncode != 0:
         reason = done.stderr.strip().splitlines()[-1:] or ["the NVIDIA driver crashed"]
-        return None, reason[0].split(": ", 1)[-1]
+        shown = os.environ.get("CUDA_VISIBLE_DEVICES")
+        hidden = "" if shown is None else f"; CUDA_VISIBLE_DEVICES='{shown}' may hide all cards"
+        return None, reason[0].split(": ", 1)[-1] + hidden
     return done.stdout.strip(), ""
+
+
+def _unfit() -> str:
+    """Why Dr.Jit or Mitsuba cannot use the GPU that was found; empty where both can. Sets a CUDA
+    variant. Raises what says that its memory is full."""
+    import drjit as dr
+    import mitsuba as mi
+
+    if not dr.has_backend(dr.JitBackend.CUDA):
+        return _NOT_TAKEN
+    mi.set_variant(f"cuda{SUFFIX}")
+    try:
+        # OptiX starts with the first scene that has a shape.
+        with loading():
+            mi.load_dict({"type": "scene", "ball": {"type": "sphere"}})
+    except RuntimeError as error:
+        if memory.exhausted(error):
+            raise
+        return f"OptiX does not work on it ({' '.join(str(error).split())})"
+    return ""
 
 
 def _load_llvm() -> llvm.Library:

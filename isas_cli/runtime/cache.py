@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import time
 import zipfile
 from collections.abc import Callable, Iterator
@@ -21,12 +22,15 @@ if TYPE_CHECKING:
 _DEFAULT_GIB = 4.0
 _KEPT_EVERY = 20.0  # seconds between writes of what is not whole yet
 _OLD = 3600.0  # seconds after which nobody writes a file any more
+# What isas itself puts there: a word, a digest, and whatever else; and what is not whole yet.
+_ENTRY = re.compile(r"[a-z]+-[0-9a-f]{32}[\w-]*\.npz")
+_LEFT_OVER = re.compile(rf"\.{_ENTRY.pattern}\.\d+\.tmp")
 
 
 def folder() -> Path:
     """$ISAS_CACHE_DIR, else the user's cache folder."""
     if os.environ.get("ISAS_CACHE_DIR"):
-        return Path(os.environ["ISAS_CACHE_DIR"])
+        return Path(os.path.expanduser(os.environ["ISAS_CACHE_DIR"]))
     base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(base) / "isas"
 
@@ -132,14 +136,19 @@ def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
 def _entries() -> list[tuple[Path, os.stat_result]]:
     """Stored files, the one that was not used for longest first. Another process may take some."""
     found = []
-    for path in folder().glob("*.npz"):
+    for path in _named(_ENTRY):
         with contextlib.suppress(OSError):
             found.append((path, path.stat()))
     return sorted(found, key=lambda each: each[1].st_mtime)
 
 
+def _named(pattern: re.Pattern) -> list[Path]:
+    """Files of such names: the folder may hold others, which are somebody's own."""
+    return [path for path in folder().glob("*") if pattern.fullmatch(path.name)]
+
+
 def _shrink(most: int, keep: Path) -> None:
-    for left_over in folder().glob(".*.tmp"):  # of a process that was killed while it wrote
+    for left_over in _named(_LEFT_OVER):  # of a process that was killed while it wrote
         with contextlib.suppress(OSError):
             if time.time() - left_over.stat().st_mtime > _OLD:
                 left_over.unlink()

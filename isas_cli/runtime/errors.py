@@ -7,6 +7,8 @@ without a traceback; any other exception is a defect of isas and keeps its trace
 from __future__ import annotations
 
 import difflib
+import shlex
+import sys
 from collections.abc import Iterable
 
 
@@ -42,3 +44,14 @@ def nearest(name: str, valid: Iterable[str]) -> str:
     if not matches:
         return listing
     return f"did you mean '{by_lower_case[matches[0]]}'? {listing}"
+
+
+def installing(packages: str) -> str:
+    """The command that brings ``packages`` to this Python: another's pip installs them elsewhere
+    or, as Debian's, refuses to."""
+    return f"{shlex.quote(sys.executable)} -m pip install {packages}"
+
+
+def extra(name: str) -> str:
+    """What brings an extra of isas, in words."""
+    return installing(f"-c constraints.txt -e '.[{name}]'") + " in isas's source folder"

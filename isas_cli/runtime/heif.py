@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, extra
 from .profiles import Said
 
 _PLACES = [f"{colour}_{axis}" for colour in ("red", "green", "blue", "white") for axis in "xy"]
@@ -67,7 +67,7 @@ def _opened(path: Path):
     except ImportError:
         raise InputError(
             f"{path}: HEIC pictures are read through pillow-heif, which is not installed: "
-            "pip install '.[heic]' in isas's source folder"
+            f"{extra('heic')}"
         ) from None
     try:
         return pillow_heif.open_heif(path, convert_hdr_to_8bit=False)

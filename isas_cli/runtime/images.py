@@ -44,8 +44,14 @@ _REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 
 
 def srgb_decode(encoded: np.ndarray) -> np.ndarray:
-    """sRGB values in [0, 1] to linear ones (IEC 61966-2-1); any shape."""
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    """sRGB values in [0, 1] to linear ones (IEC 61966-2-1); any shape, in their own precision."""
+    flat = np.reshape(encoded, -1)
+    linear = np.empty(flat.shape, np.result_type(flat, np.float32))
+    for part in memory.parts(flat.size):
+        # Doubles: NumPy's powers of floats are other ones on processors with AVX-512.
+        x = flat[part].astype(np.float64)
+        linear[part] = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+    return linear.reshape(np.shape(encoded))
 
 
 def srgb_encode(linear: np.ndarray) -> np.ndarray:

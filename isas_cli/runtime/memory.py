@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 import psutil
+
+from .errors import InputError
 
 # Control groups of both kinds: what the list of this process's own calls them, their folder,
 # limit, what is used, what of that only caches files.
@@ -66,6 +70,26 @@ EXHAUSTED = (
 )
 
 
-def exhausted(error: BaseException) -> bool:
-    """Whether it says that memory is full: Python's, or of Dr.Jit, which has one kind for all."""
-    return isinstance(error, MemoryError) or "out of memory" in str(error).lower()
+def exhausted(error: BaseException | None) -> bool:
+    """Whether it, or what it came of, says that memory is full: Python's, or of Dr.Jit, which has
+    one kind for all."""
+    if error is None:
+        return False
+    said = str(error).lower().replace("_", " ")  # CUDA's and OptiX's names have these
+    full = isinstance(error, MemoryError) or "out of memory" in said
+    return full or exhausted(error.__cause__)
+
+
+@contextmanager
+def kept(command: str, folder: Path) -> Iterator[None]:
+    """Within the context ``folder`` has a record, with which ``command`` goes on. Raises InputError
+    where memory is full: what a new run may lower stays as it is then."""
+    try:
+        yield
+    except Exception as error:
+        if isinstance(error, InputError) or not exhausted(error):
+            raise
+        again = shlex.quote(f"resume={folder}")
+        raise InputError(
+            f"memory is full: {command} {again} goes on from the last checkpoint when there is room"
+        ) from error

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, extra
 
 ENDINGS = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef")
 # LibRaw's number of a turn → Exif's.
@@ -59,7 +59,7 @@ def _opened(path: Path) -> Iterator:
     except ImportError:
         raise InputError(
             f"{path}: camera raw files are read through rawpy, which is not installed: "
-            "pip install '.[raw]' in isas's source folder"
+            f"{extra('raw')}"
         ) from None
     try:
         with rawpy.imread(str(path)) as raw:

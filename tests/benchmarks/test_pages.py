@@ -9,6 +9,7 @@ import numpy as np
 import pages
 import pandas
 import pytest
+import settings
 
 from isas_cli.config.compose import compose
 from isas_cli.config.schema import OptimizerConfig
@@ -102,6 +103,40 @@ def test_the_short_table_says_what_is_level_and_where_an_error_is_not_reached():
         "| rises, relative L2, 5 s | 20.0 % | 30.0 % | **10.0 %** | – |",
         "| level, 5 s | **20.0 %** | 30.0 % | **22.0 %** | not reached |",
     ]
+
+
+def test_settings_and_draws_are_told_once_they_are_measured(tmp_path):
+    names = "settings", "draws"
+    facts = pages.PAGES["adaptive_sampling"](pages.RESULTS)
+    render = pages._environment().get_template("adaptive_sampling.md.j2").render
+    none = {name: getattr(_page_adaptive, name)(tmp_path / f"{name}.csv") for name in names}
+    assert "settings.py" not in render(facts | none)
+    # Median, least and most of the parameters' error; a time that is reached, and one that is not.
+    raced = {"uniform": (2, 1.9, 2.1, np.nan), "ours": (1, 0.9, 1.1, 0.5)}
+    raced |= {"ours, sampler.refresh=20": (1.2, 1, 1.3, np.inf)}
+    rows = []
+    for name, numbers in raced.items():
+        columns = "parameter_rmse", "parameter_rmse_low", "parameter_rmse_high", "time"
+        row = {"scene": "pottery", "method": name, "factor": 1.0, "beside": settings.beside(name)}
+        row |= dict.fromkeys(("image_rmse", "image_rmse_low", "image_rmse_high"), 0.0)
+        row |= {"seconds": 15.0, "seeds": 3, "iterations": 200, "paths": 1e5, "stage1_share": 0.1}
+        rows.append(row | dict(zip(columns, numbers)))
+    table = pandas.DataFrame(rows)
+    table.to_csv(tmp_path / "settings.csv", index=False)
+    tried = pandas.concat([table, table.assign(factor=2.0)])
+    tried.to_csv(tmp_path / "settings_rates.csv", index=False)
+    own = {"scene": "multires", "object": "bin", "pixels": 0.1, "ours": 0.5, "multiresolution": 0.4}
+    pandas.DataFrame([own]).to_csv(tmp_path / "draws.csv", index=False)
+    found = {name: getattr(_page_adaptive, name)(tmp_path / f"{name}.csv") for name in names}
+    lines = render(facts | found).splitlines()
+    assert "| multires | bin | 10.0 % | 50.0 % | 40.0 % |" in lines
+    told = [line for line in lines if " | 100,000 | 10.0 % |" in line]
+    ends = [line.split(" | 10.0 % | ")[1] for line in told]
+    assert ends[0] == "– | – | – | – |"
+    assert ends[1] == "`uniform` | less | level | 0.50 |"
+    assert ends[2] == "`ours` | level | level | – |"
+    assert told[1].startswith(r"| pottery | `ours` | 1\* | 1.0000 [0.9000, 1.1000] | below noise [")
+    assert len({line.count("|") for line in told}) == 1
 
 
 @pytest.mark.parametrize(

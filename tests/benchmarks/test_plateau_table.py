@@ -1,11 +1,13 @@
 """The races of PRDPT's tasks: what is searched, and what their tables say of records."""
 
 import argparse
+import io
 import shutil
 from pathlib import Path
 
 import _page_plateau
 import _plateau
+import _plateau_paper
 import _plateau_table as tables
 import numpy as np
 import pandas
@@ -274,6 +276,26 @@ def test_rows_of_another_unit_are_not_added_to(monkeypatch, tmp_path):
     monkeypatch.setattr(tables, "paces", lambda *_: 1.0)
     with pytest.raises(SystemExit, match="cup: errors at the start are others"):
         tables.write("cup", tmp_path, "plateau_renderer")
+
+
+def test_cup_stands_beside_the_paper_in_its_unit():
+    """20° · θ; what was not raced has no number, what our copy lacks none of the paper's."""
+    made = {"image_mse": 1e-6, "parameter_mse": 4.0, "sorted_mse": 2.0, "pace": 8.0}
+    rows = _plateau_paper.beside({task: {"plateau": made} for task in ("cup", "shadows", "sort")})
+    errors = {row["task"].split(",")[0]: row["error"] for row in rows if row["column"] == "∂κP"}
+    assert errors == {"cup": 0.01, "shadows": 4.0, "sort": 2.0}
+    stock = {row["task"][:3]: row for row in rows if row["column"] == "Mitsuba"}
+    assert stock["cup"]["times"] == pytest.approx(11.2) and stock["cup"]["ours"] is None
+    assert stock["sor"]["parameters"] == "unreadable"
+
+
+def test_the_authors_scene_has_an_image_error_where_its_table_has():
+    table = pandas.read_csv(tables.RESULTS / "prdpt_shadows.csv").drop(
+        columns="image_rmse", errors="ignore"
+    )
+    for own, image in ((table, None), (table.assign(image_rmse=0.25), 0.25)):
+        buffer = io.StringIO(own.to_csv(index=False))
+        assert {row["image"] for row in _page_plateau.authors(buffer)} == {image}
 
 
 @pytest.mark.parametrize("task", _plateau.TASKS)

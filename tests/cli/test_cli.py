@@ -1,15 +1,16 @@
 """The command line: what is refused and how, and how a run ends."""
 
+import errno
 import signal
 from pathlib import Path
 
 import pytest
-from processes import begun, started
+from processes import HANGUP, begun, started
 
 from isas_cli import records
-from isas_cli.cli import race
+from isas_cli.cli.sweeps import race
 from isas_cli.config.compose import compose, translate
-from isas_cli.runtime.errors import IsasError
+from isas_cli.runtime.errors import InputError, IsasError
 
 TINY = ["scene=pottery", "size=tiny", "effects=full", "budget.iterations=2", "target.spp=4"]
 TINY += ["frames.spp=2", "estimator.batch=256"]
@@ -66,6 +67,8 @@ BAD_SETTINGS = {
     "scene=pottery scene.arguments.views=0": ["scene.arguments.views=0", "at least 1"],
     "scene=pottery scene.arguments.texture=abc": ["scene.arguments.texture=abc", "whole number"],
     "scene=pottery scene.arguments.foo=1": ["scene.arguments.views"],
+    "scene=pottery +scene.arguments.textur=1": ["no such argument", "did you mean 'texture'?"],
+    "scene=file scene.path=a.xml +scene.arguments.x=1": ["scene.arguments.x=1", "no builder"],
     "scene=pottery scene.builder=foo.bar": ["scene.builder=foo.bar"],
     "scene=pottery scene.path=a.xml": ["scene.path=a.xml", "scene=file"],
     "scene=pottery scene.max_depth=-2": ["scene.max_depth=-2: at least -1"],
@@ -88,6 +91,8 @@ BAD_SETTINGS = {
     "scene=pottery hydra/launcher=joblib": ["hydra/launcher=joblib: is for several runs: add -m"],
     "scene=pottery hydra/sweeper=optuna": ["hydra/sweeper=optuna: is for several runs"],
     "scene=pottery hydra.sweep.dir=x": ["hydra.sweep.dir=x: is for several runs: add -m"],
+    "scene=pottery hydra.job.chdir=true": ["hydra.job.chdir: has no effect"],
+    "scene=pottery +hydra.job.env_set.A=1": ["hydra.job.env_set: has no effect"],
     "scene=photos photos.path=chessboard photos.sky=9 photos.environment=a.exr": ["photos.sky=9"],
     "scene=photos photos.path=chessboard photos.lenses=each": ["photos.lenses=each", "photos.lens"],
     "scene=photos photos.path=chessboard photos.mesh=a.obj photos.voxels=99": ["photos.voxels=99"],
@@ -96,6 +101,7 @@ BAD_SETTINGS = {
     "scene=file size=tiny scene.path=a.xml": ["size=tiny", "no sizes"],
     "--foo scene=pottery": ["--foo", "isas run --help"],
     "--cfg foo scene=pottery": ["--cfg", "job"],
+    "--multi scene=pottery seed=1,2": ["--multi", "isas run --help"],
 }
 
 
@@ -120,6 +126,34 @@ def test_a_home_folder_is_where_the_shell_leaves_it(isas, tmp_path, monkeypatch)
     assert race.folder_of("~/a") == home / "a"
     status, _, err = isas("report", "~/a")
     assert status == 2 and f"{home}/a" in err
+
+
+def test_a_folder_may_refer_to_the_environment_and_the_time(monkeypatch):
+    monkeypatch.setenv("OUT", "/out")
+    assert race.folder_of("'${oc.env:OUT}/a b'") == Path("/out/a b")
+    assert str(race.folder_of("${now:%Y}")).isdigit()
+    with pytest.raises(InputError, match=r"hydra.run.dir=\$\{oc.env:NO_SUCH\}.*not found"):
+        race.folder_of("${oc.env:NO_SUCH}")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["run", "resume=~nobody-such/a"],
+        ["race", "resume=~nobody-such/a"],
+        ["photos", "~nobody-such/a=b"],
+        ["photos", "~nobody-such/a", "output=~nobody-such/b.png"],
+        ["run", "scene=pottery", "hydra.searchpath=[~nobody-such/a]"],
+    ],
+)
+def test_the_home_of_no_user_is_one_line(refused, arguments):
+    refused(arguments)
+
+
+def test_the_home_of_no_user_is_a_folder_as_a_shell_has_it():
+    assert race.folder_of("~nobody-such/a") == Path("~nobody-such/a")
+    (typed,) = translate(["scene.path=~nobody-such/a.xml,b.xml"])
+    assert "~nobody-such/a.xml" in typed
 
 
 @pytest.mark.skipif(bool(list(Path("/dev").glob("nvidia[0-9]*"))), reason="there may be a GPU")
@@ -217,6 +251,15 @@ def test_what_fails_at_the_end_costs_no_result(isas, monkeypatch):
     assert arrays and state["iteration"] == 2
 
 
+def test_a_terminal_that_is_gone_costs_nothing(isas, monkeypatch):
+    def gone(*words, **how):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("isas_cli.engine.experiment.print", gone, raising=False)
+    status, _, err = isas("run", *TINY, "sampler=uniform", "report=false", "hydra.run.dir=r")
+    assert status == 0 and "defect" not in err
+
+
 def test_a_defect_keeps_its_traceback(isas, monkeypatch):
     monkeypatch.setattr("isas_cli.cli.scenes.main", lambda: 1 / 0)
     status, _, err = isas("scenes")
@@ -233,11 +276,31 @@ def test_a_full_memory_is_no_defect(isas, monkeypatch):
     assert status == 2 and err.startswith("isas: memory is full: lower estimator.batch")
 
 
+def test_where_memory_is_full_a_run_with_a_record_goes_on_later(isas, monkeypatch):
+    """What a new run may lower it keeps."""
+
+    def full(*unused):
+        raise RuntimeError("cuda_check(): API error 0002 (CUDA_ERROR_OUT_OF_MEMORY)")
+
+    assert isas("run", *TINY, "report=false", "hydra.run.dir=r")[0] == 0
+    told = "isas: memory is full: isas run {} goes on from the last checkpoint when there is room"
+    with monkeypatch.context() as patch:
+        patch.setattr("isas_cli.engine.loop.Loop.rehearse", full)
+        status, _, err = isas("run", "resume=r", "budget.iterations=3")
+        assert status == 2 and err.splitlines()[-1] == told.format("resume=r")
+        _, _, err = isas("run", *TINY, "hydra.run.dir=a b")
+        assert "memory is full: lower estimator.batch" in err and not Path("a b").exists()
+    monkeypatch.setattr("isas_cli.engine.loop.Loop.run", full)
+    status, out, err = isas("run", *TINY, "hydra.run.dir=a b")
+    assert (status, out) == (2, "") and err.splitlines()[-1] == told.format("'resume=a b'")
+    assert records.load_checkpoint(Path("a b"))
+
+
 LONG = ["run", *TINY[:3], "sampler=uniform", "target.spp=4", "frames.spp=2", "hydra.run.dir=r"]
 
 
 @pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow), HANGUP]
 )
 def test_an_interrupted_loop_finishes_its_record(tmp_path, number):
     process, _ = begun(tmp_path, *LONG, rows=0)

@@ -12,11 +12,12 @@ from pathlib import Path
 
 import pytest
 import yaml
+from isas_cli.scenes.library import ASSETS
 
 import isas_cli
 from isas_cli import records
-from isas_cli.cli import race
 from isas_cli.cli.app import main
+from isas_cli.cli.sweeps import race
 from isas_cli.config import searchpath
 from isas_cli.config.compose import compose, translate
 from isas_cli.config.method import options
@@ -26,6 +27,47 @@ from isas_cli.runtime.errors import InputError
 EXAMPLE = Path(__file__).parents[2] / "examples/plugin"
 TINY = ["size=tiny", "effects=full", "report=false", "budget.iterations=2", "frames.views=0"]
 TINY += ["target.spp=2", "evaluation.pixels=16", "estimator.batch=256"]
+# What the example has none of: a prior, and a format of cameras.
+PRIOR = """
+from dataclasses import dataclass
+from isas_cli.losses.priors import OnUnknowns, Prior
+
+class Level(OnUnknowns):
+    def __init__(self, height):
+        self.height = height
+
+    def value(self, values):
+        return self.height
+
+    def add(self, values, gradients):
+        return gradients
+
+@dataclass(frozen=True)
+class Settings(Prior):
+    height: float = 1.0
+
+    def on(self, unknowns):
+        return Level(self.height)
+"""
+CAMERAS = """
+from isas_cli.scene.photos.ours import read
+
+def claims(file):
+    return file.name == "mine.rig"
+
+def find(folder):
+    return next(filter(claims, folder.iterdir()), None)
+"""
+ENTRIES = "[isas.configs]\nlevel = level.configs\n[isas.cameras]\nlevel = level.cameras\n"
+SECOND = {
+    "level/__init__.py": "",
+    "level/prior.py": PRIOR,
+    "level/cameras.py": CAMERAS,
+    "level/configs/__init__.py": "",
+    "level/configs/prior/level.yaml": "# so high\n_target_: level.prior.Settings\nheight: 1.0\n",
+    "level-1.0.dist-info/METADATA": "Metadata-Version: 2.1\nName: level\nVersion: 1.0\n",
+    "level-1.0.dist-info/entry_points.txt": ENTRIES,
+}
 
 
 @pytest.fixture
@@ -77,6 +119,25 @@ def test_names_are_asked_where_the_choices_lie(folder, monkeypatch):
     assert compose(translate(["scene=small", "loss=soft"])).loss.epsilon == 0.5
     with pytest.raises(InputError, match="loss=sofd: no such loss; did you mean 'soft'"):
         compose(translate(["scene=small", "loss=sofd"]))
+
+
+def test_a_choice_is_called_as_its_file_is(folder, monkeypatch):
+    monkeypatch.setenv(searchpath.VARIABLE, str(folder))
+    (folder / "loss/soft.yaml").write_text("_target_: isas_cli.losses.RelativeL2\n")
+    scene = yaml.safe_load((folder / "scene/small.yaml").read_text())
+    del scene["name"]
+    (folder / "scene/small.yaml").write_text(yaml.safe_dump(scene))
+    cfg = compose(translate(["scene=small", "loss=soft"]), hydra=True)
+    assert cfg.loss.name == "soft" and cfg.hydra.run.dir.startswith("runs/small/progress/")
+    (folder / "sampler").mkdir()
+    mine = "defaults: [ours, _self_]\n_target_: isas_cli.samplers.gradient.Gradient\n"
+    (folder / "sampler/mine.yaml").write_text(mine)
+    base = ["sampler=multiresolution", "sampler.base=mine"]
+    for choice, words in (("sampler", ["sampler=mine"]), ("sampler.base", base)):
+        with pytest.raises(InputError, match=rf"^{choice}=mine: its file says name: ours.*mine"):
+            compose(translate(["scene=small", *words]))
+    (folder / "sampler/mine.yaml").write_text(f"{mine}name: mine\n")
+    assert compose(translate(["scene=small", "sampler=mine"])).sampler.name == "mine"
 
 
 @pytest.mark.parametrize("written", ["{}", "[{}]", "['{}']"])
@@ -178,7 +239,8 @@ def test_changed_code_that_is_allowed_is_another_version(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def beside(tmp_path_factory):
-    """Runs isas in an environment of its own that has the example beside it: → what was printed."""
+    """Runs isas in an environment of its own that has the example and a second guest beside it: →
+    what was printed."""
     root = tmp_path_factory.mktemp("guest")
     venv.create(root / "venv", with_pip=False)
     python = root / "venv/bin/python"
@@ -187,9 +249,12 @@ def beside(tmp_path_factory):
     (lib / "here.pth").write_text(f"import site; site.addsitedir({site.getsitepackages()[0]!r})\n")
     install = [sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps"]
     subprocess.run([*install, "--no-build-isolation", str(_copied(root))], check=True)
+    for name, text in SECOND.items():
+        (lib / name).parent.mkdir(parents=True, exist_ok=True)
+        (lib / name).write_text(text)
 
-    def call(*arguments: str) -> str:
-        command = [python, "-m", "isas_cli", *arguments]
+    def call(*arguments: str, code: str = "") -> str:
+        command = [python, *(["-c", code] if code else ["-m", "isas_cli"]), *arguments]
         done = subprocess.run(command, cwd=root, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         return done.stdout
@@ -211,15 +276,29 @@ def _copied(root: Path) -> Path:
 def test_the_example_is_found_by_every_command(beside):
     told = beside("scenes")
     assert "dark" in told and "huber" in told
-    chosen = ["scene=dodoco", "sampler=dark", "loss=huber", *TINY]
+    chosen = ["scene=dodoco", "sampler=dark", "loss=huber", "prior=level", "prior.height=2", *TINY]
     beside("run", *chosen, "hydra.run.dir=run")
     manifest = json.loads((beside.root / "run/manifest.json").read_text())
     assert manifest["guests"]["isas-example"].startswith("0.1+")
+    assert manifest["guests"]["level"].startswith("1.0+")
+    assert (records.load(beside.root / "run").history["prior"] == 2).all()
     beside("run", "resume=run", "budget.iterations=3")
     assert records.load(beside.root / "run").summary["iterations"] == 3
     beside("race", "scene=dodoco", *TINY, "samplers=[dark,uniform]", "hydra.run.dir=race")
     beside("run", "-m", *chosen, "sampler.power=2", "hydra.sweep.dir=sweep")
     assert len(list((beside.root / "sweep").rglob("summary.json"))) == 1
+    small = ["scene=dodoco", "size=tiny", "target.spp=2", "estimator.batch=256", "repeats=2"]
+    beside("variance", *small, "best=0", "samplers=[dark]", "hydra.run.dir=variance")
+    rows = (beside.root / "variance/variance.csv").read_text().splitlines()[1:]
+    assert [row.partition(",")[0] for row in rows] == ["uniform", "gradient", "dark"]
+
+
+def test_a_guest_s_cameras_are_read(beside):
+    folder = Path(shutil.copytree(ASSETS / "chessboard", beside.root / "photographs"))
+    (folder / "cameras.json").rename(folder / "mine.rig")
+    code = "from isas_cli.scene.photos.reading import read; import sys; print(*"
+    code += "(len(read(sys.argv[1], cameras=file).cameras) for file in (None, 'mine.rig')))"
+    assert beside(str(folder), code=code) == "13 13\n"
 
 
 def test_the_example_s_kind_finds_what_it_stands_for(beside):

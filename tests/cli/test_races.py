@@ -13,9 +13,9 @@ import yaml
 from processes import begun
 
 from isas_cli import records
-from isas_cli.cli import race
-from isas_cli.cli.sweeps import races, worker
+from isas_cli.cli.sweeps import race, races, worker
 from isas_cli.cli.sweeps.job import Report
+from isas_cli.runtime.backend import Backend
 from isas_cli.runtime.errors import InputError
 
 TINY = ["size=tiny", "estimator.batch=256", "evaluation.pixels=64", "evaluation.count=20"]
@@ -190,6 +190,28 @@ def test_a_race_of_another_machine_begins_anew(job, monkeypatch):
     assert job.go(1) == Report(0)
     assert not any("resumed" in run.manifest for run in runs().values())
     assert job.found() == "done"
+
+
+@pytest.mark.parametrize("began, by", [("llvm_ad_rgb", "llvm_ad_rgb"), ("cuda_ad_rgb", "auto")])
+def test_a_race_goes_on_by_what_it_began_on(job, monkeypatch, began, by):
+    """Also where a card has come since, or is missing for now."""
+    assert job.go(1) == Report(0)
+    entry = job.plan.entries[0]
+    manifest = json.loads((entry.folder / "manifest.json").read_text())
+    (entry.folder / "manifest.json").write_text(json.dumps({**manifest, "variant": began}))
+    (entry.folder / "summary.json").unlink()
+    asked = []
+
+    def start(variant, threads):
+        asked.append(variant)
+        return Backend("another_ad_rgb", None, None, 1, "another")
+
+    monkeypatch.setattr(races.backend, "start", start)
+    told = f"began with variant={began}, and this machine takes another_ad_rgb"
+    with pytest.raises(InputError, match=told):
+        job.go(1)
+    assert asked == [by] and job.found() == "unfinished"
+    assert (entry.folder / "history.csv").exists()
 
 
 def test_other_settings_are_another_race_and_other_threads_are_not(job):

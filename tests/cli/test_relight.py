@@ -385,6 +385,8 @@ def test_the_run_s_own_set_is_found_as_the_run_found_it(tmp_path):
         assert (cameras[0].width, cameras[0].fx) == (20, FOCAL / 2)
     (camera,), _ = as_asked(tmp_path, path=str(tmp_path), **own, without=["view_1.png"])
     assert camera.image.name == "view_0.png"
+    own |= dict(missing="refuse", without=["view_2.png"])
+    assert len(as_asked(tmp_path, path=str(tmp_path), **own)[0]) == 2
     (camera,), _ = as_asked(tmp_path, path="another", **own)
     assert camera.image == tmp_path / "view_0.exr" and camera.mask is None
 
@@ -477,11 +479,14 @@ def test_exposures_that_the_run_found_are_fitted(run, tmp_path, monkeypatch, cap
 
 
 @pytest.mark.parametrize("empty", [0, 1])
-def test_a_view_of_an_empty_mask_is_left_out_and_named(run, tmp_path, capsys, empty):
+@pytest.mark.parametrize("gone", [False, True])
+def test_a_view_of_an_empty_mask_or_none_is_left_out_and_named(run, tmp_path, capsys, empty, gone):
     """The last one as well."""
     shutil.copytree(run / "set", tmp_path / "set")
     mask = tmp_path / f"set/masks/view_{empty}.png"
     Image.new("L", Image.open(mask).size).save(mask)
+    if gone:
+        mask.unlink()
     words = ["--light", str(run / "sky.exr"), "--output", str(tmp_path / "out")]
     assert main(["relight", str(run / "run"), str(tmp_path / "set"), *words]) == 0
     found = json.loads((tmp_path / "out/scores.json").read_text())
@@ -491,6 +496,27 @@ def test_a_view_of_an_empty_mask_is_left_out_and_named(run, tmp_path, capsys, em
     assert (tmp_path / f"out/view_{empty}.exr").is_file()
 
 
+def test_a_set_without_any_mask_is_refused_before_it_is_rendered(
+    run, tmp_path, monkeypatch, capsys
+):
+    shutil.copytree(run / "set", tmp_path / "set")
+    shutil.rmtree(tmp_path / "set/masks")
+    monkeypatch.setattr(relit, "views", lambda *_: pytest.fail("rendered"))
+    assert main(["relight", str(run / "run"), str(tmp_path / "set")]) == 2
+    assert "set: no view has a mask or alpha, which say what is scored" in capsys.readouterr().err
+
+
+def test_a_mask_may_be_smaller_than_its_picture(tmp_path, tall, rng):
+    """As a run takes it."""
+    shown, found = tall + rng.normal(0, 0.03, tall.shape), []
+    for by in (1, 2, 4):
+        mask = np.zeros((60 // by, 80 // by, 3), np.uint8)
+        mask[:, : 40 // by] = 255
+        images.write_png(tmp_path / "mask.png", mask)
+        found.append(of_tall(tmp_path, shown, 55.0, size=(80, 60)))
+    assert np.isfinite(found).all() and found == pytest.approx(found[:1] * 3)
+
+
 def test_paths_are_as_long_as_the_runs(run):
     """Under its own light, the lamp's back included."""
     typed, arrays = resumption.result(run / "run")
@@ -498,3 +524,18 @@ def test_paths_are_as_long_as_the_runs(run):
     assert result[1:] == (3, False)
     typed.scene.max_depth = 2
     assert export.result(typed.scene, arrays)[1] == 2
+
+
+@pytest.mark.parametrize("grouped", [False, True])
+def test_a_medium_is_refused(grouped):
+    """Also one that instances of a group show."""
+    inside = {"type": "homogeneous", "albedo": 0.5, "sigma_t": 1.0}
+    fog = {"type": "cube", "bsdf": {"type": "null"}, "interior": inside}
+    if grouped:
+        shown = {"type": "instance", "of": {"type": "ref", "id": "group"}}
+        things = {"group": {"type": "shapegroup", "fog": fog}, "shown": shown}
+    else:
+        things = {"fog": fog}
+    scene = mi.load_dict({"type": "scene"} | things)
+    with pytest.raises(InputError, match="has a medium: isas relight renders surfaces alone"):
+        next(relit.views((scene, 3, False), [], [], "y", 0.0, 1))

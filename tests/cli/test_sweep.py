@@ -23,15 +23,15 @@ import pytest
 import runs_for_tests
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
-from processes import begun, started, until
+from processes import HANGUP, begun, started, until
 
 from isas_cli import records
 from isas_cli.cli.sweeps import fingerprint, launchers, outcome, search, sweep, worker
-from isas_cli.cli.sweeps.job import DONE, OTHER, UNFINISHED, Job, Report, supervise
+from isas_cli.cli.sweeps.job import DONE, OTHER, UNFINISHED, Job, Report
 from isas_cli.cli.sweeps.outcome import Outcome, exit_status
-from isas_cli.config import schema
+from isas_cli.config import schema, searchpath
 from isas_cli.config.compose import compose, translate
-from isas_cli.runtime import guests
+from isas_cli.runtime import errors, guests
 from isas_cli.runtime.errors import InputError
 
 TINY = [
@@ -142,6 +142,29 @@ def test_what_is_done_is_skipped_with_a_word_on_files_that_changed_since(isas, m
         job.go(None)
 
 
+def test_what_changed_since_in_a_set_of_photographs_is_told(tmp_path):
+    """Pictures, masks and cameras, also beside the set or behind a link; not records of runs."""
+    names = ("set/a.png", "set/sparse/0/images.txt", "masks/a.png", "there/b.png", "cameras.json")
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    (tmp_path / "set/images").symlink_to(tmp_path / "there")
+    settings = [f"photos.path={tmp_path / 'set'}", f"photos.masks={tmp_path / 'masks'}"]
+    settings.append("photos.cameras=../cameras.json")
+    job = Job("a", [], tmp_path / "set/run", compose(translate(["scene=photos", *settings])))
+    job.folder.mkdir()
+    (job.folder / "config.yaml").touch()
+    told = {"schema": records.files.SCHEMA_VERSION, "started": "2001-01-01T00:00:00"}
+    (job.folder / "manifest.json").write_text(json.dumps(told))
+    for name in names:
+        os.utime(tmp_path / name, (0, 0))
+    assert job.doubt() == ""
+    for name in names:
+        os.utime(tmp_path / name)
+        assert f"/{name.removeprefix('there/')}: overwrite=true does it again" in job.doubt()
+        os.utime(tmp_path / name, (0, 0))
+
+
 def test_side_by_side_a_job_that_dies_ends_no_other(isas):
     killed = flaky_scene.KILLED
     status, _, err = isas("run", *TINY, "report=false", "-m", *JOBLIB, textures(killed, 8))
@@ -158,7 +181,7 @@ def test_side_by_side_a_job_that_dies_ends_no_other(isas):
 def test_side_by_side_a_folder_that_cannot_be_written_is_said(tmp_path, capfd):
     (tmp_path / "file").touch()
     job = Job("a", [], tmp_path / "file" / "run", compose(TINY))
-    end = supervise(job, ["isas"], None, True, lambda: False)
+    end = worker.supervise(job, ["isas"], None, True, lambda: False)
     assert (end.status, end.code) == ("failed", 2)
     assert end.error == f"{job.folder}: cannot be written: Not a directory"
     assert capfd.readouterr().err == ""
@@ -218,13 +241,14 @@ def test_interrupted_and_killed_jobs_go_on_where_they_were(isas):
     assert len(last.manifest["resumed"]) == 2
 
 
-def test_a_signal_to_all_processes_lets_jobs_finish_their_records(isas):
+@pytest.mark.parametrize("number", [signal.SIGTERM, HANGUP])
+def test_a_signal_to_all_processes_lets_jobs_finish_their_records(isas, number):
     """As `scancel` and `systemctl stop` send it: a job gets it, and what its parent passes on."""
     settings = [o for o in TINY if not o.startswith(("budget", "scene.builder"))]
     sweep = ["run", *settings, "budget.seconds=60", "-m", "seed=1"]
     process, (folder,) = begun(Path(), *sweep, rows=0)
     for each in (process, *psutil.Process(process.pid).children()):
-        each.send_signal(signal.SIGTERM)
+        each.send_signal(number)
     _, err = process.communicate()
     assert process.returncode == 130 and [*table(err).values()] == ["interrupted"]
     run = records.load(folder)
@@ -242,7 +266,7 @@ def test_what_another_sweep_s_process_writes_is_left_to_it(tmp_path, monkeypatch
         return Report(2, "is still being written")
 
     monkeypatch.setattr(worker, "run", refused)
-    end = supervise(job, [], None, True, lambda: False)
+    end = worker.supervise(job, [], None, True, lambda: False)
     lives = job.written
     other.kill()
     other.wait()
@@ -285,6 +309,7 @@ def test_a_changed_setting_makes_another_folder(tmp_path):
     [
         ("threads=1,2", ["'threads=1' and 'threads=2'", "seed1-", "name="]),
         ("seed=1,2 hydra.run.dir=x", ["hydra.run.dir", "hydra.sweep.dir=DIR"]),
+        ("seed=1,2 --config-name=config", ["--config-name=config: not beside -m"]),
         ("size=tiny,tny", ["size=tny", "did you mean 'tiny'?"]),
         ("sampler=uniform,our", ["did you mean 'ours'?"]),
         ("hydra/launcher=foo", ["hydra/launcher=foo", "joblib", "submitit_slurm"]),
@@ -293,6 +318,44 @@ def test_a_changed_setting_makes_another_folder(tmp_path):
 )
 def test_sweeps_that_cannot_begin_are_refused_in_one_line(refused, typed, expected):
     refused(["run", *TINY, "-m", *typed.split()], *expected)
+
+
+@pytest.mark.parametrize("last, status", [(3, 3), (InputError("late"), 2)])
+def test_what_hydra_itself_runs_ends_as_the_worst_of_its_jobs(isas, monkeypatch, last, status):
+    ends = [0, last]
+
+    def run(cfg, folder):
+        end = ends.pop(0)
+        if isinstance(end, Exception):
+            raise end
+        return end
+
+    monkeypatch.setattr(sweep.one, "run", run)
+    found, _, err = isas("run", *TINY, "hydra.mode=MULTIRUN", "--config-name=config", "seed=1,2")
+    assert found == status and ends == [] and ("late" in err) is (status == 2)
+
+
+def test_whoever_stops_reading_what_is_printed_is_no_full_disk(monkeypatch):
+    def printing():
+        raise BrokenPipeError
+
+    monkeypatch.setattr(sweep.hydra, "main", lambda **settings: lambda run: printing)
+    with pytest.raises(BrokenPipeError):
+        sweep.by_hydra(["--cfg", "job"], ["scene=dodoco"])
+
+
+@pytest.mark.parametrize(
+    "typed, names",
+    [
+        ("glob(p*,exclude=[pl*])", ["preconditioned", "progress"]),
+        ("sort(ours,gradient,reverse=true)", ["ours", "gradient"]),
+        ('choice("ours","uniform")', ["ours", "uniform"]),
+        ("uniform, ours", ["uniform", "ours"]),
+    ],
+)
+def test_names_are_swept_in_every_way_that_hydra_has(typed, names):
+    (found,) = sweep.parsed(translate([f"sampler={typed}"]))
+    assert sweep.choices(found) == [f"sampler={name}" for name in names]
 
 
 @pytest.mark.parametrize(
@@ -306,9 +369,8 @@ def test_sweeps_that_cannot_begin_are_refused_in_one_line(refused, typed, expect
 )
 def test_extras_that_are_not_installed_are_named(refused, monkeypatch, choice, extra):
     monkeypatch.setattr("isas_cli.cli.sweeps.launchers._installed", lambda package: False)
-    install = f"pip install '.[{extra}]' in isas's source folder"
     err = refused(["run", *TINY, "-m", choice])
-    assert err == f"isas: {choice} is an extra: {install}\n"
+    assert err == f"isas: {choice} is an extra: {errors.extra(extra)}\n"
 
 
 def test_the_same_job_is_done_once_and_a_run_with_other_settings_stays(isas, monkeypatch):
@@ -420,6 +482,7 @@ def test_every_launcher_and_sweeper_composes_and_is_built(monkeypatch):
     names = [path.stem for path in Path(schema.folder(), "hydra/launcher").glob("*.yaml")]
     assert {"joblib", "ray", "submitit_local", "submitit_slurm"} == set(names)
     launchers.prepare([])
+    monkeypatch.setattr(launchers, "_installed", lambda package: True)
     for name in ("basic", *names):
         cfg = compose(["scene=dodoco", f"hydra/launcher={name}"], hydra=True)
         made = launchers.launcher(cfg.hydra)
@@ -429,6 +492,51 @@ def test_every_launcher_and_sweeper_composes_and_is_built(monkeypatch):
         )
     cfg = compose(["scene=dodoco", "hydra/sweeper=optuna"], hydra=True)
     assert cfg.hydra.sweeper.n_trials == 20
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """Launchers and sweepers of one's own, with isas's in their defaults or by a plugin."""
+    theirs = "_target_: hydra_plugins.theirs.Theirs\n"
+    texts = {
+        "launcher/cluster": "defaults: [submitit_slurm, _self_]\ntimeout_min: 7\n",
+        "launcher/four": "defaults: [joblib, _self_]\nn_jobs: 4\n",
+        "launcher/theirs": theirs,
+        "sweeper/trials": "defaults: [optuna, _self_]\nn_trials: 4\n",
+        "sweeper/theirs": theirs,
+    }
+    for name, text in texts.items():
+        path = tmp_path / "own/hydra" / f"{name}.yaml"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    monkeypatch.setenv(searchpath.VARIABLE, str(tmp_path / "own"))
+
+
+def test_a_launcher_is_told_by_its_settings(own, monkeypatch):
+    monkeypatch.setattr(launchers, "_installed", lambda package: True)
+    launchers.prepare([])
+
+    def chosen(name: str) -> launchers.Launcher:
+        cfg = compose(["scene=dodoco", f"hydra/launcher={name}"], hydra=True)
+        return launchers.launcher(cfg.hydra)
+
+    made = chosen("cluster")
+    assert (made.cluster, made.parameters["timeout_min"]) == ("slurm", 7)
+    assert chosen("four").n_jobs == 4
+
+
+@pytest.mark.parametrize(
+    "choice, told",
+    {
+        "hydra/launcher=cluster": "is an extra",
+        "hydra/launcher=theirs": "none of isas's: take one, or have it in its defaults: basic",
+        "hydra/sweeper=trials": "is an extra",
+        "hydra/sweeper=theirs": "none of isas's: take basic or optuna",
+    }.items(),
+)
+def test_what_isas_has_not_is_refused_under_any_name(own, refused, monkeypatch, choice, told):
+    monkeypatch.setattr(launchers, "_installed", lambda package: False)
+    refused(["run", *TINY, "-m", choice], choice, told)
 
 
 class Optuna:

@@ -13,6 +13,7 @@ from xml_for_tests import camera
 
 from isas_cli.cli import unknowns
 from isas_cli.cli.app import main
+from isas_cli.engine import offers
 from isas_cli.engine.offers import Offer, Offers
 from isas_cli.runtime import images
 from isas_cli.unknowns import verdicts
@@ -64,6 +65,11 @@ def test_a_process_of_its_own_prints_a_row_a_key(scene):
     assert "scene.poses can move: " in done.stdout
 
 
+def test_a_file_may_have_any_name(scene, capsys):
+    Path("my.xml").rename("depth=3.xml")
+    assert "floor.bsdf.base_color.value" in listed(capsys, "depth=3.xml")
+
+
 def test_keys_are_printed_as_they_are_spelt(scene):
     """Brackets are no markup; and a long one leaves the other columns their place."""
     ids = "Wood [dark]", "mat-[/b]" + "x" * 60
@@ -100,6 +106,12 @@ def test_who_sees_what(scene, capsys):
     found = listed(capsys, "my.xml", "scene.max_depth=1")
     assert found["sky.radiance.value"]["views"] == [1]  # a wall fills the other
     assert found["floor.bsdf.roughness.value"]["views"] == []
+
+
+def test_what_a_dark_lamp_will_light_is_seen(scene, capsys):
+    dark = Path("my.xml").read_text().replace('value="0.8"', 'value="0"')
+    Path("my.xml").write_text(dark)
+    assert 0 in listed(capsys, "my.xml")["floor.bsdf.roughness.value"]["views"]
 
 
 def test_what_replayed_paths_do_not_carry_says_who_takes_it(scene, capsys):
@@ -187,9 +199,28 @@ def test_what_glows_does_not_ask_how_it_would_scatter(scene, capsys):
     assert found["box.interior_medium.phase_function.g"]["views"] == []
 
 
+def test_what_glows_says_why_its_extinction_is_no_unknown(scene, capsys):
+    medium = """<medium type="homogeneous" name="interior"><rgb name="sigma_t" value="0.5"/>
+      <rgb name="albedo" value="0.3"/></medium>"""
+    box = f'<shape type="cube" id="box"><bsdf type="null"/>{medium}</shape>'
+    things = f'<integrator type="emission"/><emitter type="constant"/>{box}{camera("0,0,5", 8, 6)}'
+    Path("my.xml").write_text(f'<scene version="3.0.0">{things}</scene>')
+    found = listed(capsys, "my.xml")
+    assert "one number" in found["box.interior_medium.sigma_t.value.value"]["refused"]
+    assert found["box.interior_medium.albedo.value.value"]["views"] == [0]
+
+
 def test_what_mitsuba_cannot_trace_is_said_in_one_line(scene, refused):
     of_materials(waves='<texture type="checkerboard"/>')
     refused(["unknowns", "my.xml"], "scene.path=my.xml: Mitsuba cannot trace")
+
+
+def test_a_full_memory_is_no_fault_of_the_scenes(scene, refused, monkeypatch):
+    def full(problem):
+        raise RuntimeError("jit_malloc(): out of memory!")
+
+    monkeypatch.setattr(offers.onlookers, "of", full)
+    refused(["unknowns", "my.xml"], "memory is full")
 
 
 def test_scenes_of_isas_are_listed_too(capsys):

@@ -105,6 +105,16 @@ def test_a_killed_run_is_said_to_be_and_how_it_goes_on(tmp_path, script, capsys)
     assert shlex.split(last.split("go on with: ")[1]) == ["isas", "run", f"resume={folder}"]
 
 
+def test_a_run_of_a_race_goes_on_with_all_of_it(tmp_path, capsys):
+    """By itself it would have had more billed time than the others."""
+    folder = tmp_path / "ours/seed1"
+    run(folder, 2, status="interrupted")
+    (tmp_path / "race.yaml").touch()
+    assert watch.main(folder, True) == 0
+    out = capsys.readouterr().out.replace("\n/", "/")
+    assert f"go on with: isas race resume={tmp_path}\n" in out and "isas run" not in out
+
+
 def test_a_run_taken_up_by_another_process_is_not_called_killed(tmp_path, script, capsys):
     writer = run(tmp_path, 2, manifest=process(gone()))
     script += [

@@ -8,6 +8,7 @@ import shlex
 from pathlib import Path
 
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
 from isas_cli.config import grammar, schema
@@ -24,9 +25,10 @@ def typed(*overrides: str) -> schema.Config:
     return OmegaConf.to_object(compose(translate(overrides)))
 
 
-@pytest.mark.parametrize(
-    "group, name", [(group, name) for group in GROUPS for name in options(group)]
-)
+CHOICES = [(group, name) for group in GROUPS for name in options(group)]
+
+
+@pytest.mark.parametrize("group, name", [*CHOICES, ("effects", "auto")])
 def test_choices_instantiate_and_agree_with_their_classes(group, name):
     where = "optimizer.filter" if group == "filter" else group
     node = OmegaConf.select(compose(translate(["scene=pottery", f"{where}={name}"])), where)
@@ -38,7 +40,7 @@ def test_choices_instantiate_and_agree_with_their_classes(group, name):
         assert hasattr(default, key)
 
 
-@pytest.mark.parametrize("group", [*GROUPS, "scene"])
+@pytest.mark.parametrize("group", [*GROUPS, "effects", "scene"])
 def test_every_choice_says_what_it_is(group):
     for name in options(group):
         path = Path(schema.folder()) / group / f"{name}.yaml"
@@ -98,6 +100,28 @@ def test_a_list_that_is_advised_can_be_typed(name):
     (word,) = shlex.split(grammar.listed("photos.without", ["first.png", name]))
     found = compose(translate(["scene=photos", word])).scene.photos.without
     assert list(found) == ["first.png", name]
+
+
+@pytest.mark.parametrize("name", ["20240101_120000", "1e5", "12.50", "0001", "17"])
+@pytest.mark.parametrize("setting", ["photos.test", "scene.photos.without"])
+def test_views_are_called_by_numbers(setting, name):
+    """As Android calls pictures, without quotes."""
+
+    def found(value: str):
+        photos = compose(translate(["scene=photos", f"{setting}={value}"])).scene.photos
+        return photos[setting.rpartition(".")[2]]
+
+    assert [str(each) for each in found(f"[first.png, {name}]")] == ["first.png", name]
+    if setting == "photos.test":
+        assert (str(found(name)), found("3"), found("null")) == (name, 3, None)
+
+
+@pytest.mark.parametrize("name", ["12e4567", "2024_05_01", "1e5", "0001", "-1", "true", "mine"])
+def test_a_run_is_called_as_it_is_typed(name):
+    assert typed("scene=pottery", f"name={name}").name == name
+    several = translate([f"name={name},1_0"])
+    (override,) = OverridesParser.create().parse_overrides(several)
+    assert list(map(grammar.plain, override.sweep_iterator())) == [name, "1_0"]
 
 
 def test_a_long_list_says_that_it_is_longer():
@@ -184,6 +208,11 @@ def test_a_path_may_be_none_or_several():
     home = str(Path.home())
     assert translate(["photos.path=a,~/b c"]) == [f"scene.photos.path='a','{home}/b c'"]
     assert translate(["hydra.run.dir=a,b"]) == ["hydra.run.dir='a,b'"]
+
+
+def test_an_argument_that_has_a_default_can_be_added():
+    found = typed("scene=pottery", "+scene.arguments.extra=3", "+scene.arguments.views=2")
+    assert (found.scene.arguments["extra"], found.scene.arguments["views"]) == (3, 2)
 
 
 def test_start_may_be_a_file():

@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from isas_cli.cli import race
 from isas_cli.cli.app import main
-from isas_cli.cli.sweeps import launch
+from isas_cli.cli.sweeps import launch, race
+from isas_cli.config import searchpath
 from isas_cli.config.compose import compose, translate
 from isas_cli.runtime.errors import InputError
 
@@ -45,6 +45,15 @@ def test_all_are_dropped_and_others_given():
     found = scene("~scene.unknowns", GIVEN)
     assert list(found.unknowns) == [WALL] and found.unknowns[WALL].start == 0.3
     assert found.unknowns[WALL].lr is None  # nothing is left of the scene's own
+
+
+def test_what_a_scene_has_from_others_is_dropped(tmp_path, monkeypatch):
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene/mine.yaml").write_text("defaults: [global_illumination, _self_]\n")
+    monkeypatch.setenv(searchpath.VARIABLE, str(tmp_path))
+    found = compose(translate(["scene=mine", f"~scene.unknowns.{WALL}"])).scene
+    assert list(found.unknowns) == [LAMP, BOX]
+    assert dict(compose(translate(["scene=mine", "~scene.unknowns"])).scene.unknowns) == {}
 
 
 def test_what_is_given_is_merged_into_what_is_there():

@@ -3,8 +3,9 @@
 import pytest
 from omegaconf import OmegaConf
 
-from isas_cli.cli import race
-from isas_cli.config import method, schema
+from isas_cli.cli.app import main
+from isas_cli.cli.sweeps import race
+from isas_cli.config import method, schema, searchpath
 from isas_cli.config.compose import compose, instantiate, options, translate
 from isas_cli.runtime.budget import Budget
 from isas_cli.runtime.errors import InputError
@@ -124,6 +125,55 @@ def test_a_scene_without_one_keeps_the_usual_choices():
     usual = composed("scene=pottery")
     assert (usual.sampler.name, usual.estimator.name) == ("progress", "two_path")
     assert OmegaConf.to_container(usual.scene.method) == {}
+
+
+@pytest.fixture
+def mine(tmp_path, monkeypatch):
+    """Writes a scene of one's own."""
+    (tmp_path / "scene").mkdir()
+    monkeypatch.setenv(searchpath.VARIABLE, str(tmp_path))
+    return (tmp_path / "scene/mine.yaml").write_text
+
+
+def test_a_scene_takes_what_those_in_its_defaults_take(mine):
+    own = "name: mine\nmethod: {estimator: {batch: 16}}\n"
+    mine(f"defaults: [cup, _self_]\n{own}")
+    assert settings(composed("scene=mine")) == ("uniform", "plateau", 16, "cosine")
+    mine(f"defaults: [/scene/cup@_here_]\n{own}")
+    assert settings(composed("scene=mine")) == ("uniform", "plateau", 16, "cosine")
+    mine(f"defaults: [_self_, cup]\n{own}")
+    assert settings(composed("scene=mine")) == ("uniform", "plateau", 2048, "cosine")
+
+
+def test_what_it_takes_may_refer_to_its_sizes(mine):
+    iterations = "{iterations: '${scene.sizes.${size}.width}'}"
+    mine(f"defaults: [cup, _self_]\nname: mine\nmethod: {{budget: {iterations}}}\n")
+    found = composed("scene=mine", "size=tiny")
+    assert found.budget.iterations == 32 and "budget.iterations=32" in method.taken(found)
+
+
+def test_photographs_of_one_s_own_say_whether_something_moves(mine):
+    known = "defaults: [photos, _self_]\nname: mine\nphotos: {path: chessboard"
+    mine(f"{known}}}\n")
+    assert composed("scene=mine").estimator.name == "two_path"
+    mine(f"{known}, pose: true}}\n")
+    found = composed("scene=mine")
+    assert (found.sampler.name, found.estimator.name) == ("ours", "silhouettes")
+    mine(f"{known}, pose: true}}\nmethod: {{sampler: uniform}}\n")
+    found = composed("scene=mine")
+    assert (found.sampler.name, found.estimator.name) == ("uniform", "silhouettes")
+
+
+def test_what_it_has_from_others_is_listed_in_a_row(mine, capsys):
+    """Into a pipe, which has no width."""
+    mine(
+        "defaults: [cup, _self_]\nname: mine\nsizes: {tiny: {width: 8}}\n"
+        "method: {budget: {iterations: '${scene.sizes.${size}.width}'}}\n"
+    )
+    assert main(["scenes"]) == 0
+    (row,) = [line for line in capsys.readouterr().out.splitlines() if " mine " in line]
+    told = "A mug whose handle hides behind it; its angle is unknown. Takes estimator=plateau"
+    assert all(text in row for text in (told, "cup.angle", "tiny"))
 
 
 def test_every_word_of_the_unknowns_tells_whether_something_moves():

@@ -2,6 +2,7 @@
 
 import datetime
 import os
+import shlex
 from pathlib import Path
 
 import pytest
@@ -62,6 +63,32 @@ def test_files_that_changed_after_a_time_are_told_those_of_a_scene_s_xml_too(hom
     assert paths.newer(cfg, before) == "scene.path=my.xml" and paths.newer(cfg, after) is None
     os.utime("my.xml", (0, 0))
     assert paths.newer(cfg, before) == "wood.png" and paths.newer(cfg, "") is None
+
+
+def test_files_of_a_renderer_s_command_are_found_from_elsewhere(home, monkeypatch):
+    (home / "draw").touch()
+
+    def words(command: str) -> list[str]:
+        scene, _ = located(["scene=external", f"external.command={command}"], home)
+        return shlex.split(scene.external.command)
+
+    whole = [str(home / name) for name in ("draw", "a.exr")]
+    assert words("./draw a.exr gone.exr --x={x} {out}") == [*whole, "gone.exr", "--x={x}", "{out}"]
+    assert words("draw a.exr {out}") == ["draw", whole[1], "{out}"]  # an installed one
+    monkeypatch.chdir(home)  # where it is called as it was
+    assert words("./draw a.exr {out}") == ["./draw", "a.exr", "{out}"]
+
+
+@pytest.mark.parametrize(
+    "setting", ["command=./draw.py {out}", "command=python draw.py {out}", "function=draw.render"]
+)
+def test_another_renderer_s_file_that_changed_after_a_time_is_told(home, setting):
+    Path("draw.py").touch()
+    cfg = compose(translate(["scene=external", f"external.{setting}"]))
+    name = "./draw.py" if "./" in setting else "draw.py"
+    told = f"scene.external.{setting.partition('=')[0]}={name}"
+    assert paths.newer(cfg, "1999-01-01T00:00:00") == told
+    assert paths.newer(cfg, "2999-01-01T00:00:00") is None
 
 
 @pytest.mark.parametrize("gone", [None, "/nowhere/at/all"])

@@ -119,6 +119,20 @@ def test_numbers_are_moved_by_their_own_size_not_by_their_range():
     assert np.abs(_moved(narrow, rng) - truth).max() == pytest.approx(0.03, rel=1e-3)
 
 
+def test_a_map_with_a_sun_does_not_become_brighter_as_a_whole(rng):
+    """A twentieth of its size is more than its dark texels have, some of them nothing."""
+    truth = rng.uniform(0.2, 1.0, (16, 32, 3)).astype(np.float32)
+    truth[:4], truth[8, 8] = 0.0, 1e4
+    sky = SimpleNamespace(
+        **dict(truth=truth, start=np.ones_like(truth), seen=np.ones(truth.shape, bool)),
+        **dict(low=0.0, high=np.inf),
+    )
+    moved = _moved(sky, rng)
+    assert np.all(moved != truth) and moved.min() >= 0
+    assert np.mean(moved[4:] > truth[4:]) == pytest.approx(0.5, abs=0.1)
+    assert moved[:4].max() < 1.0
+
+
 def test_an_image_error_of_none_is_said_to_be_no_perfect_fit(tmp_path, monkeypatch):
     always = property(lambda self: True, lambda *_: None)
     monkeypatch.setattr(Evaluator, "unresolved", always, raising=False)

@@ -19,6 +19,7 @@ from isas_cli.runtime.budget import Budget
 from isas_cli.runtime.errors import NumericalError
 from isas_cli.samplers.balanced import Balanced
 from isas_cli.samplers.gradient import Gradient
+from isas_cli.samplers.multiresolution import Multiresolution
 from isas_cli.samplers.ours import Ours
 from isas_cli.samplers.progress import Progress
 from isas_cli.samplers.relevant import Relevant
@@ -108,6 +109,11 @@ def test_a_first_look_is_left_out_where_it_costs_a_quarter_of_the_budget(times, 
     if not looked:
         assert "more than 25% of the budget" in l.warnings[0]
         assert np.allclose(l.density(), 1)
+        again = loop(p, progress, Budget(paths=times * own))
+        again.restore(*l.export())
+        again.gradient(1)
+        p.unknowns.write(again.stepper.values)
+        assert np.allclose(again.density(), 1), "from the pixels that it had"
         longer = loop(p, progress, Budget(paths=9 * own))
         longer.restore(*l.export())
         done = longer.position.iteration
@@ -115,7 +121,11 @@ def test_a_first_look_is_left_out_where_it_costs_a_quarter_of_the_budget(times, 
         assert [i for i in when if i < 1000] == [done], "as a run's first look"
 
 
-@pytest.mark.parametrize("sampler, looks", [(Progress, [0, 10]), (Ours, [0])])
+def levels(**settings) -> Multiresolution:
+    return Multiresolution(base=Progress(**settings), levels=1)
+
+
+@pytest.mark.parametrize("sampler, looks", [(Progress, [0, 10]), (levels, [0, 10]), (Ours, [0])])
 def test_what_begins_to_move_is_looked_at(sampler, looks):
     """By a sampler whose weights are those of what moves."""
     p = problem({TEXTURE: 0.5, ROUGHNESS: 0.6})
@@ -140,16 +150,30 @@ def test_a_first_look_that_takes_long_is_left_out_of_a_short_time(monkeypatch):
     assert not [i for i in when if i < 1000]
 
 
+@pytest.mark.parametrize("sampler", [Ours, Progress])
 @pytest.mark.parametrize("rest, looked", [(3.5, False), (4.5, True)])
-def test_a_later_look_is_left_out_where_it_costs_a_quarter_of_what_is_left(rest, looked):
+def test_a_later_look_is_left_out_where_it_costs_a_quarter_of_what_is_left(rest, looked, sampler):
+    """By its own price, which is less than a first one's where that looks at more."""
     p = problem({TEXTURE: 0.5})
-    ours = Ours(refresh=10, stage1=STAGE1).on(p, losses.L2(), 256)
-    paths = ours.paths_per_look + 10 * 2 * 256 + rest * ours.paths_per_look
-    l = loop(p, ours, Budget(paths=paths))
-    look, when = ours.look, []
-    ours.look = lambda *given: when.append(given[2]) or look(*given)
+    own = sampler(refresh=10, stage1=STAGE1).on(p, losses.L2(), 256)
+    paths = own.paths_before + own.paths_per_look + 10 * 2 * 256 + rest * own.paths_per_look
+    l = loop(p, own, Budget(paths=paths))
+    look, when = own.look, []
+    own.look = lambda *given: when.append(given[2]) or look(*given)
     run(l)
     assert [i for i in when if i < 20] == ([0, 10] if looked else [0])
+
+
+def test_an_iteration_is_had_again_at_the_share_of_the_schedule_that_it_had():
+    """Also where an estimator draws no pixels yet."""
+    l = loop(problem({TEXTURE: 0.5}), budget=Budget(iterations=20))
+    run(l, stop=lambda: l.position.iteration >= 4)
+    estimate, shares = l.estimator.estimate, []
+    l.estimator.estimate = lambda *given: shares.append(given[-1]) or estimate(*given)
+    l.estimator.undrawn = 0.5
+    l.gradient(3)
+    l.problem.unknowns.write(l.stepper.values)
+    assert shares == [l.scheduled] == [4 / 20]
 
 
 def test_evaluating_more_often_changes_nothing():

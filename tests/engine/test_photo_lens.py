@@ -301,5 +301,5 @@ def test_paths_of_a_single_view_are_independent(taken, monkeypatch):
     )
     estimator = TwoPath(made, losses.L2(), 256, freeze=False)
     drawn = PixelDistribution.uniform(Tiles.over(made.views))
-    estimator.gradients(made.unknowns.starts(), drawn, 1, 0)
+    estimator.gradients(made.unknowns.starts(), drawn, 1, 0, 0.0)
     assert len(widths) == 4 and set(widths) == {256}  # two paths, and both ends of a difference

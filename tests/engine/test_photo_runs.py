@@ -4,6 +4,8 @@ import dataclasses
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import drjit as dr
 import mitsuba as mi
@@ -17,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 import isas_cli
 from isas_cli.config.schema import PhotosConfig
+from isas_cli.engine.recorder import Recorder
 from isas_cli.estimators import two_path
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.losses import L2
@@ -184,6 +187,34 @@ def test_views_held_out_are_never_drawn_from(photographed):
     np.testing.assert_array_equal(made.held_out.target_image(0), shown)
 
 
+def test_scoring_views_held_out_is_told_and_may_be_given_up(photographed):
+    """Views of which nothing counts are none of them; what has been scored is kept."""
+    made = problem(*photographed, "photos.test=[view_1,view_2,view_3]")
+    mask = np.array(made.held_out.mask)
+    mask[: SIZE[0] * SIZE[1]] = 0
+    made.held_out.mask = own(mi.Float, mask)
+    steps = SimpleNamespace(values=made.unknowns.starts())
+
+    def scored(after: int) -> tuple[dict | None, list[str]]:
+        said: list[str] = []
+        recorder = SimpleNamespace(
+            loop=SimpleNamespace(whole=made, stepper=steps),
+            typed=SimpleNamespace(frames=SimpleNamespace(spp=1), seed=1),
+            display=SimpleNamespace(phase=said.append),
+            writer=MagicMock(),
+        )
+        Recorder._held_out(recorder, lambda: len(said) == after)
+        return recorder.held_out, said
+
+    assert scored(0) == (None, [])
+    found, said = scored(1)
+    assert list(found["views"]) == ["view_2.exr"] and found["left_out"] == 1
+    assert said == ["held-out views 1 of 2"]
+    found, said = scored(3)
+    assert list(found["views"]) == ["view_2.exr", "view_3.exr"] and "left_out" not in found
+    assert said[1:] == ["held-out views 2 of 2"]
+
+
 def test_silhouettes_are_where_rays_see_them(photographed):
     """With principal points, moved cameras, and views held out between the others."""
     made = problem(*photographed, "photos.test=[view_1]", "photos.refine=true")
@@ -239,11 +270,18 @@ def z_of_exposures(made, estimator) -> np.ndarray:
     return (mean - wanted) / error
 
 
-def test_exposures_count_by_the_weights_of_their_views(photographed):
-    """Where all views count alike, however much each shows of the object."""
+@pytest.mark.parametrize("background", ["false", "black"])
+def test_exposures_count_by_the_weights_of_their_views(photographed, tmp_path, background):
+    """Where all views count alike, however much each shows of the object: what is black beside it
+    is not counted, also where it is compared."""
+    filled = np.array(problem(*photographed).mask).reshape(4, SIZE[1], SIZE[0], 1) > 0
+    for view, mask in enumerate(filled):
+        images.write_png(tmp_path / f"view_{view}.png", np.uint8(255 * mask))
+    settings = [f"photos.masks={tmp_path}", f"photos.background={background}"]
     shares = {}
     for weights in ("null", "equal"):
-        made = problem(*photographed, "photos.exposure=scale", f"scene.weights={weights}")
+        settings[2:] = "photos.exposure=scale", f"scene.weights={weights}"
+        made = problem(*photographed, *settings)
         shares[weights] = np.array(made.unknowns["exposure"].kind._share)
     np.testing.assert_allclose(shares["equal"], 1, rtol=1e-5)
     assert np.ptp(shares["null"]) > 0.01

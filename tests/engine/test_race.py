@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 
 import drjit as dr
 import mitsuba as mi
@@ -17,13 +18,13 @@ from scenes_for_tests import TEXTURE, dictionary, problem, without_targets
 
 from isas_cli import records
 from isas_cli.cli import app, compare
-from isas_cli.cli.race import _contestants, _values
+from isas_cli.cli.sweeps.race import _contestants, _values
 from isas_cli.config.compose import compose
 from isas_cli.engine import race
 from isas_cli.engine import workshop as workshop_module
 from isas_cli.engine.loop import Hooks, Loop
 from isas_cli.engine.workshop import Workshop
-from isas_cli.runtime.errors import NumericalError
+from isas_cli.runtime.errors import InputError, NumericalError
 from isas_cli.unknowns.parameters import as_numpy
 
 SMALL = ["scene=dodoco", "size=tiny", "estimator.batch=512", "evaluation.pixels=64"]
@@ -104,6 +105,30 @@ def test_equal_settings_share_and_different_ones_do_not():
     assert made("loss=l1").estimator is not a.estimator
     a.problem.warnings.append("of its estimator alone")
     assert not made("loss=l1").problem.warnings and not p.warnings
+
+
+def test_a_race_goes_on_by_what_its_records_began_with(monkeypatch):
+    """One that was killed before its record was whole says auto still."""
+    settings = (("of none", None), ("of a record", SimpleNamespace()))
+    entries = [SimpleNamespace(cfg=None, typed=typed, earlier=e) for typed, e in settings]
+
+    def started(cfgs, typed):
+        raise InputError(f"by that {typed}")
+
+    monkeypatch.setattr(race, "started", started)
+    with pytest.raises(InputError, match="by that of a record"):
+        race.run(entries, 1.0, lambda: None)
+
+
+def test_where_memory_is_full_a_race_says_how_it_goes_on(monkeypatch, tmp_path, no_page, capsys):
+    def full(*unused):
+        raise RuntimeError("jit_malloc(): out of memory!")
+
+    monkeypatch.setattr(Loop, "advance", full)
+    settings = "samplers=[uniform]", "report=false", "budget.iterations=2"
+    assert raced(tmp_path / "r", *settings) == 2
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.startswith(f"isas: memory is full: isas race resume={tmp_path / 'r'} goes on")
 
 
 def test_a_turn_is_about_a_slice_long_and_the_order_rotates(monkeypatch, tmp_path, no_page):

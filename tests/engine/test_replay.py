@@ -9,7 +9,7 @@ from xml_for_tests import camera, paths
 
 from isas_cli import records
 from isas_cli.cli.app import main
-from isas_cli.engine import replay
+from isas_cli.engine import experiment
 from isas_cli.runtime import images
 
 SCENE = f"""<scene version="3.0.0">{paths(3)}{camera(fov=20)}
@@ -70,7 +70,7 @@ def test_of_a_loss_of_windows_the_pixels_of_these_are_named(tmp_path):
     wall = np.full((16, 16, 3), 0.5)
     wall[:, 8:] = np.nan
     assert run(tmp_path, wall, "budget.iterations=2", "loss=structure", "loss.side=3") == 0
-    again = replay.of(tmp_path / "run", 1)
+    again = experiment.replay(tmp_path / "run", 1)
     columns = [place.column for place in again.places]
     assert len(columns) > 3 and min(columns) >= 8, "not what else is in their windows"
 

@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -25,6 +26,7 @@ from isas_cli.cli import app, landscape, one
 from isas_cli.engine import experiment, race, resumption
 from isas_cli.engine.recorder import Recorder
 from isas_cli.records import manifest
+from isas_cli.rendering import targets
 from isas_cli.runtime.errors import InputError
 
 TINY = [
@@ -376,6 +378,73 @@ def test_a_changed_scene_and_a_living_process_are_refused(finished, refused):
     finally:
         path.write_text(text)
         ended.write_text(summary)
+
+
+@pytest.mark.parametrize(
+    "changed, told",
+    [
+        ({"variant": "another"}, "began with variant=another"),
+        ({"scene_hash": "0" * 32}, "its scene has changed since"),
+        ({"start_hash": "0" * 32}, "its start has changed since"),
+        ({"parameter_rmse_is": "radiance"}, "its parameter_rmse is in 'radiance', and now"),
+        ({"packages": {"mitsuba": "3.0.0"}}, "its target has changed since, or is Mitsuba "),
+    ],
+)
+def test_what_does_not_go_on_is_refused_before_targets(
+    finished, refused, tmp_path, monkeypatch, changed, told
+):
+    """They may take hours."""
+
+    def slow(*arguments):
+        raise AssertionError("targets are rendered")
+
+    monkeypatch.setattr(targets, "render", slow)
+    folder = tmp_path / "copy"
+    shutil.copytree(finished, folder)
+    content = json.loads((folder / "manifest.json").read_text())
+    (folder / "manifest.json").write_text(json.dumps(content | changed))
+    assert told in refused(["run", f"resume={folder}", "budget.iterations=90"])
+    entry = race.continued("again", folder, {"budget.iterations": 90})
+    with pytest.raises(InputError, match=told):
+        race.run([entry], 1.0, lambda: None)
+
+
+def test_what_another_process_did_meanwhile_is_kept(finished, tmp_path, monkeypatch):
+    """While the scene was loaded and its kernels were made."""
+    folder, prepare = tmp_path / "copy", resumption.prepare
+    shutil.copytree(finished, folder)
+    rows = (folder / "history.csv").read_text()
+
+    def late(*given):
+        earlier = prepare(*given)
+        other = records.RunWriter.reopen(folder, 10**6)
+        other.checkpoint(earlier.arrays, earlier.state | {"iteration": 80})
+        other.release()
+        return earlier
+
+    monkeypatch.setattr(resumption, "prepare", late)
+    with pytest.raises(InputError, match="another process went on with it meanwhile, .* to 80: "):
+        experiment.resume(folder, {"budget.iterations": 90})
+    assert (folder / "history.csv").read_text() == rows
+    assert records.load_checkpoint(folder)[1]["iteration"] == 80
+
+
+def test_a_disk_that_stands_still_puts_no_checkpoint_off(tmp_path):
+    """Nor does one that is always slow, for hours."""
+    clock = SimpleNamespace(seconds=0.0, unbilled_seconds={}, unbilled=lambda _: nullcontext())
+    recorder = Recorder(
+        None, None, SimpleNamespace(clock=clock, export=lambda: ({}, {})), tmp_path, None
+    )
+    spent, pauses = [0.1, 60.0, 0.1, 90.0, 90.0, 90.0], []
+
+    def write(*unused):
+        clock.seconds += spent[len(pauses)]
+
+    recorder.writer = SimpleNamespace(checkpoint=write)
+    for _ in spent:
+        recorder._checkpoint()
+        pauses.append(recorder._pause)
+    assert pauses == pytest.approx([10, 10, 10, 10, 10, 600])
 
 
 def test_starts_are_told_apart_by_what_they_hold():

@@ -2,6 +2,7 @@
 
 import hard_cases
 import pytest
+from runs_for_tests import resumed
 
 LIGHT, COLOUR = "sky.radiance.value", hard_cases.REFLECTANCE
 
@@ -25,3 +26,15 @@ def test_each_moves_in_its_stages_and_both_are_found(tmp_path):
     assert still("light", 0.3, 0.6) and not still("colour", 0.3, 0.6)
     assert not still("light", 0.6, 1) and not still("colour", 0.6, 1)
     assert errors.iloc[-1].max() == pytest.approx(0, abs=case.within)
+
+
+def test_a_larger_budget_says_which_stages_come_again(tmp_path):
+    unknowns = {
+        LIGHT: {"start": 0.5, "during": [0, 0.5]},
+        COLOUR: {"start": 0.2, "during": [0.5, 1]},
+    }
+    case = hard_cases.Case("stages", "", unknowns, 0.05)
+    folder = case.run(tmp_path, "budget.iterations=4").folder
+    warnings = resumed(folder, "budget.iterations=20").summary["warnings"]
+    (told,) = [each for each in warnings if "the budget was iterations=4" in each]
+    assert f"'{LIGHT}' began to move" in told and f"'{COLOUR}' came to rest" in told

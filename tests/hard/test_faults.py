@@ -202,6 +202,29 @@ def test_the_largest_part_is_named(monkeypatch):
             footprint.check(made, lanes)
 
 
+def test_paths_of_a_launch_need_memory(monkeypatch):
+    """However few pixels they are of."""
+    from gradient_estimates import configured
+    from scenes_for_tests import TEXTURE, problem
+
+    made = problem({TEXTURE: 0.5})
+    entries = made.unknowns[TEXTURE].start.size
+    for name, settings, paths in (
+        ("two_path", {}, 64),
+        ("finite_differences", {"spp": 100}, 64 * 200),
+        ("plateau", {"spp": 100}, 64 * 100),
+        ("plateau", {"spp": 100, "smooth": "loss"}, 64 * 200),
+        ("plateau", {"spp": 100, "scheme": "separate"}, 64 * 50 * entries),
+        ("plateau", {"residual_spp": 400}, 64 * 200),
+    ):
+        estimator = configured("estimator", name, {"batch": 64, **settings})
+        assert estimator.paths_at_once(made) == paths, settings
+    monkeypatch.setattr(memory, "available", lambda: 64 * 200 * 12.0)
+    footprint.check(made, 64)
+    with pytest.raises(InputError, match="are free: lower estimator.batch"):
+        footprint.check(made, 64, paths=64 * 200)
+
+
 def test_edges_in_all_views_need_memory(monkeypatch):
     from isas_cli.scenes import kirby
     from scenes_for_tests import without_targets

@@ -31,6 +31,8 @@ def test_a_process_is_told_from_another_that_has_its_number():
     assert follow.alive(process(gone())) is False
     assert follow.alive(process(started="2001-01-01T00:00:00+00:00")) is False
     assert follow.alive(process(host="elsewhere")) is None
+    assert follow.alive(process(gone(), pid_namespace="pid:[1]")) is None, "another container's"
+    assert follow.alive(process(pid_namespace=follow.pid_namespace())) is True
     assert follow.alive({"started": "2001-01-01T00:00:00+00:00"}) is None
     assert follow.alive({**process(gone()), "resumed": [process()]}) is True
     assert follow.alive({**process(), "resumed": [process(), process(gone())]}) is False
@@ -87,7 +89,7 @@ def test_a_follower_reads_only_what_has_changed(tmp_path, monkeypatch):
     writer = begin(tmp_path)
     writer.evaluation(row(0))
     assert follower.update() and len(follower.run.history) == 1
-    monkeypatch.setattr(follow.records, "load", lambda folder: pytest.fail("read again"))
+    monkeypatch.setattr(follow, "load", lambda folder: pytest.fail("read again"))
     assert not follower.update()
     monkeypatch.undo()
     writer.evaluation(row(1))

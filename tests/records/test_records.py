@@ -180,7 +180,13 @@ def test_a_reopened_record_keeps_the_rows_up_to_its_checkpoint(tmp_path):
     for iteration in (0, 4, 9):
         writer.evaluation({**ROW, "iteration": iteration, "parameter_rmse": None})
     writer.summary({"status": "interrupted"})
+    pictures = [f"progress_v00_i{text}.exr" for text in ("00004", "00009", "00009 (1)", "00009a")]
+    (tmp_path / "frames").mkdir()
+    for name in pictures:
+        (tmp_path / "frames" / name).touch()
     again = records.RunWriter.reopen(tmp_path, 4)
+    pictures.remove("progress_v00_i00009.exr")
+    assert files_in(tmp_path / "frames") == sorted(pictures), "others are a user's own"
     assert [row["iteration"] for row in again.rows] == [0, 4]
     assert "parameter_rmse" not in again.rows[0] and again.rows[0]["image_rmse"] == 1 / 3
     assert not (tmp_path / "summary.json").exists(), "the run has not ended"

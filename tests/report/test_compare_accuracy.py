@@ -67,11 +67,13 @@ def test_a_level_is_reached_when_the_error_stays_there(error, expected):
     assert made(error).reached(0.5, "seconds") == pytest.approx(expected)
 
 
-def test_an_error_of_zero_counts_as_half_of_the_smallest_that_was_measured(tmp_path):
-    run = synthetic.run(tmp_path, [0, 1, 2], [1.0, 0.25, 0.0])
+def test_an_error_of_zero_counts_as_the_smallest_that_was_measured(tmp_path):
+    run = synthetic.run(tmp_path / "1", [0, 1, 2], [1.0, 0.25, 0.0])
     read = series.read(run, "image_rmse")
-    assert read.error.tolist() == [1, 0.25, 0.125]
-    assert accuracy.levels_of({"a": [read]}).tolist() == [0.5, 0.25, 0.125, 0.0625]
+    assert read.error.tolist() == [1, 0.25, 0.25]
+    assert accuracy.levels_of({"a": [read]}).tolist() == [0.5, 0.25, 0.125]
+    at_once = synthetic.run(tmp_path / "2", [0, 1, 2], [1.0, 0.0, 0.0])
+    assert series.read(at_once, "image_rmse").error.tolist() == [1, 0.5, 0.5]
 
 
 def test_evaluations_that_are_not_finite_are_left_out(tmp_path):

@@ -101,6 +101,14 @@ def test_a_number_is_the_same_however_it_is_written(tmp_path):
             ],
             ["ours loss=l1 x.y=unset", "ours loss=l2 x.y=unset", "ours loss=l2 x.y=3"],
         ),
+        (
+            [
+                {"sampler.name": "uniform", "sampler._target_": "a.Uniform"},
+                {"sampler.name": "ours", "sampler._target_": "a.Ours"},
+                {"sampler.name": "ours", "sampler._target_": "mine.Ours"},
+            ],
+            ["uniform", "ours sampler._target_=a.Ours", "ours sampler._target_=mine.Ours"],
+        ),
     ],
 )
 def test_labels_are_short_and_tell_all_methods_apart(settings, expected):
@@ -240,6 +248,12 @@ def test_the_runs_own_warnings_are_told_once_for_all_seeds(tmp_path):
     assert warnings(tmp_path) == ["pottery, ours, seed 1, 2: l1 is biased"]
 
 
+def test_notes_without_which_figures_mislead_are_told(tmp_path):
+    notes = ["optimizer.lr=0.1 has no effect: …", "ends at 0, which is no perfect fit", "a note"]
+    run(tmp_path / "1", summary={"notes": notes})
+    assert warnings(tmp_path) == [f"pottery, ours, seed 1: {note}" for note in notes[:2]]
+
+
 def test_different_machines_are_warned_of(tmp_path):
     run(tmp_path / "1", seed=1)
     run(tmp_path / "2", seed=2, manifest={"threads": 64})
@@ -358,6 +372,18 @@ def test_ends_at_unequal_time_are_warned_of(tmp_path):
     assert not warnings(tmp_path / "other")
 
 
+def test_runs_that_stop_at_their_targets_noise_do_so_at_unequal_time(tmp_path):
+    stops = {"budget.converged": True}
+    run(tmp_path / "1", settings=stops)
+    synthetic.write(tmp_path / "2", [0, 1, 3], ERROR, ERROR, sampler="uniform", settings=stops)
+    (line,) = warnings(tmp_path)
+    assert "unequal time (ours 2 s, uniform 3 s), as they stopped at their targets' noise" in line
+    both = tmp_path / "both"  # with those that use up their budget
+    run(both / "1", settings=stops)
+    synthetic.write(both / "2", [0, 1, 3], ERROR, ERROR, sampler="uniform")
+    assert not warnings(both)
+
+
 def test_errors_over_windows_are_other_errors(tmp_path):
     run(tmp_path / "1", settings={"loss": {"name": "structure", "side": 7}})
     run(tmp_path / "2", settings={"loss": {"name": "l2"}})
@@ -378,6 +404,21 @@ def test_another_mitsuba_is_warned_of(tmp_path):
         run(tmp_path / "isas" / str(seed), seed=seed, manifest={"isas": f"0.{seed}.0"})
     (line,) = warnings(tmp_path / "isas")
     assert "isas 0.1.0" in line and "isas 0.2.0" in line
+
+
+@pytest.mark.parametrize("package", ["isas-example", "called-otherwise"])
+def test_changed_code_of_a_guest_is_another_method(tmp_path, package):
+    own = {"sampler._target_": "isas_example.dark.Dark"}
+    for seed in (1, 2):
+        for sampler, settings in (("uniform", {}), ("dark", own)):
+            guests = {"guests": {package: f"0.{seed}"}}
+            told = {"sampler": sampler, "seed": seed, "settings": settings, "manifest": guests}
+            run(tmp_path / sampler / str(seed), **told)
+    labels = [f"dark sampler._target_=isas_example.dark.Dark@0.{seed}" for seed in (1, 2)]
+    assert found(tmp_path) == [
+        ("pottery", "uniform", [1, 2]),
+        *(("pottery", label, [seed]) for seed, label in enumerate(labels, 1)),
+    ]
 
 
 def test_starts_are_known_by_what_they_hold(tmp_path):

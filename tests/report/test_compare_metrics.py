@@ -134,6 +134,13 @@ def test_other_seeds_aim_at_the_median_of_the_baselines_ends(tmp_path):
     assert math.isnan(row["image_rmse_speed_up_low"])
 
 
+def test_other_seeds_aim_at_a_share_of_their_own_start(tmp_path):
+    """Which may lie below all that the baseline ends at."""
+    synthetic.write(tmp_path / "uniform", [0, 1, 2], [1.0, 0.5, 0.4], sampler="uniform", seed=1)
+    synthetic.write(tmp_path / "ours", [0, 1, 3], [0.1, 0.05, 0.04], seed=9)
+    assert 1 < summary(tmp_path).loc["ours", "image_rmse_seconds_to_baseline"] < 3
+
+
 def test_a_baseline_that_got_nowhere_sets_no_goal_that_the_start_meets(tmp_path):
     """It ends at 0.97 of the start's error, which 5 % above is more than the start's."""
     synthetic.write(tmp_path / "u", [0, 30, 60], [1, 1.02, 0.97], sampler="uniform")

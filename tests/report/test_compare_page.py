@@ -217,6 +217,25 @@ def test_one_run_of_photographs_makes_a_page_too(started, tmp_path):
     assert console_errors(started) == []
 
 
+def test_plots_of_an_earlier_comparison_go_and_nothing_else(tmp_path):
+    kept = tmp_path / "out/plots"
+    kept.mkdir(parents=True)
+    earlier = {"all_arrivals.svg", "all_profiles.png", "old_sheet.png", "old_optimisation.webp"}
+    others = {"all_arrivals.txt", "my_errors.png", "notes.png"}
+    (kept / ".made").write_text("\n".join(Path(name).stem for name in earlier))
+    for name in earlier | others:
+        (kept / name).write_text("")
+    for sampler in ("ours", "uniform"):
+        pictured.write(tmp_path / sampler, [1.0, 0.5, 0.4], snapshots={2: 0.4}, sampler=sampler)
+    page.write(build([tmp_path / "ours", tmp_path / "uniform"]), tmp_path / "out")
+    found = {path.name for path in kept.iterdir()}
+    assert others <= found and not found & earlier
+    charts = {f"pottery_{name}.svg" for name in ("errors", "speedup", "price", "time", "training")}
+    assert charts | {"pottery_sheet.png", "pottery_optimisation.webp"} <= found
+    made = {Path(name).stem for name in found - others - {".made"}}
+    assert made == set((kept / ".made").read_text().split())
+
+
 def test_effects_integrator_and_path_depth_are_shown_where_they_are_recorded(tmp_path):
     plan = {"caustics": "left out", "evidence": {"energy": 0.01}}
     told = {"manifest": {"effects": plan, "integrator": "prb"}, "settings": {"scene.max_depth": 8}}

@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 import synthetic_runs as synthetic
 from matplotlib.figure import Figure
+from runs_for_tests import gone, process
 
 from isas_cli import report
 from isas_cli.records import SCHEMA_VERSION, RunWriter, load, safe_name
 from isas_cli.report import cells, figures, frames, inside, page, plots
+from isas_cli.report.compare import page as compare_page
 from isas_cli.runtime import images
 
 KEYS = ("jar.bsdf.base_color.data", "jar.bsdf.roughness.data")
@@ -170,10 +172,26 @@ def test_a_run_that_was_killed_is_reported_from_its_history(tmp_path, count):
     writer = begin(tmp_path)
     evaluate(writer, count)
     checker = check(report.write(tmp_path))
-    assert "no summary" in checker.text and "pottery, ours" in checker.text
+    assert "killed, or not yet at its end" in checker.text and "pottery, ours" in checker.text
     assert ("before its first evaluation" in checker.text) == (count == 0)
     if count == 5:
         assert f"{4 * 131072:,}" in checker.text and f"{0.3 * 0.8**4:.4g}" in checker.text
+
+
+def test_a_run_that_goes_on_is_not_called_stopped(tmp_path):
+    """On its own page, and on that of a comparison."""
+    writer = begin(tmp_path)
+    evaluate(writer, 2)
+    said = (
+        (process(), "still running, or"),
+        (process(gone()), "stopped before it could end"),
+    )
+    for entry, told in (*said, (process(host="elsewhere"), "killed, or not yet at its end")):
+        writer.manifest(entry)
+        run = load(tmp_path)
+        assert told in check(page.write_page(run, [], [])).text
+        shown = compare_page._record(SimpleNamespace(label="ours"), run, tmp_path)
+        assert told in shown["status"]
 
 
 def test_a_job_whose_process_died_is_reported_from_its_history(tmp_path):

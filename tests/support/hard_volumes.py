@@ -103,6 +103,7 @@ CASES = [
         *("nothing glows", "no density at all in truth", 0.5),
         *(np.zeros((4, 4, 4)), start(DENSITY, 1.0, range=[0, 100])),
         integrator=GLOWS,
+        warns="count as that",
     ),
     _volume(
         *("soot", "an albedo of 0 in truth", 0.3, _uneven(), start(ALBEDO, 0.5, range=[0, 1])),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import time
@@ -9,7 +10,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 ISAS = [sys.executable, "-m", "isas_cli"]
+_IGNORED = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+# A terminal that is gone, as a test's parameter.
+HANGUP = pytest.param(
+    signal.SIGHUP,
+    marks=[pytest.mark.slow, pytest.mark.skipif(_IGNORED, reason="what runs under nohup goes on")],
+)
 PIPES = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
 
 

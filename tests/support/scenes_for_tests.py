@@ -82,6 +82,18 @@ def dictionary(
     }
 
 
+def under_spots(**spots: dict) -> dict:
+    """The same, with a finer floor, under nothing but ``spots`` that shine down from 2 above it:
+    by id, ``x`` and what else each has."""
+    found = dictionary(size=16, resolution=(48, 32), depth=2)
+    del found["sky"], found["lamp"]
+    for id, spot in spots.items():
+        x = spot.pop("x", 0.0)
+        down = mi.ScalarTransform4f().look_at([x, 2, 0], [x, 0, 0], [0, 0, 1])
+        found[id] = {"type": "spot", "to_world": down, **spot}
+    return found
+
+
 def without_targets(
     description: dict,
     unknowns: dict[str, float | UnknownConfig],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import traceback
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -196,34 +195,6 @@ def _has_checkpoint(folder: Path) -> bool:
     except InputError:
         return False
     return True
-
-
-def supervise(
-    job: Job, command: list[str], threads: int | None, quiet: bool, stop: Callable[[], bool]
-) -> Outcome:
-    """Do the job in a process of its own and record how it ended, also when that process dies.
-    Command, threads, quiet and stop: see `worker.run`."""
-    from . import worker
-
-    skipped = job.skipped()  # a twin may have done it, or an earlier attempt on a cluster
-    if skipped:
-        return skipped
-    found, before = job.found(), job.stamp()
-    report = worker.run(job, command, threads, quiet, stop)
-    if report.status == 0:
-        status = "resumed" if report.resumed else "done"
-    elif report.status == interrupt.STATUS:
-        status = "interrupted"
-        one.remove_empty(job.folder)
-    else:
-        status = "failed"
-        # What is unfinished and was refused stays so: as a failure it would be begun anew. What
-        # another sweep's process writes is that one's.
-        begun = job.stamp() != before
-        others = job.written or (report.status == InputError.status and job.found() == DONE)
-        if (found not in (DONE, OTHER, UNFINISHED) or begun) and not others:
-            job.record_failure(report, begun)
-    return outcome(job.label, job.folder, status, report.status, report.error)
 
 
 def stamp(folder: Path) -> int | None:

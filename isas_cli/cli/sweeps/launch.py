@@ -14,9 +14,10 @@ from ...config.compose import compose
 from ...engine.display import say
 from ...runtime import interrupt
 from ...runtime.errors import InputError
-from .job import DONE, Job, Report, supervise
+from .job import DONE, Job, Report
 from .launchers import Launcher
 from .outcome import Outcome, outcome, read_summary, shown
+from .worker import supervise
 
 
 def planned(overrides: list[str], label: str, number: int) -> Job:

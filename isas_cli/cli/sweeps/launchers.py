@@ -1,4 +1,8 @@
-"""Where the jobs of a sweep are done: on this machine, on a cluster, or through Ray."""
+"""Where the jobs of a sweep are done: on this machine, on a cluster, or through Ray.
+
+Not by Hydra's own launchers: before these is no place where a job that is done could be skipped or
+one that was stopped go on, and where one job's worker is lost they drop the results of all.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ from hydra.core.plugins import Plugins
 from omegaconf import DictConfig, OmegaConf
 
 from ...runtime import interrupt
-from ...runtime.errors import InputError
+from ...runtime.errors import InputError, extra
 from .job import Job
 from .outcome import Outcome
 
@@ -55,10 +59,14 @@ def prepare(overrides: list[str]) -> None:
     for group, name in _OURS:
         # Hydra would take it for the schema of ours, and warn that it no longer should.
         registered.get(group, {}).pop(f"{name}.yaml", None)
-    for (group, name), (package, extra) in _EXTRAS.items():
-        if f"hydra/{group}={name}" in overrides and not _installed(package):
-            install = f"pip install '.[{extra}]' in isas's source folder"
-            raise InputError(f"hydra/{group}={name} is an extra: {install}")
+    for (group, name), needed in _EXTRAS.items():
+        if f"hydra/{group}={name}" in overrides:
+            check_installed(f"hydra/{group}={name}", *needed)
+
+
+def check_installed(chosen: str, package: str, bringing: str) -> None:
+    if not _installed(package):
+        raise InputError(f"{chosen} is an extra: {extra(bringing)}")
 
 
 def _installed(package: str) -> bool:
@@ -66,13 +74,20 @@ def _installed(package: str) -> bool:
 
 
 def launcher(hydra: DictConfig) -> Launcher:
-    """The launcher that was chosen, with its settings."""
-    name = hydra.runtime.choices["hydra/launcher"]
+    """The launcher that was chosen, with its settings, which tell which one it is: a file of one's
+    own may have another name. Raises InputError for one that is none of these."""
+    chosen = f"hydra/launcher={hydra.runtime.choices['hydra/launcher']}"
     settings = OmegaConf.to_container(hydra.launcher, resolve=True)
-    if name == "ray":
+    if "ray" in settings:
+        check_installed(chosen, *_EXTRAS["launcher", "ray"])
         return Ray(**settings["ray"])
-    if name.startswith("submitit_"):
-        return Submitit(name.removeprefix("submitit_"), **settings)
+    if {"cluster", "submitit_folder"} <= settings.keys():
+        check_installed(chosen, *_EXTRAS["launcher", "submitit_slurm"])
+        return Submitit(**settings)
+    basic = settings.pop("_target_", "BasicLauncher").endswith("BasicLauncher")
+    if not basic or settings.keys() - {"n_jobs"}:
+        ours = ", ".join(["basic", *(name for group, name in _OURS if group == "launcher")])
+        raise InputError(f"{chosen}: none of isas's: take one, or have it in its defaults: {ours}")
     return Here(settings.get("n_jobs", 1))
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from rich.markup import escape
 from rich.table import Table
 
-from ...engine.display import Stderr, say
+from ...engine.display import Stderr, number, say
 from ...runtime import interrupt
 
 # Columns where there is no terminal: the folders must stay whole.
@@ -92,7 +92,7 @@ def show(outcomes: list[Outcome], figures: bool = True) -> None:
     table.add_column("folder", overflow="fold")
     for o in outcomes:
         colour = _COLOURS.get(o.status, "")
-        numbers = (_number(o.image), _number(o.parameter), _number(o.seconds, ".1f"))
+        numbers = (number(o.image, ".4g"), number(o.parameter, ".4g"), number(o.seconds, ".1f"))
         status = f"[{colour}]{o.status}[/]" if colour else o.status
         numbers = numbers if figures else ()
         table.add_row(escape(o.label), status, *numbers, escape(shown(o.folder)))
@@ -106,7 +106,3 @@ def shown(folder: Path) -> str:
     """The folder as seen from here, where that is shorter."""
     relative = os.path.relpath(folder)
     return str(folder) if relative.startswith("..") else relative
-
-
-def _number(value: float | None, form: str = ".4g") -> str:
-    return "–" if value is None else format(value, form)

@@ -23,8 +23,8 @@ from ...engine.race import Entry
 from ...records.reader import read_json
 from ...runtime import backend, interrupt
 from ...runtime.errors import InputError, IsasError, NumericalError
-from .. import one, race
-from . import fingerprint, launchers, outcome, sweep
+from .. import one
+from . import fingerprint, launchers, outcome, race, sweep
 from .job import DONE, NOTHING, OTHER, UNFINISHED, Job, Report, leave_trace, stamp
 from .launch import Sweep, say
 from .outcome import Outcome, read_summary
@@ -77,11 +77,16 @@ class Race(Job):
         found, left = self.found(), None
         if found == UNFINISHED and not self.anew:
             left = race.unfinished(self.folder, changes)
-            # Seconds of two machines cannot be compared.
-            here = backend.start(self.cfg.variant, threads).device
-            if any(entry.earlier and entry.earlier.device != here for entry in left):
-                say(f"{self.label}: begun on another machine than {here}: begun anew")
-                left = None
+            if begun := [entry for entry in left if entry.earlier]:
+                # By what they began with: a card may have come since, or be missing for now.
+                machine = backend.start(begun[0].typed.variant, threads)
+                for entry in begun:
+                    resumption.check_variant(machine, entry.earlier.manifest, entry.folder)
+                # Seconds of two machines cannot be compared.
+                if any(entry.earlier.device != machine.device for entry in begun):
+                    told = f"begun on another machine than {machine.device}: begun anew"
+                    say(f"{self.label}: {told}")
+                    left = None
         resumed, status = left is not None, 0
         entries = left if resumed else self._anew(changes, overwrite=found != NOTHING)
         begin = (lambda: None) if resumed else self.plan.begin
@@ -91,7 +96,8 @@ class Race(Job):
         with contextlib.suppress(InputError):  # nothing was reached that could be compared
             compare([entry.folder for entry in self.plan.entries], self.folder / _COMPARISON)
         failed = status not in (0, interrupt.STATUS)
-        text = "a contestant failed numerically, the others went on" if failed else ""
+        how = " numerically" if status == NumericalError.status else ""
+        text = f"a contestant failed{how}, the others went on" if failed else ""
         return Report(status, text, resumed=resumed)
 
     def _anew(self, changes: dict[str, Any], overwrite: bool) -> list[Entry]:

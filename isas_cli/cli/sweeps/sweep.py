@@ -31,7 +31,7 @@ from .launch import Sweep, planned, say
 from .outcome import Outcome, shown
 from .search import search, setting
 
-_MULTIRUN = {"-m", "--multirun"}
+MULTIRUN = {"-m", "--multirun"}
 
 
 def by_hydra(flags: list[str], overrides: list[str]) -> int:
@@ -44,7 +44,7 @@ def by_hydra(flags: list[str], overrides: list[str]) -> int:
     schema.register()
     fingerprint.register()
     launchers.prepare(overrides)
-    return _sweep(overrides) if set(flags) <= _MULTIRUN else _other(flags, overrides)
+    return _sweep(overrides) if set(flags) <= MULTIRUN else _other(flags, overrides)
 
 
 def _sweep(typed: list[str]) -> int:
@@ -53,9 +53,16 @@ def _sweep(typed: list[str]) -> int:
             raise InputError("hydra.run.dir is for single runs: give hydra.sweep.dir=DIR")
     with explained(typed):
         settings = compose([_first(o) for o in parsed(typed)], hydra=True).hydra
-        params = [f"{name}={value}" for name, value in (settings.sweeper.params or {}).items()]
-        overrides = _last(parsed([*params, *typed]))
-    searching = settings.runtime.choices["hydra/sweeper"] == "optuna"
+        params = settings.sweeper.get("params") or {}
+        listed = [f"{name}={value}" for name, value in params.items()]
+        overrides = _last(parsed([*listed, *typed]))
+    sweeper = f"hydra/sweeper={settings.runtime.choices['hydra/sweeper']}"
+    # A file of one's own may have another name.
+    searching = "n_trials" in settings.sweeper
+    if searching:
+        launchers.check_installed(sweeper, "optuna", "optuna")
+    elif not settings.sweeper.get("_target_", "BasicSweeper").endswith("BasicSweeper"):
+        raise InputError(f"{sweeper}: none of isas's: take basic or optuna, or have it in defaults")
     with interrupt.graceful() as stop:
         sweep = Sweep(launchers.launcher(settings), stop)
 
@@ -159,6 +166,8 @@ def _other(flags: list[str], overrides: list[str]) -> int:
     with one.argv(["isas run", *overrides, *flags]), _errors_raised(), explained(overrides):
         try:
             main(run)()
+        except BrokenPipeError:  # whoever reads what is printed has gone
+            raise
         except OSError as error:
             raise InputError(f"cannot write to the run's folder: {error}") from error
         except ValueError as error:  # flags that exclude each other
@@ -168,8 +177,7 @@ def _other(flags: list[str], overrides: list[str]) -> int:
     for end in ends:
         if isinstance(end, Exception):
             raise end
-        return end
-    return 0
+    return max(ends, default=0)
 
 
 @contextlib.contextmanager

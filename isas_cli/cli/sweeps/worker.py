@@ -20,10 +20,13 @@ from multiprocessing.connection import wait
 
 from ...runtime import interrupt
 from ...runtime.errors import InputError
-from .job import Job, Report, attempt
+from .. import one
+from .job import DONE, OTHER, UNFINISHED, Job, Report, attempt
+from .outcome import Outcome, outcome
 
 _POLL_SECONDS = 0.2
 _EXIT_SECONDS = 30.0  # after its report; what takes longer hangs
+_OF_TERMINALS = {signal.SIGINT, signal.SIGHUP}
 _PROGRAM = """\
 import pickle, sys
 sys.path[:] = pickle.load(sys.stdin.buffer)
@@ -66,6 +69,32 @@ def run(
             process.stdin.close()
 
 
+def supervise(
+    job: Job, command: list[str], threads: int | None, quiet: bool, stop: Callable[[], bool]
+) -> Outcome:
+    """Do the job in a process of its own and record how it ended, also when that process dies.
+    Command, threads, quiet and stop: see ``run``."""
+    skipped = job.skipped()  # a twin may have done it, or an earlier attempt on a cluster
+    if skipped:
+        return skipped
+    found, before = job.found(), job.stamp()
+    report = run(job, command, threads, quiet, stop)
+    if report.status == 0:
+        status = "resumed" if report.resumed else "done"
+    elif report.status == interrupt.STATUS:
+        status = "interrupted"
+        one.remove_empty(job.folder)
+    else:
+        status = "failed"
+        # What is unfinished and was refused stays so: as a failure it would be begun anew. What
+        # another sweep's process writes is that one's.
+        begun = job.stamp() != before
+        others = job.written or (report.status == InputError.status and job.found() == DONE)
+        if (found not in (DONE, OTHER, UNFINISHED) or begun) and not others:
+            job.record_failure(report, begun)
+    return outcome(job.label, job.folder, status, report.status, report.error)
+
+
 def _received(reports, process: subprocess.Popen) -> Report:
     """What the process says, or, when the pipe ends before that, how it died."""
     content = reports.read()
@@ -83,10 +112,11 @@ def main(sink: int) -> None:
     # A process group of its own: the terminal's Ctrl-C goes to the parent, which passes it on.
     os.setpgid(0, 0)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # forgets one that came before
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    for number in (signal.SIGUSR1, signal.SIGUSR2):  # of a cluster, to the parent: time is up
+    # To the parent, too: of a cluster, that time is up; of a terminal, that it is gone.
+    for number in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _OF_TERMINALS)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     # A second signal is the parent's of one that all got; where at once is meant, it kills.
     interrupt.once_seconds = math.inf
     job, command, threads, quiet = pickle.load(sys.stdin.buffer)
@@ -126,7 +156,7 @@ def _cause(code: int) -> str:
 @contextlib.contextmanager
 def _blocked() -> Iterator[None]:
     """Ctrl-C waits: a process that starts takes over what is blocked."""
-    earlier = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    earlier = signal.pthread_sigmask(signal.SIG_BLOCK, _OF_TERMINALS)
     try:
         yield
     finally:

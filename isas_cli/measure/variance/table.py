@@ -11,6 +11,7 @@ import pandas
 from rich.markup import escape
 from rich.table import Table
 
+from ...engine.display import number
 from ...records.files import write_text
 from ...report.compare.accuracy import named
 from ...report.compare.bootstrap import Estimate
@@ -150,23 +151,19 @@ def shown(table: list[dict], title: str) -> Table:
     for row in table:
         made.add_row(
             escape(row["sampler"]),
-            _number(row["variance"]),
+            number(row["variance"]),
             *(_with_span(row, f"ratio_to_{name}") for name in ("uniform", "gradient", "best")),
-            _number(1e3 * row["seconds_per_estimate"]),
-            _number(row["efficiency"]),
+            number(1e3 * row["seconds_per_estimate"]),
+            number(row["efficiency"]),
             _flagged(row),
         )
     return made
 
 
-def _number(value: float) -> str:
-    return "–" if math.isnan(value) else f"{value:.3g}"
-
-
 def _with_span(row: dict, name: str) -> str:
     low, high = row[f"{name}_low"], row[f"{name}_high"]
     span = "" if math.isnan(low) or low == high else f" ({low:.3g} … {high:.3g})"
-    return f"{_number(row[name])}{span}"
+    return f"{number(row[name])}{span}"
 
 
 def _flagged(row: dict) -> str:

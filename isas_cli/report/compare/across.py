@@ -9,13 +9,12 @@ good by luck alone: it would look slower. A *problem* is a scene and a level.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 import pandas
 from scipy import stats
 
-from .gather import Method, by_scene, names
+from .gather import Method, Problems, by_scene, names
 from .series import MEASURES, Series, known
 
 # Of the baseline's budget.
@@ -25,20 +24,6 @@ SHARES = (0.125, 0.25, 0.5, 0.75)
 _HIGHEST = 0.99
 _RESAMPLES = 999
 _SEED = 20260102
-
-
-@dataclass(frozen=True)
-class Problems:
-    """One measure on all scenes. ``times``: method → scene → billed seconds ``(levels, seeds)`` to
-    each level, +inf: not reached; ``spent``: likewise ``(seeds,)``, how far each run went;
-    ``finals``: likewise final errors, as shares of the start's; ``budgets``: by scene, seconds."""
-
-    measure: str
-    baseline: str
-    times: dict[str, dict[str, np.ndarray]]
-    spent: dict[str, dict[str, np.ndarray]]
-    finals: dict[str, dict[str, np.ndarray]]
-    budgets: dict[str, float]
 
 
 def problems(methods: list[Method], baseline: dict[str, str]) -> list[Problems]:

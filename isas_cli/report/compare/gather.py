@@ -27,8 +27,6 @@ from .series import AXES, MEASURES, Series, known, read, seed
 if TYPE_CHECKING:
     import pandas
 
-    from .across import Problems
-
 # Any of these makes a folder one that somebody would miss in a comparison.
 _MARKS = {"manifest.json", "history.csv", "summary.json"}
 # Of photographs: where things lie, whose content the hashes cover.
@@ -36,6 +34,8 @@ _PLACES = ("path", "cameras", "mesh", "environment", "images", "masks", "texture
 # The rates are each method's own business: methods that differ in nothing else are one.
 _OWN = "optimizer.lr=", "optimizer.factor="
 _DEFAULT_BASELINE = "uniform"
+# Of a run's notes, those without which its figures would be taken for what they are not.
+_TOLD = "has no effect", "no perfect fit"
 # How much longer than another a method went on by the same budget, as a share, that is said.
 _UNEQUAL = 0.05
 
@@ -55,6 +55,20 @@ class Method:
     @property
     def sampler(self) -> str:
         return self.label.partition(" ")[0]
+
+
+@dataclass(frozen=True)
+class Problems:
+    """One measure on all scenes. ``times``: method → scene → billed seconds ``(levels, seeds)`` to
+    each level, +inf: not reached; ``spent``: likewise ``(seeds,)``, how far each run went;
+    ``finals``: likewise final errors, as shares of the start's; ``budgets``: by scene, seconds."""
+
+    measure: str
+    baseline: str
+    times: dict[str, dict[str, np.ndarray]]
+    spent: dict[str, dict[str, np.ndarray]]
+    finals: dict[str, dict[str, np.ndarray]]
+    budgets: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -253,7 +267,8 @@ def _methods(scene: str, runs: list[Run], warnings: list[str]) -> list[Method]:
     groups: dict[tuple, list[Run]] = defaultdict(list)
     for run in runs:
         _, settings = labels.split(labels.flatten(run.config))
-        groups[tuple(sorted({**settings, **_limits(run)}.items()))].append(run)
+        settings |= _code(run, settings) | _limits(run)
+        groups[tuple(sorted(settings.items()))].append(run)
     named = labels.methods([dict(settings) for settings in groups])
     machines = sorted({_machine(run) for run in runs})
     if len(machines) > 1:
@@ -280,6 +295,20 @@ def _methods(scene: str, runs: list[Run], warnings: list[str]) -> list[Method]:
     return found
 
 
+def _code(run: Run, settings: Settings) -> Settings:
+    """Classes of packages beside isas with the version of their code: changed code is another
+    method. With the versions of all of them, where none is called as the class's package is."""
+    guests = run.manifest.get("guests") or {}
+    known = {name.replace("-", "_"): version for name, version in guests.items()}
+    return {
+        key: f"{value}@{known.get(package, ','.join(known.values()))}"
+        for key, value in settings.items()
+        if key.endswith("._target_")
+        and (package := value.partition(".")[0]) != "isas_cli"
+        and known
+    }
+
+
 def _limits(run: Run) -> Settings:
     """The budget as it was heeded: without any limit there is one."""
     budget = _budget(run)
@@ -303,21 +332,23 @@ def _evaluated(run: Run) -> str:
 
 def _at_unequal_time(scene: str, methods: list[Method]) -> list[str]:
     """That of methods which were all given the same seconds some went on for longer: what is begun
-    is ended, and a step has no bound."""
-    ends: dict[Budget, dict[str, float]] = defaultdict(dict)
+    is ended, and a step has no bound; or stopped sooner, where they were to."""
+    ends: dict[tuple[Budget, bool], dict[str, float]] = defaultdict(dict)
     for method in methods:
         budget = _budget(method.runs[0])
         done = all((run.summary or {}).get("status") == "done" for run in method.runs)
         if done and budget == Budget(budget and budget.seconds):
             last = [run.history["seconds"].iloc[-1] for run in method.runs]
-            ends[budget][method.label] = float(np.median(last))
+            converged = bool(method.runs[0].config["budget"].get("converged"))
+            ends[budget, converged][method.label] = float(np.median(last))
     warnings = []
-    for found in ends.values():
+    for (_, converged), found in ends.items():
+        why = "they stopped at their targets' noise" if converged else "a step has no bound"
         first, last = (most(found, key=found.__getitem__) for most in (min, max))
         if found[last] > (1 + _UNEQUAL) * found[first]:
             warnings.append(
                 f"{scene}: final errors are of unequal time ({first} {found[first]:.3g} s, {last} "
-                f"{found[last]:.3g} s), as a step has no bound: compare times to levels"
+                f"{found[last]:.3g} s), as {why}: compare times to levels"
             )
     return warnings
 
@@ -422,7 +453,8 @@ def names(group: list[Method]) -> dict[str, str]:
 
 
 def _of_runs(methods: list[Method]) -> list[str]:
-    """How runs ended if not as planned, and what they warn of; once for all seeds alike."""
+    """How runs ended if not as planned, and what they warn of, or note of ``_TOLD``; once for all
+    seeds alike."""
     lines = []
     for method in methods:
         said: dict[str, list[str]] = defaultdict(list)
@@ -432,7 +464,9 @@ def _of_runs(methods: list[Method]) -> list[str]:
                 lines.append(f"{run.folder}: killed, or not yet at its end: {end}")
             elif run.summary.get("status") != "done":
                 lines.append(f"{run.folder}: {run.summary.get('status')}: {end}")
-            for text in (run.summary or {}).get("warnings") or []:
+            summary = run.summary or {}
+            notes = [n for n in summary.get("notes") or [] if any(told in n for told in _TOLD)]
+            for text in [*(summary.get("warnings") or []), *notes]:
                 said[text].append(str(seed(run)))
         for text, seeds in said.items():
             lines.append(f"{method.scene}, {method.label}, seed {', '.join(seeds)}: {text}")

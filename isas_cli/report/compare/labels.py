@@ -62,7 +62,7 @@ def methods(settings: Sequence[Settings]) -> list[str]:
     for own in settings:
         parts = [_choice(own, "sampler") or "unnamed"]
         for key in every:
-            if key in ("sampler", "sampler.name") or key.endswith("._target_"):
+            if key in ("sampler", "sampler.name"):
                 continue
             peers = settings
             for group in _groups(key, every):

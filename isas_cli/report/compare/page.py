@@ -6,6 +6,7 @@ scripts go into the page as they are, and start by themselves.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from importlib.resources import files
@@ -17,6 +18,7 @@ import yaml
 from markupsafe import Markup
 
 from ...records import Run, write_text
+from ...records.follow import unended
 from .. import interactive
 from ..chart import Chart
 from ..page import template
@@ -25,32 +27,35 @@ from .gather import Comparison, Method, by_scene
 from .styles import repeated, styles
 
 _SLIDER, _SORTER = "img-comparison-slider-8.0.7", "sortable-tablesort-4.1.7"
+_LIST = ".made"  # in plots/: the stems of what was written there
 
 
 def write(comparison: Comparison, output: Path) -> Path:
-    """Writes plots/ (PNG, SVG, WebP) and report.html into `output`; returns the page's path.
+    """Writes plots/ (PNG, SVG, WebP) and report.html into `output`; returns the page's path. Plots
+    of an earlier comparison go.
 
     Pictures and measures that the runs did not record are left out, with a warning on the page
     where somebody might miss them. Raises IsasError when the disk refuses.
     """
     output, own = Path(output), styles(comparison)
-    warnings, scenes = [*comparison.warnings, *repeated(own)], []
+    warnings, scenes, made = [*comparison.warnings, *repeated(own)], [], []
     for number, (name, methods) in enumerate(by_scene(comparison.methods).items()):
         costs = charts.of_costs(comparison, name, methods, own)
         insides = charts.of_insides(methods, own)
-        plots.write_plots(name, [*costs, *insides], output / "plots")
+        made += plots.write_plots(name, [*costs, *insides], output / "plots")
         pictures = sheet.write_sheets(methods, own, output / "plots")
         film = animation.write_animation(methods, own, output / "plots")
         if film is None:
             warnings.append(f"{name}: no animation, as its runs saved no pictures on the way")
         pictures += [film] if film else []
+        made += [picture.path for picture in pictures]
         anchor = f"scene{number}"
         scene = _scene(comparison, name, anchor, methods, output)
         drawn = {"costs": _plots(anchor, costs), "insides": _plots(f"{anchor}in", insides)}
         scenes.append({**scene, **drawn, "pictures": pictures})
     chips = together.styled(comparison, own)
     whole = together.charts(comparison, chips)
-    plots.write_plots("all", whole, output / "plots")
+    made += plots.write_plots("all", whole, output / "plots")
     shown = {"embedded": slides.file_address, "least_width": slides.least_width}
     text = template("isas_cli.report.compare", **shown).render(
         scenes=scenes,
@@ -68,7 +73,19 @@ def write(comparison: Comparison, output: Path) -> Path:
     )
     path = output / "report.html"
     write_text(path, text)
+    _keep_only({plot.stem for plot in made}, output / "plots")
     return path
+
+
+def _keep_only(stems: set[str], folder: Path) -> None:
+    """Takes other plots out of `folder`, which an earlier comparison wrote."""
+    listed = folder / _LIST
+    before = set(listed.read_text().splitlines()) if listed.is_file() else set()
+    for path in folder.glob("*"):
+        if path.stem in before - stems and path.suffix in (".png", ".svg", ".webp"):
+            with contextlib.suppress(OSError):
+                path.unlink()
+    write_text(listed, "\n".join(sorted(stems)))
 
 
 def _scene(
@@ -113,7 +130,7 @@ def _record(method: Method, run: Run, output: Path) -> dict[str, str]:
     return dict(
         name=f"{method.label}, seed {'not recorded' if seed is None else seed}",
         folder=os.path.relpath(run.folder, output),
-        status=str((run.summary or {}).get("status", "no summary: stopped before its end")),
+        status=str((run.summary or {}).get("status") or unended(run.manifest)),
         config=yaml.safe_dump(run.config, sort_keys=False, allow_unicode=True),
         manifest=json.dumps(run.manifest, indent=2, ensure_ascii=False),
     )

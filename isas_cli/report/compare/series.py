@@ -68,8 +68,9 @@ def read(run: Run, measure: str) -> Series | None:
     """The series of a measure, None where it is not known (no truth) or its start is not.
 
     Evaluations without a finite error are left out. An error of 0 is one that the evaluation
-    could not tell from 0: it counts as half of the smallest one that it could tell, so that it
-    reaches what this run was seen to reach, and not every level there is.
+    could not tell from 0: it counts as the smallest one that it could tell, so that it reaches
+    what this run was seen to reach, and not every level there is. Where that is the start's, it
+    counts as half of it: it was seen to fall.
     """
     error = run.history[measure].to_numpy()
     finite = np.isfinite(error)
@@ -77,7 +78,9 @@ def read(run: Run, measure: str) -> Series | None:
         return None
     cost = {axis: run.history[axis].to_numpy(dtype=float)[finite] for axis in AXES}
     error = error[finite]
-    return Series(seed(run), np.where(error > 0, error, error[error > 0].min() / 2), cost)
+    least = error[error > 0].min()
+    told = least if least < error[0] else error[0] / 2
+    return Series(seed(run), np.where(error > 0, error, told), cost)
 
 
 def known(runs: list[Run], measure: str) -> list[Series]:

@@ -28,8 +28,8 @@ def table(methods: list[Method], baseline: dict[str, str]) -> pandas.DataFrame:
     ``seeds``: their list, as text. ``iterations, paths, seconds`` (billed): at the last evaluation.
     ``<measure>``: final error; ``<measure>_share``: of the start's.
     ``<measure>_seconds_to_baseline``: until the error stays within 5 % of (or below) the final
-    error of the baseline's run of the same seed (where seeds differ, of the median of its final
-    errors), or below 0.99 of the start's where that is less, +inf: never;
+    error of the baseline's run of the same seed (where seeds differ, of the median share of the
+    start's that its runs end at), or below 0.99 of the start's where that is less, +inf: never;
     ``<measure>_speed_up``: what the baseline needed until then, divided by that, see
     `accuracy.table` for its infinities.
     ``RE, MPEA, CS, GN``: see `metrics`; CS +inf: not converged.
@@ -84,9 +84,10 @@ def _to_baseline(
 ) -> tuple[bootstrap.Estimate, bootstrap.Estimate]:
     """Seconds to the baseline's final error, and by what factor that is sooner than it was."""
     finals = np.array([min(s.error[-1] * _NEAR, s.error[0] * _HIGHEST) for s in base])
+    starts = np.array([s.error[0] for s in base])
     paired = same_seeds(own, base)
-    goals = finals if paired else np.repeat(np.median(finals) if base else np.nan, len(own))
     judged = own if base else []
+    goals = finals if paired else [np.median(finals / starts) * s.error[0] for s in judged]
     seconds = np.array([s.reached(goal, "seconds") for s, goal in zip(judged, goals)])
     needed = np.array([s.reached(goal, "seconds") for s, goal in zip(base, finals)])
     return bootstrap.median(seconds), speed_up(needed, seconds, paired, itself)
