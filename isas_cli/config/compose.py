@@ -293,10 +293,10 @@ def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
                 raise InputError(f"{added[0][2:]}: the scene has no builder to take it")
             OmegaConf.resolve(cfg.scene)
             with open_dict(cfg):
-                _name(cfg)
+                named(cfg, cfg.hydra.runtime.choices)
                 if not hydra:
                     del cfg["hydra"]
-    except (HydraException, *_REFUSALS, yaml.YAMLError, OSError, ValueError) as error:
+    except (HydraException, *_REFUSALS, yaml.YAMLError, OSError, ValueError, KeyError) as error:
         text = explain(error, overrides)
         for typed, hydra_s in _WITHIN.items():
             text = text.replace(hydra_s, typed)
@@ -304,10 +304,10 @@ def compose(overrides: list[str], hydra: bool = False) -> DictConfig:
     return dropped.settled(cfg)
 
 
-def _name(cfg: DictConfig) -> None:
-    """Names each choice as its file is called. Raises InputError where that says another name: its
-    runs would be taken for another choice's. A scene, known by its content, may have another."""
-    files = cfg.hydra.runtime.choices
+def named(cfg: DictConfig, files: DictConfig) -> None:
+    """Names each choice as its file, of ``files`` by group, is called. Raises InputError where that
+    says another name: its runs would be taken for another choice's. A scene, known by its content,
+    may have another."""
     if OmegaConf.is_missing(cfg.scene, "name"):
         cfg.scene.name = files.scene.removesuffix(".yaml")
     for choice in _CHOICES:

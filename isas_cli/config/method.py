@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from ..runtime.errors import InputError
 from . import paths, searchpath
@@ -132,7 +133,10 @@ def whole(scene: str, *above: str) -> dict[str, Any]:
     names = [str(each).partition("@")[0] for each in own.pop("defaults", None) or ()]
     names += ["_self_"] * ("_self_" not in names)  # as Hydra does
     bases = {name: whole(name.removeprefix("/scene/"), scene, *above) for name in names}
-    return OmegaConf.to_container(OmegaConf.merge(*(bases | {"_self_": own}).values()))
+    try:
+        return OmegaConf.to_container(OmegaConf.merge(*(bases | {"_self_": own}).values()))
+    except OmegaConfBaseException as error:
+        raise InputError(f"{file}: {str(error).splitlines()[0]}") from error
 
 
 def read(file: "Traversable") -> DictConfig:

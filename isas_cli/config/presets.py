@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from ..runtime.errors import InputError
 
 PRESETS = ("plateau", "mitsuba", "finite_differences")
@@ -15,12 +17,17 @@ _OF_ESTIMATORS = tuple(
 )
 
 
+# Those of a sweep's words, such as choice(plateau,mitsuba).
+_NAME = re.compile(r"\w+(?!\w*\()")
+
+
 def unpacked(overrides: list[str], within: str) -> list[str]:
     """What is typed of a preset, such as ``sampler=plateau``, as what it stands for:
     ``sampler.scheme=…`` is ``estimator.scheme=…``, and with ``sampler.base=gradient`` (``within``)
     the pixels are drawn by that sampler."""
     found = []
-    named = [o.partition("=")[2].split(",") for o in overrides if o.startswith("sampler=")]
+    typed = (o.partition("=")[2] for o in overrides if o.startswith("sampler="))
+    named = [_NAME.findall(each) for each in typed]
     preset = next((name for name in PRESETS if [name] in named), None)
     # Of another sampler's setting the answer should name the sampler.
     other = any(not set(names) & set(PRESETS) for names in named)

@@ -305,6 +305,8 @@ def _chosen(problem: Problem, settings: Effects, found: Plan) -> tuple[Plan, dic
     elif found.cuts:
         depth, why["paths"] = rules.depth(found.cuts, settings.tolerance, paths.depth)
         paths = dataclasses.replace(paths, depth=depth, derivative=min(depth, paths.derivative))
+    elif found.seconds and not problem.integrator.samples_lights and _empty(problem):
+        why["paths"] = "not shortened, as the start is as good as empty"
     if settings.derivative_depth is not None:
         why["differentiated"] = "as set"
     elif found.derivatives:

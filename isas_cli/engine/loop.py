@@ -278,7 +278,7 @@ class Loop:
             if first:
                 p.paths += self.sampler.paths_before
             p.looked = self.clock.seconds - seconds, p.paths - paths
-        elif self._distribution is None or (turned and draws):
+        elif self._distribution is None or (draws and self._turned(begun=True)):
             # No look of this run pays, or none is needed yet; or what now moves was left out of the
             # last one.
             p.at, self._weights = self.scheduled, None
@@ -292,13 +292,14 @@ class Loop:
         p.paths += self.estimator.paths_per_step
         p.iteration += 1
 
-    def _turned(self) -> bool:
-        """Whether other unknowns move than at the last look, of a sampler that looks at what moves
-        alone."""
+    def _turned(self, begun: bool = False) -> bool:
+        """Whether other unknowns move than at the last look, or more have ``begun``, of a sampler
+        that looks at what moves alone."""
         if not self.sampler.settings.staged:
             return False
         now, then = self.scheduled, self.position.at
-        return any(u.moves(now) != u.moves(then) for u in self.problem.unknowns)
+        moved = ((u.moves(now), u.moves(then)) for u in self.problem.unknowns)
+        return any(moves != did and (moves or not begun) for moves, did in moved)
 
     def _affordable(self, first: bool) -> bool:
         """Whether a look, or the ``first`` of a run or level, which may trace more, would leave

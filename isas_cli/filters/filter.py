@@ -9,7 +9,7 @@ Entries that no view sees (``Unknown.told``) say nothing: a bitmap is laid out i
 texels between them belong to no surface. They have no weight in any mean over neighbours, and what
 is found for the seen ones reaches them only by `laplacian`'s coarse levels. Charts that touch in
 the bitmap are neighbours all the same, wherever they lie on the surface, and both sides of a seam
-are none. What is seen is known from the truth where entries hide each other and where objects move;
+are none. Where entries hide each other and where objects move the start does not tell what is seen:
 there all entries count.
 
 Unknowns without neighbours (``Kind.axes``: numbers, vertices, values at vertices) are left alone.

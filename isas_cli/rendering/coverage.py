@@ -229,7 +229,7 @@ def missed(
     by the paths of ``problem``; an upper bound, as long as it is above ``enough``. Seconds spent,
     without compiling. ``seconds``: after which to give up, or where the last paths showed little;
     None: not before there were four paths a pixel. ``other``: by some keys of ``values``, what
-    every second launch of paths has instead.
+    every second launch of paths has instead, so that these are half of them.
 
     Every path's derivative has a random sign, so that no sums vanish.
     """

@@ -45,7 +45,9 @@ def render(
         how.append(black_box.FORMAT)
     what = problem.content_hash, simulated, *problem.unknowns.replaced()
     key = digest("target", _FORMAT, *what, how, target.seed, mi.__version__)
-    name = f"target-{key}-{mi.variant()}"  # a GPU's are not a CPU's to the last bit
+    name = f"target-{key}"
+    if not problem.integrator.black_box:
+        name += f"-{mi.variant()}"  # a GPU's are not a CPU's to the last bit
 
     def compute() -> dict[str, np.ndarray]:
         problem.unknowns.write(problem.unknowns.truths())

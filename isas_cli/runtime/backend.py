@@ -247,7 +247,7 @@ def _find_gpu() -> tuple[str | None, str]:
 
 def _unfit() -> str:
     """Why Dr.Jit or Mitsuba cannot use the GPU that was found; empty where both can. Sets a CUDA
-    variant. Raises what says that its memory is full."""
+    variant. Raises InputError where its memory is full."""
     import drjit as dr
     import mitsuba as mi
 
@@ -260,7 +260,10 @@ def _unfit() -> str:
             mi.load_dict({"type": "scene", "ball": {"type": "sphere"}})
     except RuntimeError as error:
         if memory.exhausted(error):
-            raise
+            raise InputError(
+                "the GPU's memory is full: wait for what else runs on it, choose another by "
+                f"CUDA_VISIBLE_DEVICES, or give variant=llvm{SUFFIX}"
+            ) from error
         return f"OptiX does not work on it ({' '.join(str(error).split())})"
     return ""
 

@@ -60,18 +60,20 @@ def tangents(
     moments: Moments | None,
     least: float,
     rates: dict | None = None,
-    resting: Collection[str] = (),
+    resting: Collection[str] | None = None,
 ) -> dict:
     """P_k / C_k by key, flat, the largest 1. Where no unknown is to have any mass, by ``moments``
-    and what is ``resting``, as if there were neither. Evaluates."""
+    and what is ``resting`` (None: nothing ever rests), as if there were neither. Evaluates."""
 
     def along(moments: Moments | None, resting: Collection[str] = ()) -> dict:
         mass = masses(sensitivity, curvature, moments, least, rates, resting)
         return _over_sensitivity(mass, sensitivity, least)
 
-    found, plain = along(moments, resting), along(None)
-    most = _most(found)
-    found = {key: dr.select(most > 0, x, plain[key]) for key, x in found.items()}
+    found = along(moments, resting or ())
+    # Of a problem in stages always, or a stage that begins would compile anew.
+    if moments is not None or resting is not None:
+        most, plain = _most(found), along(None)
+        found = {key: dr.select(most > 0, x, plain[key]) for key, x in found.items()}
     most = _most(found)
     scale = dr.select(most > 0, dr.rcp(most), 0)
     found = {key: x * scale for key, x in found.items()}

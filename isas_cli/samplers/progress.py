@@ -60,7 +60,9 @@ class Masses(Looking):
         weighted = noise * dr.sqrt(cost)
         dr.eval(weighted)
         sensitivity = self._stage1.sensitivity(values, passes, seed, first, weighted)
-        resting = [u.key for u in self.problem.unknowns if not u.moves(spent)]
+        unknowns = self.problem.unknowns
+        staged = any(u.during != (0.0, 1.0) for u in unknowns)
+        resting = [u.key for u in unknowns if not u.moves(spent)] if staged else None
         how = moments, self.settings.least, self._rates, resting
         along = tangents(sensitivity, curvature, *how)
         weights = mi.Float(0)

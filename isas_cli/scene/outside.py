@@ -26,6 +26,7 @@ from ..runtime.errors import InputError
 _KEPT = 6
 # What a command may name beside its parameters.
 _EXR = b"\x76\x2f\x31\x01"
+_LONG = 100  # letters of a parameter's value in a message
 _OWN = ("out", "seed", "view", "width", "height")
 
 
@@ -106,7 +107,7 @@ class Outside:
         return f"scene.external.{name}={getattr(self.settings, name)}"
 
     def _failed(self, told: str) -> Failed:
-        now = ", ".join(f"{name}={value}" for name, value in self._told.items())
+        now = ", ".join(f"{name}={value[:_LONG]}" for name, value in self._told.items())
         return Failed(f"{self.where}: {told}, with {now}")
 
     @property

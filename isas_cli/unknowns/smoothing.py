@@ -36,6 +36,8 @@ class Pair:
 
     def spread(self, among: np.ndarray) -> "Pair":
         """Of more entries: these are ``among`` (bool) them, and the others stay where they are."""
+        if among.all():
+            return self
         whole = np.zeros((3, among.size))
         whole[:, among] = self.plus, self.minus, self.weight
         return Pair(*whole)

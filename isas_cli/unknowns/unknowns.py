@@ -29,7 +29,7 @@ class Unknown:
     ``lr``: its own learning rate, or None for the optimiser's; ``blur``: of ``sampler=plateau``, or
     None; ``during``: the shares of the budget at which it begins to move, rests, begins again, …;
     ``seen``: which entries some view sees (bool, same shape), filled in by ``coverage``;
-    ``told``: the same as far as nothing of the truth tells it, or None where that is no other;
+    ``told``: the same as far as nothing of the truth tells it, or None where all entries count;
     ``unseen``: whether none sees any of it, so that it stays where it starts: ``seen`` has all;
     ``doubled``: the shares of the budget at which its resolution doubles until it is whole;
     ``schedule``, ``final``: of its rate, or None for what ``OptimizerConfig`` says; ``prior``: a

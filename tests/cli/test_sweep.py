@@ -359,6 +359,13 @@ def test_names_are_swept_in_every_way_that_hydra_has(typed, names):
 
 
 @pytest.mark.parametrize(
+    "typed", ["plateau,mitsuba", "choice(plateau,mitsuba)", "plateau, mitsuba"]
+)
+def test_presets_that_are_swept_keep_their_settings(typed):
+    assert translate([f"sampler={typed}", "sampler.spp=4"])[1] == "estimator.spp=4"
+
+
+@pytest.mark.parametrize(
     "choice, extra",
     [
         ("hydra/launcher=ray", "ray"),

@@ -139,6 +139,20 @@ def test_what_begins_to_move_is_looked_at(sampler, looks):
         assert when[10].rate[TEXTURE] == 0 and when[10].rate[ROUGHNESS] > 0
 
 
+@pytest.mark.parametrize("during, uniform", [((0.9, 1.0), True), ((0.0, 0.9), False)])
+def test_pixels_are_drawn_uniformly_where_what_begins_is_too_late_for_a_look(during, uniform):
+    """What comes to rest leaves a density that still fits the others."""
+    p = problem({TEXTURE: 0.5, ROUGHNESS: 0.6})
+    p.unknowns[ROUGHNESS].during = during
+    own = Progress(refresh=1000, stage1=STAGE1).on(p, losses.L2(), 256)
+    look, when = own.look, []
+    own.look = lambda *given: when.append(given[2]) or look(*given)
+    made = loop(p, own, Budget(paths=8 * (own.paths_per_look + own.paths_before)))
+    run(made)
+    assert [i for i in when if i < 1000] == [0]
+    assert np.allclose(made.density(), 1) == uniform
+
+
 def test_a_first_look_that_takes_long_is_left_out_of_a_short_time(monkeypatch):
     p = problem({TEXTURE: 0.5})
     progress = Progress(stage1=STAGE1).on(p, losses.L2(), 256)

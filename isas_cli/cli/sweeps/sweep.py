@@ -18,11 +18,11 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
-from omegaconf import DictConfig
+from omegaconf import DictConfig, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from ...config import dropped, schema
-from ...config.compose import complete, compose, explain, initialized
+from ...config.compose import complete, compose, explain, initialized, named
 from ...runtime import interrupt
 from ...runtime.errors import InputError, nearest
 from .. import one
@@ -156,6 +156,8 @@ def _other(flags: list[str], overrides: list[str]) -> int:
     def run(cfg: DictConfig) -> None:
         folder = HydraConfig.get().runtime.output_dir
         try:
+            with open_dict(cfg):
+                named(cfg, HydraConfig.get().runtime.choices)
             ends.append(one.run(dropped.settled(cfg), folder))
         except Exception as error:  # Hydra would add lines of its own, or take it for its own
             ends.append(error)

@@ -56,7 +56,7 @@ _SAME = {
     "fisheye_model": "fisheye",
 }
 # What is probably distortion, too.
-_UNREAD = re.compile(r"dist(?!ance|ortion(_model)?$)", re.IGNORECASE)
+_UNREAD = re.compile(r"dist(?!ance|orted|rib)", re.IGNORECASE)
 # ROS' distortion_model: whether it is a fisheye's.
 _ROS = {"plumb_bob": False, "rational_polynomial": False, "equidistant": True, "fisheye": True}
 

@@ -174,8 +174,9 @@ def split(capture: Capture, test) -> tuple[list[Camera], list[Camera]]:
 def without(cameras: list[Camera], names: Sequence[str], missing: list[str]) -> list[Camera]:
     """The views but those, which are named as in ``split``. ``missing``: names of others, whose
     files are missing, which lose those as well. Raises InputError."""
-    known = [*(camera.name for camera in cameras), *missing]
-    out = [_named(known, name, "without") for name in names]
+    there = [camera.name for camera in cameras]
+    every = [*there, *missing]
+    out = [_named(there if meant(there, name) else every, name, "without") for name in names]
     missing[:] = [name for name in missing if name not in out]
     left = [camera for camera in cameras if camera.name not in out]
     if not left and not missing:
