@@ -24,7 +24,7 @@ from isas_cli.config.compose import compose, translate
 from isas_cli.engine import assemble
 from isas_cli.estimators.two_path import TwoPath
 from isas_cli.losses import Loss
-from isas_cli.rendering import rays, undone
+from isas_cli.rendering import integrators, rays
 from isas_cli.rendering.pixels import PixelDistribution, Tiles
 from isas_cli.runtime import backend
 from isas_cli.runtime.errors import InputError
@@ -258,7 +258,7 @@ def _unattached_is_zero() -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:
-        if not undone.unattached(error):
+        if not integrators.unattached(error):
             raise
 
 

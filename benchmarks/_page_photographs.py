@@ -9,7 +9,7 @@ import pandas
 
 MEASURES = ("degrees", "size", "shift", "chamfer")
 HELD = ("held_psnr", "held_ssim", "held_flip")
-RELIT = ("factor", *HELD, "psnr_h", "psnr_l", "ssim", "flip", "roughness")
+RELIT = ("factor", *HELD, "psnr_l", "ssim", "flip", "roughness")
 OF_HULL = ("chamfer", "psnr", "ssim", "flip")
 OF_VIEWS = ("psnr", "flip", "focal", "centre", "radial", "exposure")
 

@@ -86,9 +86,11 @@ def main(
         output = output or folder / "relit"
         made = zip(cameras, rendering, relit.views(scene, rendering, lights, *how, spp))
         found, left = {}, []
-        for camera, seen, image in made:
+        for camera, seen, (image, lost) in made:
             relit.write(output, camera.name, image)
             where = f"{pictures}: {camera.name}"
+            if lost:
+                say(f"{where}: of {lost} pixels paths that are no numbers are left out")
             try:
                 ways = camera.name in over, camera.name in across
                 found[camera.name] = _score(image, seen, camera, own, where, ways, fitted)
@@ -99,7 +101,12 @@ def main(
                 told = {"views": found, "mean": relighting.mean(found), "left_out": left}
                 write_json(output / SCORES, told | {"light": light and str(light)})
         if not found:
-            raise InputError(f"{pictures}: no view has a mask with anything in it")
+            raise InputError(f"{pictures}: no view can be scored, for what is said above")
+        if relighting.mean(found)["in_range"] < 0.5:
+            say(
+                f"{pictures}: what counts is mostly brighter than 1 or all below 0.05, and scores "
+                "are of 0 to 1, as a screen shows it: they tell little; scale the pictures"
+            )
     table = Table("view", *_HEADS.values())
     for name, scores in [*found.items(), ("mean", relighting.mean(found))]:
         known = (scores[key] for key in _HEADS)
@@ -143,7 +150,8 @@ def _score(
     mask = _mask(camera)
     turned, across = ways[0], None if mask is None else ways[1]
     linear = _linear(camera.image, own)
-    return relighting.of_picture(image, seen, camera, mask, where, turned, fitted, linear, across)
+    how = turned, fitted, linear, across, own.saturated
+    return relighting.of_picture(image, seen, camera, mask, where, *how)
 
 
 def _mask(camera: Camera) -> Path | None:

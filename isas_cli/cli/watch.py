@@ -103,7 +103,8 @@ class _Watched:
             raise InputError(f"{self.folder} has gone")
         if not self.followers or time.monotonic() - self._searched > _FIND_SECONDS:
             known, self._searched = self.followers, time.monotonic()
-            self.followers = {p: known.get(p) or Follower(p) for p in find(self.folder)}
+            found = find(self.folder, known)
+            self.followers = {p: known.get(p) or Follower(p) for p in found}
         changed = [follower.update() for follower in self.followers.values()]
         if self._single and self.followers[self.folder].problem:
             raise InputError(self.followers[self.folder].problem)

@@ -170,13 +170,19 @@ def _below(folder: Path) -> Iterator[Path]:
         yield from (Path(place, name) for name in files if not name.startswith("."))
 
 
-def _within(path: Path, seen: set[Path], around: tuple[Path, ...] = ()) -> list[Path]:
+def _within(
+    path: Path, seen: set[Path], around: tuple[Path, ...] = (), outer: dict[str, str] | None = None
+) -> list[Path]:
     """What a scene's XML names beside itself or in the folders ``around``, those of the scenes that
-    it is part of and of its ``<path>``, and files of scenes that are part of it do."""
-    found, text = [], path.read_text("utf-8")
+    it is part of and of its ``<path>``, and files of scenes that are part of it do. ``outer``: the
+    defaults of the scenes that it is part of, which go before its own."""
+    found, text, defaults = [], path.read_text("utf-8"), {}
     for tag in re.findall(r"<default\s[^>]*>", text):
         given = dict(re.findall(r"""(name|value)\s*=\s*["']([^"']*)["']""", tag))
-        text = text.replace(f"${given.get('name')}", given.get("value", ""))
+        defaults[given.get("name")] = given.get("value", "")
+    defaults |= outer or {}
+    for name in sorted(filter(None, defaults), key=len, reverse=True):  # $texture before $tex
+        text = text.replace(f"${name}", defaults[name])
     named = r"""(?:value|filename)\s*=\s*["']([^"']+)["']"""
     folders = [path.parent, *around]
     for tag in re.findall(r"<path\s[^>]*>", text):
@@ -185,7 +191,7 @@ def _within(path: Path, seen: set[Path], around: tuple[Path, ...] = ()) -> list[
         each = next((f / name for f in folders if _is_file(f / name)), path.parent / name)
         found.append(each)
         if each.suffix.lower() == ".xml" and each not in seen and _is_file(each):
-            found += _within(each, seen | {each}, tuple(folders))
+            found += _within(each, seen | {each}, tuple(folders), defaults)
     return found
 
 

@@ -474,6 +474,8 @@ def _content_hash(
             hashed.update(f"made {turn}".encode())
         elif dr.is_array_v(value) and not dr.is_special_v(value):
             hashed.update(np.ascontiguousarray(np.array(value)).tobytes())
+        elif hasattr(value, "matrix"):  # whose text has six digits
+            hashed.update(np.array(value.matrix, np.float64).tobytes())
         else:
             hashed.update(str(value).encode())
     return hashed.hexdigest()

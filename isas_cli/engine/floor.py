@@ -2,10 +2,11 @@
 
 A fit of p numbers to targets with noise takes a part of the noise for truth. To first order it is
 the noise's projection on what the numbers can do to the images: of N pixel channels, p σ² / N of
-the images' mean squared error, σ² the targets' variance where the numbers show. Of the numbers
-themselves it is what that error comes to by the images' sensitivity, which is measured: all numbers
-of an unknown are moved a little from the truth, each up or down at random, and the images' error is
-set against theirs. Neighbours that the images hardly tell apart have more.
+the images' mean squared error, σ² the targets' variance where the numbers show, and no more than
+there is of it in those pixels. Of the numbers themselves it is what that error comes to by the
+images' sensitivity, which is measured: all numbers of an unknown are moved a little from the truth,
+each up or down at random, and the images' error is set against theirs. Neighbours that the images
+hardly tell apart have more.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 STOPS = "budget.converged=true stops a run at its targets' noise"
 # How far numbers are moved, of their own size, at most of their range.
 _MOVED = 0.05
+# A pixel shows an unknown by this share of a usual one's product, at least.
+_FAINT = 0.05
 
 
 @dataclass(frozen=True)
@@ -88,15 +91,16 @@ def measure(problem: "Problem", pixels: mi.UInt32, products: Callable, seed: int
         # The part of the variance where the unknown shows; single products are noisy.
         weights = np.maximum(shown, 0)
         local = float((weights * here).sum() / weights.sum())
-        squares[u.key] = local * min(int(np.sum(u.seen)) / channels, 1.0)
+        size = np.abs(shown)
+        shows = float(np.mean(size > _FAINT * np.average(size, weights=size)))
+        squares[u.key] = local * min(int(np.sum(u.seen)) / channels, shows)
         errors[u.key] = error * math.sqrt(squares[u.key] / image)
     if not squares:
         return None
     whole = float(np.mean(variance, dtype=np.float64))
     images = np.array(problem.targets).reshape(-1, 3)
-    return Floor(
-        noise(images, variance), math.sqrt(whole), math.sqrt(sum(squares.values())), errors
-    )
+    taken = min(sum(squares.values()), whole)
+    return Floor(noise(images, variance), math.sqrt(whole), math.sqrt(taken), errors)
 
 
 def told(problem: "Problem", floor: Floor | None) -> dict | None:
@@ -113,10 +117,11 @@ def told(problem: "Problem", floor: Floor | None) -> dict | None:
     deviation, how = problem.photographed
     if deviation is None:
         return {"unknown": how}
-    counts = np.array(problem.targets, np.float64).reshape(-1, 3)
+    counts = np.array(problem.targets).reshape(-1, 3)
     if problem.mask is not None:
         counts = counts[np.array(problem.mask) > 0]
-    share = deviation / float(counts.mean()) if counts.size and counts.mean() > 0 else 0.0
+    mean = float(np.mean(counts, dtype=np.float64)) if counts.size else 0.0
+    share = deviation / mean if mean > 0 else 0.0
     return {"noise": share, "pixel_rms": deviation, "how": how}
 
 

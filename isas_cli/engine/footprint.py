@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 # Bytes that are surely needed at the same time. A pixel's target: as it is compared with, and as it
 # was read or rendered. An unknown's entry: value, gradient, Adam's two moments and its count of
-# steps; start, truth and whether it is seen. A drawn pixel: which it is, its probability, two
-# random streams, radiance and adjoint. A path more of a drawn pixel, in the same launch: its
-# radiance. An edge in a view, where silhouettes are drawn: its weight and their sum so far
-# (``outline.draw``).
-_TARGET, _ENTRY, _LANE, _PATH, _EDGE = 24, 29, 90, 12, 16
+# steps; start, truth and whether it is seen. What a step makes anew of one, while the old is there:
+# value, moments, count. A drawn pixel: which it is, its probability, two random streams, radiance
+# and adjoint. A path more of a drawn pixel, in the same launch: its radiance. An edge in a view,
+# where silhouettes are drawn: its weight and their sum so far (``outline.draw``).
+_TARGET, _ENTRY, _ANEW, _LANE, _PATH, _EDGE = 24, 29, 16, 90, 12, 16
 
 
 def check(problem: "Problem", lanes: int, outlines: bool = False, paths: int = 0) -> None:
@@ -34,7 +34,8 @@ def check(problem: "Problem", lanes: int, outlines: bool = False, paths: int = 0
     size = f"the size of the {largest.kind.name} '{largest.key}', {largest.start.shape}"
     parts = {
         "targets": (problem.views.total * _TARGET, "the resolution of the views"),
-        "unknowns": (entries * _ENTRY, size),
+        # Not all need move in the same step.
+        "unknowns": (entries * _ENTRY + largest.start.size * _ANEW, size),
         "a step": (lanes * _LANE + max(0, paths - lanes) * _PATH, "estimator.batch"),
     }
     if outlines:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..records import RunWriter
 from ..rendering.renderer import Renderer
-from ..runtime import likeness, streams
+from ..runtime import images, likeness, streams
 from ..scene.problem import Problem
 from ..unknowns.exposure import Exposure
 from ..unknowns.optics import Lens
@@ -33,6 +33,9 @@ def measure(
 ) -> dict | None:
     """By view, PSNR, SSIM and FLIP of renderings at ``values`` with ``spp`` paths a pixel or
     ``_LEAST``, and their means; pictures go to frames/held_*. ``problem``: with the views held out.
+    ``counted``: the share of a view's pixels that count, over which these are; ``scale``: what all
+    are multiplied with before, 1 or, of photographs in another unit than a screen's, what brings
+    their 99th percentile to white.
 
     Where exposures are unknown, a view's own is nowhere said: ``exposure`` is fitted to it by least
     squares, a factor or one for each channel.
@@ -47,6 +50,8 @@ def measure(
     channels = 0 if exposure is None else exposure.start.shape[1]
     masks = _per_view(problem)
     shown, views = [view for view, mask in enumerate(masks) if mask.any()], {}
+    counting = np.array(problem.targets).reshape(-1, 3)[np.array(problem.mask) > 0]
+    scale = 1.0 if likeness.in_range(counting) else images.exposure_for([counting])
     for number, view in enumerate(shown, 1):
         if given_up():
             break
@@ -56,7 +61,8 @@ def measure(
         image, target = renderer.view(view, spp, seeds), problem.target_image(view)
         factor = _fitted(image, target, masks[view], channels)
         image = (image * factor).astype(np.float32)
-        views[name] = likeness.metrics(image, target, masks[view])
+        views[name] = likeness.metrics(scale * image, scale * target, masks[view])
+        views[name]["counted"] = float(np.mean(masks[view] > 0))
         if channels:
             views[name]["exposure"] = [float(x) for x in factor[:channels]]
         if view < _KEPT:
@@ -70,7 +76,7 @@ def measure(
     found = {name: [v[name] for v in views.values() if v[name] is not None] for name in _NAMES}
     mean = {name: float(np.mean(each)) if each else None for name, each in found.items()}
     left = {"left_out": len(shown) - len(views)} if len(views) < len(shown) else {}
-    return {"views": views, "mean": mean, "spp": spp, **left}
+    return {"views": views, "mean": mean, "spp": spp, "scale": scale, **left}
 
 
 def of_views(problem: Problem, values: dict) -> dict:

@@ -95,13 +95,14 @@ class Recorder:
 
     def reopen(self, machine, earlier: Continuation) -> None:
         """Go on with a record from its checkpoint. Raises InputError where that does not fit or
-        another process writes the record."""
+        another process writes the record. Takes its arrays away from ``earlier``."""
         loop, state = self.loop, earlier.state
         try:
             loop.restore(earlier.arrays, state)
         except (KeyError, ValueError, TypeError) as error:
             what = "/checkpoint/state.npz does not fit this run"
             raise InputError(f"{self.folder}{what}: {error!r}") from error
+        earlier.arrays.clear()  # of large textures it is much, and the caller holds it to the end
         with loop.clock.unbilled("writing"):
             # The row of this iteration stays; trackers drop what comes after it.
             writer = RunWriter.reopen(self.folder, state["iteration"], state)

@@ -87,7 +87,9 @@ def _items(problem: Problem, blur: Blur, batch: int):
         if unknown.blur.reach is not None:
             where = f"scene.unknowns['{unknown.key}'].blur.reach={unknown.blur.reach:g}"
             pose, middles = problem.unknowns.place(unknown.key, where)
-            if problem.unknowns.moved & {sensor.id() for sensor in problem.scene.sensors()}:
+            ids = {sensor.id() for sensor in problem.scene.sensors()}
+            # A batch's name comes before those of its cameras.
+            if any(f"{m}.".startswith(f"{id}.") for m in problem.unknowns.moved for id in ids):
                 # Near on one side of a pair would not be near on the other.
                 raise InputError(f"{where}: only where no pose moves a camera")
             for number, sensor in enumerate(problem.scene.sensors()):

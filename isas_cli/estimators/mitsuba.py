@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..rendering import convex, rays, undone
+from ..rendering.integrators import unattached
 from ..rendering.own_film import OwnFilm
 from ..rendering.projective import check_lamps, projective
 from ..runtime import streams
@@ -120,9 +121,12 @@ class WholeImages(Gradients):
 
     @property
     def paths_per_step(self) -> int:
-        """Light paths of one estimate, those of silhouettes not counted."""
+        """Light paths of one estimate; a sample of a silhouette counts as one, and those that a
+        guide is built from do not."""
         # Where an image of its own says the residual, one path more carries the derivative.
         paths = 2 * self.spp + (self.smooth == "image")
+        if self.problem.unknowns.moving:  # silhouettes that the camera sees, and others
+            paths += self.spp * (1 if self.integrator.sppi == 0 else 2)
         return paths * self.problem.views.total * self.samples
 
     def estimate(self, values: dict, distribution, seed: int, iteration: int, spent: float) -> dict:
@@ -189,7 +193,7 @@ class WholeImages(Gradients):
         try:
             dr.backward(total)
         except RuntimeError as error:
-            if not undone.unattached(error):
+            if not unattached(error):
                 raise
             raise InputError(_undone(p)) from error
 

@@ -10,6 +10,8 @@ What the names do not tell:
   scores higher;
 - the peak is 1, also where values are cut at 4; before that, pictures are brightened by how much
   brighter sRGB shows the target in the mean;
+- a target of 8 or 16 bits was cut off at white, which ours are not: below that its factors are
+  fitted, and it has no ``psnr_h``;
 - no PSNR is below that of a picture of 0.5;
 - ``flip`` is ours, of what ``psnr_l`` is of (``runtime.likeness``);
 - ``normals`` is the mean of 1 − cos, 0 to 2. ``degrees``, the mean angle, is ours;
@@ -26,6 +28,7 @@ from PIL import Image
 from scipy.ndimage import binary_erosion, convolve1d
 from scipy.spatial import cKDTree
 
+from ..config.photographs import PhotosConfig
 from ..runtime import images, likeness
 from ..runtime.errors import InputError
 from ..scene.photos import finding, transforms, turns
@@ -43,28 +46,40 @@ _ENDINGS = (".exr", ".hdr", ".png")
 
 
 def pictures(
-    image: np.ndarray, target: np.ndarray, mask: np.ndarray, relit: bool = True
+    image: np.ndarray,
+    target: np.ndarray,
+    mask: np.ndarray,
+    relit: bool = True,
+    white: np.ndarray | None = None,
 ) -> dict[str, float | None]:
     """``psnr_h``, ``psnr_l`` (dB), ``ssim`` and ``flip`` of a rendering, ``relit``: under another
-    light."""
+    light; ``in_range``: ``likeness.in_range`` of the target. ``white (H, W) bool``: where a target
+    of whole numbers was cut off."""
     chosen = _inside(mask)
-    image, target = _fitted(image, target, chosen) if relit else _cut(image, target, chosen)
+    known = chosen if white is None else chosen & ~white
+    if relit and not known.any():
+        raise Nothing("relighting: all that counts of its picture is white, which tells no factor")
+    image, target = _cut(image, target, chosen)
+    in_range = likeness.in_range(target[chosen])
+    image = _fitted(image, target, known) if relit else image
     shown = np.clip(target, 0, _WHITE)
     brighter = 1.0 if shown.mean() <= 1e-8 else images.srgb_encode(shown).mean() / shown.mean()
     both = (np.clip(each * brighter, 0, _BRIGHTEST) for each in (image, target))
     encoded = [images.srgb_encode(np.clip(each, 0, _WHITE)) for each in (image, target)]
     return {
-        "psnr_h": _psnr(*both, chosen),
+        "psnr_h": _psnr(*both, chosen) if white is None else None,
         "psnr_l": _psnr(*encoded, chosen),
         "ssim": _ssim(*encoded),
         "flip": likeness.flip(*(np.float32(each) for each in encoded), chosen),
+        "in_range": in_range,
     }
 
 
 def albedo(image: np.ndarray, target: np.ndarray, mask: np.ndarray) -> dict[str, float]:
     """``psnr`` (dB) and ``ssim`` of base colours, linear."""
     chosen = _inside(mask)
-    both = [np.clip(each, 0, _WHITE) for each in _fitted(image, target, chosen)]
+    image, target = _cut(image, target, chosen)
+    both = [np.clip(each, 0, _WHITE) for each in (_fitted(image, target, chosen), target)]
     return {"psnr": _psnr(*both, chosen), "ssim": _ssim(*both)}
 
 
@@ -109,8 +124,10 @@ def of_set(file: Path | str, folder: Path | str) -> dict[str, dict]:
         found = of_name(folder, name)
         if found is None:
             raise InputError(f"{folder}: no rendering of {name}, such as {Path(name).stem}.exr")
-        shown = images.read(path, finite=False), _mask(path, listed, where)
-        views[name] = _scored(images.read(found), *shown, where)
+        shown = images.load(path, finite=False)
+        white = _white(path, shown, PhotosConfig.saturated)
+        mask = _mask(path, listed, where)
+        views[name] = _scored(images.read(found), shown.image, mask, white, where)
     return {"views": views, "mean": mean(views)}
 
 
@@ -124,15 +141,17 @@ def of_picture(
     relit: bool,
     linear: bool | None = None,
     across: bool | None = None,
-) -> dict[str, float]:
+    saturated: float | None = PhotosConfig.saturated,
+) -> dict[str, float | None]:
     """``pictures`` of what a ``rendering``'s camera sees, against the picture of the ``camera`` as
     its file has it, whose ``mask`` may be another file; where it is not ``relit`` as it was
     exposed. ``turned``: whether it is turned as its file asks; ``linear``: as ``images.load`` has
-    it; ``across``: whether its mask lies otherwise (``turns.across``; None: if their sizes tell).
-    Raises InputError, naming ``where``."""
-    picture = images.load(camera.image, finite=False, linear=linear, turned=turned).image
-    both = picture, _fitting(_mask(camera.image, mask, where, turned, across), picture)
-    seen = (_seen(each, camera, rendering, where) for each in both)
+    it; ``across``: whether its mask lies otherwise (``turns.across``; None: if their sizes tell);
+    ``saturated``: as ``photos.saturated``. Raises InputError, naming ``where``."""
+    picture = images.load(camera.image, finite=False, linear=linear, turned=turned)
+    fitting = _fitting(_mask(camera.image, mask, where, turned, across), picture.image)
+    every = picture.image, fitting, _white(camera.image, picture, saturated)
+    seen = (None if x is None else _seen(x, camera, rendering, where) for x in every)
     exposed = image if relit else image * np.float32(camera.exposure)
     return _scored(exposed, *seen, where, relit)
 
@@ -156,20 +175,36 @@ def _seen(pixels: np.ndarray, camera: Camera, rendering: Camera, where: str) -> 
     return found if pixels.ndim == 3 else found[..., 0]
 
 
+def _white(file: Path, picture: images.Picture, saturated: float | None) -> np.ndarray | None:
+    """Where ``(H, W) float32`` a picture of whole numbers was cut off; None of others."""
+    if not images.counted(file):
+        return None
+    return np.float32(picture.brightest >= np.float32(np.inf if saturated is None else saturated))
+
+
 def _scored(
-    image: np.ndarray, picture: np.ndarray, mask: np.ndarray, where: str, relit: bool = True
+    image: np.ndarray,
+    picture: np.ndarray,
+    mask: np.ndarray,
+    white: np.ndarray | None,
+    where: str,
+    relit: bool = True,
 ) -> dict:
     picture, mask = (_as_large(each, image, where) for each in (picture, mask))
-    images.check_finite(where, ~np.isfinite(picture).all(axis=2) & _inside(mask))
-    return pictures(image, picture, mask, relit)
+    white = None if white is None else _as_large(white, image, where) > 0
+    inside = _inside(mask)
+    images.check_finite(where, ~np.isfinite(picture).all(axis=2) & inside)
+    if not np.isfinite(image[inside]).all():
+        raise Nothing(f"{where}: its rendering has pixels that are no numbers")
+    return pictures(image, picture, mask, relit, white)
 
 
 def mean(views: dict[str, dict]) -> dict[str, float | None]:
-    """Of ``pictures`` by view."""
+    """Of ``pictures`` by view, of those that have each."""
     found = {}
-    for name, of_first in next(iter(views.values())).items():
-        every = [view[name] for view in views.values()]
-        found[name] = None if of_first is None else float(np.mean(every))
+    for name in next(iter(views.values())):
+        known = [view[name] for view in views.values() if view[name] is not None]
+        found[name] = float(np.mean(known)) if known else None
     return found
 
 
@@ -248,12 +283,12 @@ def _cut(image: np.ndarray, target: np.ndarray, chosen: np.ndarray) -> list[np.n
     ]
 
 
-def _fitted(image: np.ndarray, target: np.ndarray, chosen: np.ndarray) -> list[np.ndarray]:
-    """Both, black where not ``chosen``; the first by the factors that bring it nearest."""
-    image, target = _cut(image, target, chosen)
+def _fitted(image: np.ndarray, target: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """The image by the factors that bring it nearest where the target is ``known``."""
+    seen = image * known[..., None]
     # A channel of nothing is fitted as if it were white, and stays black.
-    white = np.where((image**2).sum(axis=(0, 1)) > 1e-6, image, chosen[..., None])
-    return [image * (white * target).sum(axis=(0, 1)) / (white**2).sum(axis=(0, 1)), target]
+    white = np.where((seen**2).sum(axis=(0, 1)) > 1e-6, seen, known[..., None])
+    return image * (white * target).sum(axis=(0, 1)) / (white**2).sum(axis=(0, 1))
 
 
 def _psnr(image: np.ndarray, target: np.ndarray, chosen: np.ndarray) -> float:

@@ -36,7 +36,8 @@ WHOLE_NUMBERS = ("iteration", "paths", "nonfinite")
 
 def safe_name(key: str) -> str:
     """A file name for an unknown's key; `key_of` gives the key back."""
-    return quote(key, safe="")
+    # Letters as they are: quoted, one of another script takes up to twelve of a name's 255 bytes.
+    return "".join(c if c.isalnum() else quote(c, safe="") for c in key)
 
 
 def walked(

@@ -7,6 +7,7 @@ import math
 import os
 import platform
 import time
+from collections.abc import Container
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,10 @@ _NEWS = ("manifest.json", "history.csv", "checkpoint/state.npz", "summary.json")
 _TRIES, _PAUSE_SECONDS = 3, 0.1
 
 
-def find(folder: Path) -> list[Path]:
+def find(folder: Path, known: Container[Path] = ()) -> list[Path]:
     """The folders of all runs at or below `folder`, sorted; none lies within another. Among them
-    are jobs that failed before they had a record, and folders that cannot be read."""
+    are jobs that failed before they had a record, and folders that cannot be read. ``known``: runs
+    that were found before, whose manifests need not be read again."""
     found: list[Path] = []
 
     def unread(error: OSError) -> None:
@@ -37,7 +39,7 @@ def find(folder: Path) -> list[Path]:
     for place, folders, files in walked(folder, unread):
         if "manifest.json" in files:
             folders.clear()
-            if not measures(place):
+            if place in known or not measures(place):
                 found.append(place)
         elif "summary.json" in files and failed(place):
             found.append(place)

@@ -144,8 +144,14 @@ class Integrator:
             ray = si.spawn_ray(si.to_world(sample.wo))
         return met
 
-    def _sample(self, *arguments):
-        return sampled(self.mitsuba, *arguments)
+    def _sample(self, mode, scene, sampler, ray, *replay):
+        try:
+            return sampled(self.mitsuba, mode, scene, sampler, ray, *replay)
+        except RuntimeError as error:
+            # Paths that read no unknown have no derivative.
+            if not unattached(error):
+                raise
+            return dr.zeros(mi.Color3f, dr.width(ray.o)), None
 
 
 def sampled(integrator: mi.Integrator, mode, scene, sampler, ray, adjoint=None, state=None):
@@ -162,6 +168,18 @@ def sampled(integrator: mi.Integrator, mode, scene, sampler, ray, adjoint=None, 
         active=mi.Bool(True),
     )
     return radiance, state
+
+
+def unattached(error: BaseException) -> bool:
+    """Whether Mitsuba found that nothing which its paths meet has a derivative by an unknown."""
+    return "not attached to the AD graph" in str(root(error))
+
+
+def root(error: BaseException) -> BaseException:
+    """What was raised first in a chain of errors."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return error
 
 
 class InOneGo(Integrator):

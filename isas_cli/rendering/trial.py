@@ -13,8 +13,8 @@ from ..runtime import memory
 from ..runtime.backend import sync
 from ..runtime.errors import InputError
 from ..scene.problem import Problem
-from . import undone
 from .coverage import Pass, replayed
+from .integrators import root
 from .renderer import Renderer
 
 _LANES = 64
@@ -82,7 +82,7 @@ def _traced(problem: Problem, differentiated: bool) -> Callable[[], None]:
 
 def untraceable(where: str, error: RuntimeError) -> InputError:
     """That Mitsuba cannot trace the scene, in what was said first in a chain of errors."""
-    first = str(undone.root(error)).strip().splitlines()[0]
+    first = str(root(error)).strip().splitlines()[0]
     way = "; isas renders red, green and blue: give such a colour as <rgb …>"
     way = way if "spectral" in first else ""
     return InputError(f"{where}: Mitsuba cannot trace paths through it: {first}{way}")

@@ -45,15 +45,3 @@ def named_causes(integrator: Integrator) -> str:
 
 def named(keys: Iterable[str]) -> str:
     return ", ".join(f"'{key}'" for key in keys)
-
-
-def unattached(error: BaseException) -> bool:
-    """Whether Mitsuba found that nothing which its paths meet has a derivative by an unknown."""
-    return "not attached to the AD graph" in str(root(error))
-
-
-def root(error: BaseException) -> BaseException:
-    """What was raised first in a chain of errors."""
-    while error.__cause__ is not None:
-        error = error.__cause__
-    return error

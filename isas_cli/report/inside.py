@@ -32,6 +32,7 @@ _TRAINING = {
 }
 _HALVES = {"billed": ("seconds_by_phase", "Greys"), "not billed": ("seconds_unbilled", "YlOrBr")}
 _FEW = 60  # points that can still be told apart
+_MANY = 500  # of a line, from twice as many on it is thinned to about so many
 
 
 def training(
@@ -71,7 +72,8 @@ def _course(runs: dict[str, list[Run]], name: str) -> Panel | None:
 
 
 def histories(runs: list[Run], name: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Billed seconds and a column of the history, for each run that knows it; without gaps.
+    """Billed seconds and a column of the history, for each run that knows it; without gaps, of
+    very many rows some, the last among them.
 
     Gradient noise begins with the second iteration: in the first the smoothed gradient is the
     gradient, and rounding is all that differs.
@@ -81,6 +83,7 @@ def histories(runs: list[Run], name: str) -> Iterator[tuple[np.ndarray, np.ndarr
             known = run.history[np.isfinite(run.history[name])]
             known = known[known["iteration"] > 1] if name == "gradient_noise" else known
             if len(known):
+                known = known.iloc[:: -max(1, len(known) // _MANY)][::-1]
                 yield known["seconds"].to_numpy(), known[name].to_numpy()
 
 

@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import re
+import sys
 import time
 import zipfile
 from collections.abc import Callable, Iterator
@@ -20,11 +21,13 @@ if TYPE_CHECKING:
     import numpy as np
 
 _DEFAULT_GIB = 4.0
-_KEPT_EVERY = 20.0  # seconds between writes of what is not whole yet
+# Seconds between writes of what is not whole yet: at least, and times as many as one took.
+_KEPT_EVERY, _TIMES = 20.0, 50.0
 _OLD = 3600.0  # seconds after which nobody writes a file any more
 # What isas itself puts there: a word, a digest, and whatever else; and what is not whole yet.
 _ENTRY = re.compile(r"[a-z]+-[0-9a-f]{32}[\w-]*\.npz")
 _LEFT_OVER = re.compile(rf"\.{_ENTRY.pattern}\.\d+\.tmp")
+_too_large: set[str] = set()  # what was said to be
 
 
 def folder() -> Path:
@@ -56,8 +59,9 @@ def size() -> int:
 def cached(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """Arrays stored under ``key``, computed and stored when absent or unreadable.
 
-    What has not been used for longest goes first where the cache outgrows its ``limit``. A cache
-    that cannot be written costs the next run its time, never this run its result.
+    What has not been used for longest goes first where the cache outgrows its ``limit``; what is
+    larger than that by itself is not stored, which is said. A cache that cannot be written costs
+    the next run its time, never this run its result.
     """
     import numpy as np  # which `isas doctor` need not wait for
 
@@ -74,10 +78,7 @@ def cached(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, 
             os.utime(path)  # used just now
         return found
     arrays = compute()
-    with contextlib.suppress(OSError, IsasError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, lambda temporary: _save(temporary, arrays))
-        _shrink(most, keep=path)
+    _store(path, arrays, most)
     return arrays
 
 
@@ -93,18 +94,18 @@ def unfinished(key: str) -> Iterator[tuple[dict[str, np.ndarray], Callable]]:
     if not limit():
         yield {}, lambda arrays: None
         return
-    path, latest, written = folder() / f"{key}.npz", [], [time.monotonic()]
+    path, latest = folder() / f"{key}.npz", []
+    due = [time.monotonic() + _KEPT_EVERY]
 
     def write() -> None:
-        with contextlib.suppress(OSError, IsasError):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(path, lambda temporary: _save(temporary, latest[0]()))
-            _shrink(limit(), keep=path)
-        written[0] = time.monotonic()
+        begun = time.monotonic()
+        _store(path, latest[0](), limit())
+        now = time.monotonic()
+        due[0] = now + max(_KEPT_EVERY, _TIMES * (now - begun))
 
     def keep(arrays: Callable[[], dict]) -> None:
         latest[:] = [arrays]
-        if time.monotonic() - written[0] > _KEPT_EVERY:
+        if time.monotonic() > due[0]:
             write()
 
     found = {}
@@ -124,6 +125,27 @@ def unfinished(key: str) -> Iterator[tuple[dict[str, np.ndarray], Callable]]:
 def digest(*parts) -> str:
     """A short hash of JSON-able parts."""
     return hashlib.blake2b(json.dumps(parts, sort_keys=True).encode(), digest_size=16).hexdigest()
+
+
+def _store(path: Path, arrays: dict[str, np.ndarray], most: int) -> None:
+    """Where it can be, and is not larger than ``most`` bytes: all else would go, and it next."""
+    size = sum(array.nbytes for array in arrays.values())
+    if size > most:
+        kind = path.name.partition("-")[0]
+        if kind not in _too_large:
+            _too_large.add(kind)
+            with contextlib.suppress(OSError):
+                print(
+                    f"{path.stem} takes {size / 2**30:.3g} GiB, more than the cache may hold, "
+                    f"{most / 2**30:.3g} GiB: it is not kept; ISAS_CACHE_GIB=N lets it hold more",
+                    file=sys.stderr,
+                    flush=True,
+                )
+        return
+    with contextlib.suppress(OSError, IsasError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, lambda temporary: _save(temporary, arrays))
+        _shrink(most, keep=path)
 
 
 def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:

@@ -1,7 +1,6 @@
 """How alike two pictures are, over the pixels that count: PSNR, SSIM, FLIP.
 
-All of pictures as a screen shows them, clip(linear, 0, 1) through the sRGB curve, so that numbers
-compare with those of papers on view synthesis.
+All of pictures as a screen shows them, clip(linear, 0, 1) through the sRGB curve.
 """
 
 from __future__ import annotations
@@ -13,6 +12,15 @@ from .images import srgb_encode
 
 # Wang et al. 2004: a Gaussian of 1.5 pixels in a window of 11, and the constants of its Eq. 13.
 _SIGMA, _RADIUS, _C1, _C2 = 1.5, 5, 0.01**2, 0.03**2
+# Of pictures in a screen's unit: the share that is beyond white, at most, and what some reach.
+_BEYOND, _DARK = 0.05, 0.05
+
+
+def in_range(values: np.ndarray) -> bool:
+    """Whether linear ``values`` of a picture are such as a screen shows: few beyond white, and not
+    all nearly black. Photographs in floating point may be in another unit."""
+    beyond = np.count_nonzero(values > 1)
+    return bool(beyond <= _BEYOND * values.size and values.max(initial=0) >= _DARK)
 
 
 def metrics(image: np.ndarray, target: np.ndarray, mask: np.ndarray) -> dict[str, float | None]:

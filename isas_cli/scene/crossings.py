@@ -6,8 +6,8 @@ import numpy as np
 
 # Of the coordinates' size, some of float32's roundings: what is as near to a plane lies in it.
 _TOUCHING = 1e-6
-# Pairs of triangles looked at together, and at most.
-_AT_ONCE, _MOST = 1 << 17, 1 << 22
+# Pairs of triangles looked at together, and at most; and at most for each triangle, of many.
+_AT_ONCE, _MOST, _EACH = 1 << 17, 1 << 22, 16
 
 
 def crossing(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -16,11 +16,11 @@ def crossing(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
     ``positions (V, 3)``, finite; ``faces (F, 3)``, of welded vertices. Triangles that share an
     edge, or lie in one plane, are not counted. Of meshes that lie over themselves so much that
-    more than 4 million pairs come close, some.
+    more than 4 million pairs come close, and more than 16 for each triangle, some.
     """
     corners = positions.astype(np.float64)[faces]
     least = _TOUCHING * np.abs(corners).max()
-    pairs = _overlapping(corners.min(axis=1), corners.max(axis=1))[:_MOST]
+    pairs = _overlapping(corners.min(axis=1), corners.max(axis=1))
     found = np.zeros(len(faces), bool)
     for begin in range(0, len(pairs), _AT_ONCE):
         some = pairs[begin : begin + _AT_ONCE]
@@ -40,7 +40,7 @@ def through(own: np.ndarray, others: np.ndarray) -> bool:
     faces = np.arange(3 * len(corners)).reshape(-1, 3)  # none shares a vertex
     least = _TOUCHING * np.abs(corners).max()
     pairs = _overlapping(corners.min(axis=1), corners.max(axis=1))
-    pairs = pairs[(pairs[:, 0] < len(own)) != (pairs[:, 1] < len(own))][:_MOST]
+    pairs = pairs[(pairs[:, 0] < len(own)) != (pairs[:, 1] < len(own))]
     return any(
         _cuts(corners, faces, *some.T, least).any()
         for begin in range(0, len(pairs), _AT_ONCE)
@@ -86,11 +86,12 @@ def _margin(points: np.ndarray, corners: np.ndarray, normals: np.ndarray) -> np.
 
 
 def _overlapping(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Pairs ``(P, 2)`` of boxes ``[low, high] (N, 3)`` that overlap, each once.
+    """Pairs ``(P, 2)`` of boxes ``[low, high] (N, 3)`` that overlap, each once; where there are
+    more than 4 million, and more than 16 for each box, some.
 
     By a binary tree over the boxes, whose nodes are paired with each other from its root down.
     """
-    levels = max(1, (len(low) - 1).bit_length())
+    most, levels = max(_MOST, _EACH * len(low)), max(1, (len(low) - 1).bit_length())
     rest = np.zeros(((1 << levels) - len(low), 3))
     middle = np.concatenate([(low + high) / 2, rest + (low[-1] + high[-1]) / 2])
     low, high = np.concatenate([low, rest + np.inf]), np.concatenate([high, rest - np.inf])
@@ -114,6 +115,6 @@ def _overlapping(low: np.ndarray, high: np.ndarray) -> np.ndarray:
         near = np.flatnonzero(one <= other)
         one, other = one[near], other[near]
         near = (low[one] <= high[other]).all(axis=1) & (low[other] <= high[one]).all(axis=1)
-        one, other = one[near][:_MOST], other[near][:_MOST]
+        one, other = one[near][:most], other[near][:most]
     apart = one != other
     return np.stack([order[one[apart]], order[other[apart]]], axis=1)

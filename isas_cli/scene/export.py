@@ -321,7 +321,7 @@ def _deepen(state, scene: SceneConfig) -> list[str]:
         return []
     integrators = [node for node in state.nodes if node.type == mi.ObjectType.Integrator]
     for node in integrators:
-        if node.props.plugin_name() == "direct":  # whose paths have no other length
+        if node.props.plugin_name() in scene_file.SHORT:
             hidden = node.props.get("hide_emitters", False)
             node.props = mi.Properties("path")
             node.props["hide_emitters"] = hidden

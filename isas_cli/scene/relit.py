@@ -17,6 +17,8 @@ from .photos.camera import Camera
 _DEPTH = 8  # edges of paths under another light than the run's
 # Samples of one rendering: Dr.Jit counts the lanes of a kernel in 32 bits, and all need memory.
 _AT_ONCE = 2**24
+# Renderings of a view, at least: of a pixel that has a path that is no number, one is left out.
+_PARTS = 4
 
 
 def views(
@@ -26,13 +28,14 @@ def views(
     up: str,
     turn: float,
     spp: int,
-) -> Iterator[np.ndarray]:
+) -> Iterator[tuple[np.ndarray, int]]:
     """What each camera sees, ``(H, W, 3)``, linear, black where no surface is: under the
     environment in the file of the same place in ``lights``, in place of all lights of the scene;
-    or under these, where it is None, by paths as its own. ``result``: as ``export.result`` has it.
-    ``up``, ``turn``: see ``building.upright``; up may also be ``CAMERA``: the environment stands to
-    the view's camera as Stanford-ORB's do, what lies straight ahead in its middle. Raises
-    InputError for a scene with media."""
+    or under these, where it is None, by paths as its own. And of how many pixels paths are no
+    numbers: these are left out, and a pixel is NaN where none is left. ``result``: as
+    ``export.result`` has it. ``up``, ``turn``: see ``building.upright``; up may also be ``CAMERA``:
+    the environment stands to the view's camera as Stanford-ORB's do, what lies straight ahead in
+    its middle. Raises InputError for a scene with media."""
     scene, depth, hidden = result
     shapes = scene.shapes()
     grouped = (each for each in mi.traverse(scene).hierarchy if isinstance(each, mi.Shape))
@@ -74,15 +77,18 @@ def _lit(scene: mi.Scene, shapes: list, light: Path | None, world) -> dict:
     }
 
 
-def _rendered(scene: mi.Scene, spp: int, seed: int) -> np.ndarray:
+def _rendered(scene: mi.Scene, spp: int, seed: int) -> tuple[np.ndarray, int]:
     film = scene.sensors()[0].film().size()
-    most = max(1, _AT_ONCE // int(film[0] * film[1]))
-    total, done = 0.0, 0
+    most = max(1, min(_AT_ONCE // int(film[0] * film[1]), -(-spp // _PARTS)))
+    total, known, done = 0.0, 0, 0
     while done < spp:
         count = min(most, spp - done)
         image = np.array(mi.render(scene, spp=count, seed=(seed << 16) + done), np.float64)
-        total, done = total + image * count, done + count
-    return (total / spp).astype(np.float32)
+        finite = np.isfinite(image).all(axis=2, keepdims=True)
+        total, known = total + np.where(finite, image, 0) * count, known + finite * count
+        done += count
+    mean = np.where(known > 0, total / np.maximum(known, 1), np.nan)
+    return mean.astype(np.float32), int(np.count_nonzero(known < spp))
 
 
 def cut(camera: Camera, width: int | None) -> Camera:

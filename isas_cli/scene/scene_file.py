@@ -31,8 +31,9 @@ _REPLAY = {
 }
 # Integrators that hand on what one inside them finds, and add channels of their own.
 _WRAPPERS = ("aov", "moment", "stokes")
-# Those whose paths may have any length.
-DEEP = tuple(name for name in _REPLAY if name not in ("direct", "direct_projective", "emission"))
+# Those whose paths have one length, and those whose paths may have any.
+SHORT = "direct", "direct_projective"
+DEEP = tuple(name for name in _REPLAY if name not in (*SHORT, "emission"))
 # Of files that may describe a scene to Mitsuba, and are no XML.
 _PROGRAMS = ".py", ".json", ".ipynb"
 _MESHES = ".obj", ".ply", ".stl", ".off", ".glb", ".gltf", ".blend", ".fbx", ".usd", ".usdz"
@@ -54,7 +55,8 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str
         settings, state = parse(path)
         own = _unwrapped(state, path)
         kind = own[0].props.plugin_name() if own else None
-        blind = any(map(_takes_no_bsdf_samples, own))
+        blind = any(_takes_none(node, "bsdf_samples") for node in own)
+        unlit = kind == "prb_basic" or any(_takes_none(node, "emitter_samples") for node in own)
         described = _integrator(own, state, path, max_depth)
         description = "".join(str(node.props) + _contents(node) for node in state.nodes)
         for node in state.nodes:
@@ -66,7 +68,7 @@ def load(path: str, max_depth: int | None) -> tuple[mi.Scene, mi.Integrator, str
     integrator = loaded.integrator() or mi.load_dict(described)
     _prepare(integrator, loaded)
     integrator.stands_for = kind
-    integrator.blind = blind
+    integrator.blind, integrator.unlit = blind, unlit
     return loaded, integrator, description
 
 
@@ -158,9 +160,9 @@ def _prepare(integrator: mi.Integrator, scene: mi.Scene) -> None:
         integrator.handle_null_scattering = not all(uniform)
 
 
-def _takes_no_bsdf_samples(node) -> bool:
+def _takes_none(node, samples: str) -> bool:
     usual = node.props.get("shading_samples", 1)
-    return node.props.plugin_name() == "direct" and node.props.get("bsdf_samples", usual) == 0
+    return node.props.plugin_name() == "direct" and node.props.get(samples, usual) == 0
 
 
 def _properties(described: dict) -> mi.Properties:

@@ -10,6 +10,7 @@ from ..unknowns import routes
 
 _DEEP = 32  # edges: longer paths add too little to tell
 _VOLUMETRIC = "volpath", "volpathmis", "prbvolpath"
+_PROJECTIVE = "prb_projective", "direct_projective"
 _GAP = 1e-5  # of a box: less is none
 
 
@@ -22,7 +23,8 @@ def warnings(scene: mi.Scene, integrator: mi.Integrator) -> list[str]:
     ``prb`` does; and ``prbvolpath`` ends a path one emitter later than ``volpath``, with the weight
     that it has beside a light sample which is not taken there. It also begins every path outside
     of media, whatever a sensor says of the one that it stands in. ``direct`` may take light samples
-    alone.
+    alone, or none, as ``prb_basic`` takes none. Projective ones keep hidden lamps where a camera
+    sees them, shining or dark, and ``prb`` looks through.
     """
     kind, depth = getattr(integrator, "stands_for", None), integrator.max_depth
     if getattr(integrator, "blind", False):
@@ -31,18 +33,29 @@ def warnings(scene: mi.Scene, integrator: mi.Integrator) -> list[str]:
             "does: what mirrors show, and lights by themselves, differ from the file's images; "
             "with bsdf_samples of 1 or more they do not"
         ]
+    if getattr(integrator, "unlit", False) and _has_lights(scene, mi.EmitterFlags.Delta):
+        cure = "integrator 'prb'" if kind == "prb_basic" else "emitter_samples of 1 or more"
+        return [
+            f"integrator '{kind}' of the file takes no samples of lights, and prb does: point, "
+            "spot, directional and projector lights do not show in the file's images, and do here; "
+            f"with {cure} they show in both"
+        ]
     own = "prbvolpath" if type(integrator).__name__ == "PRBVolpathIntegrator" else "prb"
-    if kind in (None, own) or kind not in ("path", *_VOLUMETRIC):
+    if kind in (None, own) or kind not in ("path", *_VOLUMETRIC, *_PROJECTIVE):
         return []
     gaps = own == "prb" and any(map(_has_gaps, mi.traverse(scene).hierarchy))
     why, cure = [], []
-    if gaps and integrator.hide_emitters:
+    if kind in _PROJECTIVE:
+        if integrator.hide_emitters and _has_lights(scene, mi.EmitterFlags.Surface):
+            why.append("looks through hidden lamps that a camera sees")
+            cure.append("without hide_emitters")
+    elif gaps and integrator.hide_emitters:
         why.append("shows hidden emitters behind gaps")
         cure.append("without hide_emitters")
     if own == "prbvolpath" and any(each.get_medium() is not None for each in scene.sensors()):
         why.append("takes no notice of the medium in which a sensor stands")
         cure.append("with sensors outside of it")
-    if kind != "path" and depth < _DEEP:
+    if kind in _VOLUMETRIC and depth < _DEEP:
         if own == "prbvolpath":
             why.append(f"adds some light by paths of more than {depth} edges")
         elif gaps:
@@ -118,6 +131,10 @@ def inside_out(scene: mi.Scene, shell: mi.Shape) -> bool:
     ray = mi.Ray3f(mi.Point3f(shell.bbox().center()), dr.normalize(mi.Vector3f(0.3, 0.5, 0.8)))
     si = scene.ray_intersect(ray)
     return bool(dr.any((si.shape == mi.ShapePtr(shell)) & (dr.dot(si.n, ray.d) < 0)))
+
+
+def _has_lights(scene: mi.Scene, flag: mi.EmitterFlags) -> bool:
+    return any(mi.has_flag(each.flags(), flag) for each in scene.emitters())
 
 
 def _has_gaps(thing: mi.Object) -> bool:

@@ -104,7 +104,8 @@ def usual(params: mi.SceneParameters, key: str) -> tuple[float, float, str]:
     for holder, word, factor in fed(params, key):
         a, b = _of(holder, word, params[key])
         low, high = max(low, a / factor), min(high, b / factor)
-        unit = unit or (_UNITS.get(word, "") if factor == 1 else "")
+        own = _UNITS.get(word, "")
+        unit = unit or (own if factor == 1 or not own else f"{factor:g} × {own}")
     return (low, high, unit) if low < high else (*_ANY, unit)
 
 

@@ -99,7 +99,7 @@ class Unknown:
         above = np.sum(array * self.truth, axes, where=self.seen, dtype=np.float64)
         below = np.sum(array * array, axes, where=self.seen, dtype=np.float64)
         factor = np.divide(above, below, where=below > 0, out=np.ones_like(below))
-        return self.kind.error(array * factor, self.truth, self.seen)
+        return self.kind.error(array * factor.astype(array.dtype), self.truth, self.seen)
 
 
 def _overlooked(params: mi.SceneParameters, keys: Iterable[str]) -> list[mi.Medium]:

@@ -302,7 +302,7 @@ def test_masks_lie_as_their_pictures(tmp_path, orientation):
     for each in cameras:
         ways = False, each.name in across
         found = relight._score(shown, each, each, PhotosConfig(), "", ways, False)
-        assert found["psnr_h"] > 40
+        assert found["psnr_l"] > 40 and found["psnr_h"] is None
 
 
 @pytest.fixture
@@ -457,6 +457,7 @@ def test_pictures_are_read_as_the_run_reads_them(tmp_path, capsys):
     for encoding, linear in (("linear", True), ("srgb", False)):
         told = cameras[0], cameras[0], folder / "masks/view_0.png", "", False, False, linear
         wanted = relighting.of_picture(shown, *told)
+        assert found[encoding]["view_0"].pop("psnr_h") is wanted.pop("psnr_h") is None
         assert found[encoding]["view_0"] == pytest.approx(wanted, rel=1e-3)
     assert found["linear"]["view_0"] != found["srgb"]["view_0"]
 
@@ -539,3 +540,76 @@ def test_a_medium_is_refused(grouped):
     scene = mi.load_dict({"type": "scene"} | things)
     with pytest.raises(InputError, match="has a medium: isas relight renders surfaces alone"):
         next(relit.views((scene, 3, False), [], [], "y", 0.0, 1))
+
+
+def test_white_is_where_the_run_says(tmp_path, rng):
+    """By ``photos.saturated``: a factor is fitted below that."""
+    linear = rng.uniform(0.05, 0.4, (30, 40, 3))
+    linear[10:14] = 0.7  # as bright as this sensor tells
+    images.write_png(tmp_path / "a.png", images.to_display(linear))
+    linear[10:14] = 8
+    images.write_png(tmp_path / "mask.png", np.full((30, 40, 3), 255, np.uint8))
+    mask = tmp_path / "mask.png"
+    camera = Camera("a", tmp_path / "a.png", *SIZE, FOCAL, FOCAL, 20, 15, np.eye(4), mask=mask)
+    found = []
+    for saturated in (0.8, 0.995):
+        own = PhotosConfig(saturated=saturated)
+        fitted = relight._score(linear / 2, camera, camera, own, "", (False, False), True)
+        found.append(fitted["psnr_l"])
+    print(found)
+    assert found[0] > found[1] + 6
+
+
+def test_a_path_that_is_no_number_costs_its_pixel_a_part(monkeypatch):
+    """And one whose every path is none is none."""
+    scene = {
+        "type": "scene",
+        "sensor": {
+            "type": "perspective",
+            "film": {"type": "hdrfilm", "width": 4, "height": 3},
+        },
+    }
+    counts = []
+
+    def render(scene, spp, seed):
+        image = np.full((3, 4, 3), float(len(counts)))
+        image[0, 0] = np.nan
+        image[1, 1, 2] = np.nan if len(counts) == 2 else 0
+        counts.append(spp)
+        return image
+
+    monkeypatch.setattr(mi, "render", render)
+    image, lost = relit._rendered(mi.load_dict(scene), 10, 0)
+    assert counts == [3, 3, 3, 1] and lost == 2
+    assert np.isnan(image[0, 0]).all() and np.isfinite(image).sum() == 11 * 3
+    assert image[2, 3] == pytest.approx((0 * 3 + 1 * 3 + 2 * 3 + 3) / 10)
+    assert image[1, 1, 0] == pytest.approx((0 * 3 + 1 * 3 + 3) / 7)
+
+
+def test_a_view_whose_rendering_is_none_is_left_out(run, tmp_path, monkeypatch, capsys):
+    honest = relit._rendered
+
+    def broken(scene, spp, seed):
+        image, _ = honest(scene, spp, seed)
+        return (image, 0) if seed else (np.full_like(image, np.nan), image[..., 0].size)
+
+    monkeypatch.setattr(relit, "_rendered", broken)
+    words = ["--light", str(run / "sky.exr"), "--spp", "4", "--output", str(tmp_path)]
+    assert main(["relight", str(run / "run"), str(run / "set"), *words]) == 0
+    found = json.loads((tmp_path / "scores.json").read_text())
+    assert found["left_out"] == ["view_0.exr"] and np.isfinite(found["mean"]["psnr_h"])
+    said = " ".join(capsys.readouterr().err.split())
+    assert f"view_0.exr: of {SIZE[0] * SIZE[1]} pixels paths that are no numbers" in said
+    assert "view_0.exr: left out: its rendering has pixels that are no numbers" in said
+
+
+def test_pictures_in_another_unit_are_said(run, tmp_path, capsys):
+    shutil.copytree(run / "set", tmp_path / "set")
+    for number in range(len(PLACES)):
+        file = tmp_path / f"set/view_{number}.exr"
+        images.write_exr(file, 1000 * images.read(file), [*"RGB"], {})
+    words = ["--light", str(run / "sky.exr"), "--spp", "4", "--output", str(tmp_path / "out")]
+    for folder, told in ((run, False), (tmp_path, True)):
+        assert main(["relight", str(run / "run"), str(folder / "set"), *words]) == 0
+        said = " ".join(capsys.readouterr().err.split())
+        assert ("mostly brighter than 1 or all below 0.05" in said) is told

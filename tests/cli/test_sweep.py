@@ -443,6 +443,59 @@ def test_no_job_begins_after_an_interruption_that_came_too_late(isas, monkeypatc
     assert err.splitlines()[-1] == "isas: interrupted"
 
 
+def test_while_many_jobs_are_composed_it_is_said_and_can_be_stopped(isas, monkeypatch):
+    numbers, planned = [], sweep.planned
+
+    def stopped(own, label, number):
+        numbers.append(number)
+        if number == 1:
+            signal.raise_signal(signal.SIGINT)
+        return planned(own, label, number)
+
+    monkeypatch.setattr(sweep, "planned", stopped)
+    monkeypatch.setattr(sweep, "_TOLD_SECONDS", -1.0)
+    status, _, err = isas("run", *TINY, "-m", "seed=1,2,3")
+    assert (status, numbers) == (130, [0, 1]) and not Path("runs").exists()
+    lines = err.splitlines()
+    assert [line for line in lines if "composed" in line] == [
+        "0 of 3 jobs composed",
+        "1 of 3 jobs composed",
+    ]
+    assert lines[-1] == "isas: interrupted"
+
+
+def test_a_cluster_is_given_many_jobs_in_several_arrays(monkeypatch):
+    """Where the second is refused, the first does not go on by itself."""
+    arrays, asked, cancelled = [], {}, []
+
+    class Executor:
+        def __init__(self, *given, **named):
+            pass
+
+        def update_parameters(self, **named):
+            asked.update(named)
+
+        def map_array(self, do, jobs):
+            if refuse and arrays:
+                raise RuntimeError("too many")
+            arrays.append(jobs)
+            done = {"done": lambda: True, "result": lambda: None}
+            cancel = lambda check: cancelled.append(check)
+            return [SimpleNamespace(**done, cancel=cancel) for _ in jobs]
+
+    monkeypatch.setitem(sys.modules, "submitit", SimpleNamespace(AutoExecutor=Executor))
+    cluster, refuse = launchers.Submitit("slurm", "here", array_parallelism=64), False
+    jobs = list(range(1500))
+    assert len(list(cluster.launch(None, jobs, lambda: False))) == 1500
+    assert [len(each) for each in arrays] == [1000, 500] and sum(arrays, []) == jobs
+    assert asked == {"slurm_array_parallelism": 32}
+    arrays.clear()
+    refuse = True
+    with pytest.raises(InputError, match="submitit cannot launch the jobs: too many"):
+        list(cluster.launch(None, jobs, lambda: False))
+    assert len(cancelled) == 1000
+
+
 def test_a_job_whose_worker_is_lost_is_recorded_and_ends_no_other(isas, monkeypatch):
     calls = []
 

@@ -155,6 +155,22 @@ def test_files_of_parts_are_looked_for_where_the_scene_looks(tmp_path):
     assert {tmp_path / name for name in names} <= set(paths._within(main, {main}))
 
 
+def test_defaults_are_put_in_as_mitsuba_does(tmp_path):
+    """Of names the longest first, and those of the scene around before a part's own."""
+    main, part = tmp_path / "a.xml", tmp_path / "b.xml"
+    main.write_text(
+        "<scene><default name='tex' value='c'/><default name='texture' value='d'/>"
+        "<include filename='b.xml'/></scene>"
+    )
+    part.write_text(
+        "<scene><default name='tex' value='z'/><string name='filename' value='$tex.png'/>"
+        "<string name='filename' value='$texture.png'/></scene>"
+    )
+    pictures = {tmp_path / name for name in ("c.png", "d.png")}
+    found = paths._within(main, {main})  # values of defaults are names, too
+    assert {each for each in found if each.suffix == ".png"} == pictures
+
+
 def test_files_of_files_are_asked_when_they_were_changed(tmp_path):
     main, part, picture = (tmp_path / name for name in ("a.xml", "b.xml", "c.png"))
     main.write_text("<scene><include filename='b.xml'/></scene>")

@@ -80,6 +80,20 @@ def test_noise_where_an_unknown_does_not_show_is_of_no_account():
     assert loud.parameter_rmse == pytest.approx(quiet.parameter_rmse, rel=0.1)
 
 
+def test_no_more_is_fitted_than_there_is():
+    """By a texture that is finer than the pixels that show it, whose noise is all there is."""
+    p = problem({TEXTURE: 0.5}, constant_target=None, size=16)
+    pixels = p.views.total
+    assert p.unknowns[TEXTURE].truth.size > 3 * pixels
+    evaluator = Evaluator(p, L2(), pixels, 256, 1)
+    hides = evaluator.products(p.unknowns.starts()) == 0
+    assert 0.1 < hides.mean() < 0.9
+    p.variance = np.where(hides, 0, 0.05**2).astype(np.float32)
+    found = evaluator.floor
+    print(found.image_rmse / found.pixel_rms)
+    assert 0.4 * found.pixel_rms < found.image_rmse <= found.pixel_rms
+
+
 def test_what_is_not_known_has_none():
     assert measured("target.spp=1")[1] is None
     p = problem({TEXTURE: 0.5})

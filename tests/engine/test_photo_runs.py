@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 import isas_cli
 from isas_cli.config.schema import PhotosConfig
+from isas_cli.engine import held_out
 from isas_cli.engine.recorder import Recorder
 from isas_cli.estimators import two_path
 from isas_cli.estimators.two_path import TwoPath
@@ -213,6 +214,24 @@ def test_scoring_views_held_out_is_told_and_may_be_given_up(photographed):
     found, said = scored(3)
     assert list(found["views"]) == ["view_2.exr", "view_3.exr"] and "left_out" not in found
     assert said[1:] == ["held-out views 2 of 2"]
+
+
+def test_photographs_in_another_unit_are_scored_as_a_screen_shows_them(photographed):
+    """By one factor for all: else all is white, and alike, or black."""
+    made, found = problem(*photographed, "photos.test=[view_0,view_1]"), []
+    targets, counts = np.array(made.held_out.targets), np.array(made.held_out.mask) > 0
+    for unit in (1e-3, 1, 1e3):
+        made.held_out.targets = own(mi.Float, np.float32(unit * targets))
+        made.held_out.views.given = own(mi.Float, np.full(6, unit, np.float32))
+        found.append(held_out.measure(made.held_out, made.unknowns.starts(), 1, 1, MagicMock()))
+    dim, usual, bright = found
+    white = np.percentile(targets.reshape(-1, 3)[counts], 99)
+    assert usual["scale"] == 1 and bright["scale"] == pytest.approx(1e-3 / white, rel=1e-4)
+    assert dim["scale"] == pytest.approx(1e3 / white, rel=1e-4)
+    assert dim["mean"]["psnr"] == pytest.approx(bright["mean"]["psnr"], abs=0.01)
+    assert abs(dim["mean"]["psnr"] - usual["mean"]["psnr"]) < 6
+    shares = [each["counted"] for each in usual["views"].values()]
+    assert shares == pytest.approx(counts.reshape(2, -1).mean(axis=1))
 
 
 def test_silhouettes_are_where_rays_see_them(photographed):

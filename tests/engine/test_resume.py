@@ -409,6 +409,14 @@ def test_what_does_not_go_on_is_refused_before_targets(
         race.run([entry], 1.0, lambda: None)
 
 
+def test_what_a_checkpoint_held_is_let_go_once_it_is_taken_over(finished, tmp_path, monkeypatch):
+    folder, prepare, made = tmp_path / "copy", resumption.prepare, []
+    shutil.copytree(finished, folder)
+    monkeypatch.setattr(resumption, "prepare", lambda *g: made.append(prepare(*g)) or made[0])
+    assert experiment.resume(folder, {"budget.iterations": 90}) == 0
+    assert made[0].arrays == {}
+
+
 def test_what_another_process_did_meanwhile_is_kept(finished, tmp_path, monkeypatch):
     """While the scene was loaded and its kernels were made."""
     folder, prepare = tmp_path / "copy", resumption.prepare

@@ -181,6 +181,26 @@ def test_a_reach_where_pixels_see_along_many_rays_is_refused(sensor, sharp):
         Locality(p, Blur(p, "test"), 8)
 
 
+def test_a_reach_with_a_camera_of_a_batch_that_moves_is_refused():
+    film = {"type": "hdrfilm", "width": 4, "height": 2, "rfilter": {"type": "box"}}
+    cameras = {"a": {"type": "perspective"}, "b": {"type": "perspective"}}
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 2},
+        "sky": {"type": "constant"},
+        "ball": {"type": "sphere", "center": [0, 0, 3], "radius": 0.1},
+        "pair": {"type": "batch", "film": film} | cameras,
+    }
+    kind = {"kind": "translation", "directions": [[0, 1, 0]]}
+    poses = {KEY: PoseConfig(objects=["ball"], **kind)}
+    poses["eye.place"] = PoseConfig(objects=["pair.a"], **kind)
+    moved = {key: UnknownConfig(start=0.0, blur=BlurConfig(start=1, end=1)) for key in poses}
+    moved[KEY].blur.reach = 1
+    p = without_targets(scene, moved, poses)
+    with pytest.raises(InputError, match="only where no pose moves a camera"):
+        Locality(p, Blur(p, "test"), 8)
+
+
 def test_a_reach_of_more_sums_than_fit_is_refused():
     with pytest.raises(InputError, match="3 parts times estimator.batch=1000000000 .* smaller"):
         p = cards(0.4)

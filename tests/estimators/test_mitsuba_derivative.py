@@ -81,27 +81,9 @@ def test_what_is_no_shape_cannot_be_moved_by_mitsubas_derivative(moved, smooth):
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("smooth", (None, "image", "loss"))
-def test_paths_are_counted_as_they_are_traced(smooth, monkeypatch):
-    p, render, traced = blurred_problem(glows=True), mi.render, []
-
-    def counted(*given, sensor, spp, **more):
-        width, height = sensor.film().crop_size()
-        traced.append((spp + more.get("spp_grad", 0)) * int(width) * int(height))
-        return render(*given, sensor=sensor, spp=spp, **more)
-
-    monkeypatch.setattr(mi, "render", counted)
-    estimator = WholeImages(p, losses.L2(), 2 * BATCH, smooth, silhouettes="direct")
-    rows(estimator, p, 1)
-    assert sum(traced) == estimator.paths_per_step
-
-
-def test_a_scenes_sampler_makes_no_more_paths(monkeypatch):
-    """A stratified one has squares of numbers alone."""
-    scene = description()
-    scene["sensor_000"] |= {"sampler": {"type": "stratified", "sample_count": 4}}
-    p = without_targets(scene, {COLOUR: 0.5})
-    render_targets(p, 16)
+def count_paths(monkeypatch) -> list[int]:
+    """How many of Mitsuba's samples of images, derivatives and silhouettes are begun from now on,
+    a number for each launch."""
     prepare, traced = ADIntegrator.prepare, []
 
     def counted(self, *given, **named):
@@ -110,6 +92,33 @@ def test_a_scenes_sampler_makes_no_more_paths(monkeypatch):
         return sampler, spp
 
     monkeypatch.setattr(ADIntegrator, "prepare", counted)
+    return traced
+
+
+@pytest.mark.parametrize("smooth", (None, "image", "loss"))
+def test_paths_are_counted_as_they_are_traced(smooth, monkeypatch):
+    p, traced = blurred_problem(glows=True), count_paths(monkeypatch)
+    estimator = WholeImages(p, losses.L2(), 2 * BATCH, smooth, silhouettes="direct")
+    rows(estimator, p, 1)
+    assert sum(traced) == estimator.paths_per_step
+
+
+def test_silhouettes_by_way_of_others_are_counted_too(monkeypatch):
+    p, traced = under_a_sky(others=("wall",)), count_paths(monkeypatch)
+    render_targets(p, 1)
+    estimator = WholeImages(p, losses.L2(), 2 * BATCH)
+    traced.clear()
+    rows(estimator, p, 1)
+    assert sum(traced) == estimator.paths_per_step == 4 * estimator.spp * p.views.total
+
+
+def test_a_scenes_sampler_makes_no_more_paths(monkeypatch):
+    """A stratified one has squares of numbers alone."""
+    scene = description()
+    scene["sensor_000"] |= {"sampler": {"type": "stratified", "sample_count": 4}}
+    p = without_targets(scene, {COLOUR: 0.5})
+    render_targets(p, 16)
+    traced = count_paths(monkeypatch)
     estimator = WholeImages(p, losses.L2(), 3 * p.views.total)
     rows(estimator, p, 1)
     assert sum(traced) == estimator.paths_per_step == 2 * 3 * p.views.total

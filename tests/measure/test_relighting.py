@@ -9,6 +9,7 @@ import trimesh
 from isas_cli.measure import relighting
 from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
+from isas_cli.scene.photos.camera import Camera
 from isas_cli.scene.shape_error import Sampled
 
 SIDE = 24
@@ -192,3 +193,39 @@ def test_no_number_counts_inside_a_mask_alone(files, target):
     images.write_exr(files / "test/001.exr", broken, [*"RGB"], {})
     with pytest.raises(InputError, match="frame 1: 1 pixels are NaN or infinite"):
         relighting.of_set(novel, mine)
+
+
+def test_a_picture_that_was_cut_off_at_white_asks_for_no_highlights(files, target, mask):
+    """A rendering that has them is perfect, but for its brightness; of the picture's no PSNR-H is
+    told, nor a factor where all of it is white."""
+    target[8:12, 10:14] = 20
+    pixels = np.dstack([images.to_display(target), images.to_display(mask)])
+    images.write_png(files / "test/000.png", pixels)
+    images.write_exr(files / "mine/000.exr", 2 * target, [*"RGB"], {})
+    found = relighting.of_set(files / "transforms_novel.json", files / "mine")
+    views = found["views"]
+    assert views["test/000"]["psnr_h"] is None
+    assert views["test/000"]["psnr_l"] > 45 and views["test/000"]["ssim"] > 0.99
+    others = [views[f"test/{number:03d}"]["psnr_h"] for number in (1, 2)]
+    assert found["mean"]["psnr_h"] == pytest.approx(np.mean(others))
+    with pytest.raises(relighting.Nothing, match="is white, which tells no factor"):
+        relighting.pictures(target, target, mask, white=np.ones(mask.shape, bool))
+
+
+def test_a_target_in_another_unit_is_told(target, mask):
+    for unit, told in ((1e-3, False), (1, True), (1e3, False)):
+        found = relighting.pictures(target, unit * target, mask)
+        assert found["in_range"] is told
+
+
+def test_a_rendering_with_no_number_inside_its_mask_is_none(tmp_path, target, mask):
+    images.write_exr(tmp_path / "a.exr", target, [*"RGB"], {})
+    images.write_png(tmp_path / "mask.png", images.to_display(np.dstack([mask] * 3)))
+    camera = Camera("a", tmp_path / "a.exr", SIDE, SIDE, 20.0, 20.0, 12.0, 12.0, np.eye(4))
+    image = target.astype(np.float32)
+    told = camera, camera, tmp_path / "mask.png", "view a", False, True
+    image[0, 10, 1] = np.nan
+    assert relighting.of_picture(image, *told)["psnr_h"] > 100
+    image[10, 10, 1] = np.nan
+    with pytest.raises(relighting.Nothing, match="view a: its rendering has pixels that are no"):
+        relighting.of_picture(image, *told)

@@ -62,6 +62,16 @@ def test_runs_are_found_below_a_folder_but_not_within_a_run(tmp_path):
     assert follow.find(tmp_path / "a") == [tmp_path / "a"]
 
 
+def test_of_runs_that_are_known_no_manifest_is_read_again(tmp_path, monkeypatch):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "manifest.json").write_text("{}")
+    read, measures = [], follow.measures
+    monkeypatch.setattr(follow, "measures", lambda place: read.append(place) or measures(place))
+    assert follow.find(tmp_path, {tmp_path / "a"}) == [tmp_path / "a", tmp_path / "b"]
+    assert read == [tmp_path / "b"]
+
+
 def test_a_folder_that_may_not_be_read_is_among_them_and_says_why(tmp_path, monkeypatch):
     run(tmp_path / "a", status="done")
     run(tmp_path / "b" / "seed1", status="done")

@@ -281,6 +281,15 @@ def test_every_key_has_a_file_name_of_its_own_that_gives_it_back():
     assert len(set(names)) == len(keys) and not any("/" in name for name in names)
 
 
+def test_letters_of_other_scripts_do_not_make_names_longer_than_files_have(tmp_path):
+    key = f"{'白い陶器の花瓶' * 9}.bsdf.base_color.data"
+    records.write_text(tmp_path / f"turntable_{records.safe_name(key)}.webp", "")
+    (path,) = tmp_path.iterdir()
+    assert records.key_of(path.stem.removeprefix("turntable_")) == key
+    # Accents that are signs of their own are quoted: some systems would join them to the letter.
+    assert records.safe_name("e\u0301") == "e%CC%81" and records.safe_name("\u00e9") == "\u00e9"
+
+
 def test_a_record_is_not_read_where_another_has_taken_its_place(tmp_path):
     """Nor where it went on: its history would be of another length."""
     writer = records.RunWriter(tmp_path)

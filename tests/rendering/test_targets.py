@@ -110,6 +110,18 @@ def test_the_content_hash_sees_what_matters():
     assert len(hashes) == 4
 
 
+def test_the_content_hash_sees_what_a_transforms_text_rounds():
+    def placed(x: float) -> str:
+        place = mi.ScalarTransform4f().translate([x, 0, 0])
+        shape = {"type": "sphere", "to_world": place}
+        scene = mi.load_dict({"type": "scene", "ball": shape}, optimize=False)
+        params = mi.traverse(scene)
+        assert "1.23457e+06" in str(params["ball.to_world"])
+        return assemble._content_hash("", None, params)
+
+    assert placed(1234567.0) == placed(1234567.0) != placed(1234567.5)
+
+
 def test_the_content_hash_leaves_areas_out():
     """A GPU adds them up in any order."""
     scene = mi.load_dict(dictionary(), optimize=False)

@@ -81,6 +81,19 @@ def test_a_scene_without_such_derivatives_can_be_traced_and_all_entries_count():
     assert np.all(made.unknowns[MIRROR].seen)
 
 
+GLOSS = "floor.bsdf.clearcoat_gloss.value"
+
+
+def test_an_unknown_that_no_path_reads_is_told_by_its_cause_beside_hidden_emitters():
+    coat = {"type": "principled", "clearcoat": 0.0, "clearcoat_gloss": 0.5}
+    floor = {"type": "rectangle", "bsdf": coat}
+    made = problem(GLOSS, hidden=True, floor=floor)
+    made.unknowns[GLOSS].asked = True
+    trial.look(made, "here")
+    with pytest.raises(InputError, match="while 'clearcoat' is 0"):
+        coverage.fill_in(made, 0)
+
+
 def checked(made, sampler: str = "ours") -> str:
     settings = configured("estimator", "two_path", {"batch": 64})
     with pytest.raises(InputError) as refused:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+import pandas
 import pictured_runs as pictured
 import pytest
 from matplotlib.colors import to_rgba
@@ -223,6 +224,14 @@ def test_gradient_noise_is_shown_from_the_second_iteration_on(comparison):
     ((late, noise),) = inside.histories(runs, "gradient_noise")
     assert len(norm) == len(rows) - 1 and len(noise) == len(rows) - 2
     assert np.array_equal(late, seconds[1:])
+
+
+def test_of_very_many_rows_some_are_drawn_with_the_last(comparison):
+    run = comparison.methods[0].runs[0]
+    rows = pandas.DataFrame({"iteration": range(2, 20_002), "seconds": range(20_000)}) * 1.0
+    ((seconds, loss),) = inside.histories([replace(run, history=rows.assign(loss=1.0))], "loss")
+    assert 500 <= len(loss) < 1000 and seconds[-1] == 19_999
+    assert np.all(np.diff(seconds) > 0)
 
 
 def test_one_run_has_no_speed_up_and_photographs_no_parameter_error(tmp_path):

@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -77,12 +78,37 @@ def test_home_is_a_folders_beginning(monkeypatch):
     assert cache.folder() == Path.home() / "cached"
 
 
-def test_what_does_not_fit_is_kept_until_the_next(folder, monkeypatch):
-    monkeypatch.setenv("ISAS_CACHE_GIB", "1e-7")
+def test_what_is_larger_than_all_of_it_drops_nothing_and_is_said_once(folder, monkeypatch, capfd):
+    """Kept, it would have gone with the next entry, after all others had gone for it."""
+    monkeypatch.setattr(cache, "_too_large", set())
+    monkeypatch.setattr(cache, "_KEPT_EVERY", 0.0)
+    monkeypatch.setenv("ISAS_CACHE_GIB", str(100e3 / 2**30))
     stored("a", 1000.0)
-    assert words(folder) == ["a"]
-    stored("b", 2000.0)
-    assert words(folder) == ["b"]
+    large = {"x": np.zeros(20_000)}
+    for _ in range(2):
+        assert cache.cached(key("b"), lambda: large) is large
+    with pytest.raises(KeyboardInterrupt), cache.unfinished(key("b")) as (part, keep):
+        keep(lambda: large)
+        raise KeyboardInterrupt
+    assert part == {} and words(folder) == ["a"]
+    (told,) = capfd.readouterr().err.splitlines()
+    assert told.startswith(f"{key('b')} takes 0.000149 GiB") and "ISAS_CACHE_GIB=N" in told
+
+
+def test_what_takes_long_to_write_is_written_seldom(folder, monkeypatch):
+    now, written = [0.0], []
+
+    def store(*given) -> None:
+        written.append(now[0])
+        now[0] += 4.0
+
+    monkeypatch.setattr(cache, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(cache, "_store", store)
+    with cache.unfinished("long") as (_, keep):
+        for _ in range(60):
+            now[0] += 5.0
+            keep(lambda: {})
+    assert len(written) == 2 and written[0] == 25.0 and 200 < written[1] - written[0] < 210
 
 
 def test_a_damaged_entry_is_made_anew(folder):

@@ -68,7 +68,7 @@ def test_a_run_whose_terminal_is_gone_ends_but_under_nohup(before):
             with pytest.raises(subprocess.TimeoutExpired):
                 loop.wait(1)
             loop.send_signal(signal.SIGINT)
-        assert float(loop.communicate(timeout=30)[0]) > 0
+        assert float(loop.communicate(timeout=30)[0]) >= 0 and loop.returncode == 0
     finally:
         loop.kill()
 

@@ -36,6 +36,12 @@ def test_what_does_not_count_changes_nothing():
     assert likeness.metrics(both, ruined, mask) == likeness.metrics(worse, PICTURE, mask)
 
 
+def test_what_a_screen_shows_is_in_range():
+    assert likeness.in_range(PICTURE) and likeness.in_range(np.ones((4, 4, 3)))
+    assert not likeness.in_range(0.04 * PICTURE) and not likeness.in_range(100 * PICTURE)
+    assert not likeness.in_range(np.zeros((0, 3)))
+
+
 def test_ssim_by_hand():
     """One window, summed up without a filter: Wang et al. 2004, Eq. 13."""
     a, b = RNG.random((2, 11, 11))

@@ -88,10 +88,19 @@ def test_triangles_without_area_cross_nothing():
     assert not len(crossing(np.zeros((3, 3)), np.array([[0, 1, 2], [0, 1, 2]])))
 
 
+def test_of_a_mesh_of_many_triangles_no_part_is_left_out(monkeypatch):
+    """Its triangles come close to more others the more it has."""
+    positions, faces = two(1.5, level=3)
+    every = crossing(positions, faces)
+    monkeypatch.setattr(crossings, "_MOST", 100)
+    assert len(every) and np.array_equal(crossing(positions, faces), every)
+
+
 def test_of_more_than_can_be_held_some_are_found(rng, monkeypatch):
     positions, faces = rng.random((300, 3)), np.arange(300).reshape(-1, 3)
     every = crossing(positions, faces)
     monkeypatch.setattr(crossings, "_MOST", 500)
+    monkeypatch.setattr(crossings, "_EACH", 1)
     some = crossing(positions, faces)
     assert 0 < len(some) < len(every) and set(some) <= set(every)
     monkeypatch.setattr(crossings, "_AT_ONCE", 7)

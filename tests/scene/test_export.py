@@ -513,14 +513,15 @@ def test_what_the_scene_had_before_is_no_start_that_is_checked(folder, name):
         np.testing.assert_allclose(value.ravel(), array.ravel(), rtol=1e-4)
 
 
-def test_a_length_of_paths_that_was_asked_for_is_in_the_file(folder):
+@pytest.mark.parametrize("kind", ["direct", "direct_projective"])
+def test_a_length_of_paths_that_was_asked_for_is_in_the_file(folder, kind):
     arrays = {ROUGH: np.array([0.25], np.float32)}
     config = scene(folder / "scene.xml", arrays)
     config.max_depth = 2
     path, told = export.write(config, arrays, folder / "result")
     assert of_xml(told) == [] and "max_depth = 2" in str(mi.load_file(str(path)).integrator())
     (folder / "scene.xml").write_text(
-        SCENE.replace('type="path"', 'type="direct"').replace(
+        SCENE.replace('type="path"', f'type="{kind}"').replace(
             '<integer name="max_depth" value="3"/>', ""
         )
     )

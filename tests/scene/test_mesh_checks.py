@@ -334,6 +334,43 @@ def test_a_run_says_and_records_what_is_wrong_with_its_meshes(folder, capsys):
     assert not (folder / "s").exists()
 
 
+ASCII = """ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+property float u
+property float v
+element face {faces}
+property list uchar int vertex_indices
+end_header
+"""
+CORNERS = "0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n"
+
+
+@pytest.mark.parametrize(
+    "body, faces",
+    [
+        (f"\n{CORNERS}\n3 0 1 2\n", 1),
+        (CORNERS.replace("\n", " ") + "3 0 1 2\n", 1),
+        (f"{CORNERS}3 0 1 2 3 2 1 0\n", 2),
+    ],
+    ids=["blank lines", "one line", "faces in one line"],
+)
+def test_an_ascii_ply_may_have_other_lines(tmp_path, body, faces):
+    """As Mitsuba reads it, which takes no notice of them; what is damaged is said all the same."""
+    file, scene = tmp_path / "it.ply", tmp_path / "it.xml"
+    shape = '<shape type="ply"><string name="filename" value="it.ply"/></shape>'
+    scene.write_text(f'<scene version="3.0.0">{shape}{camera()}</scene>')
+    file.write_text(ASCII.format(faces=faces) + body)
+    (mesh,) = scene_file.load(str(scene), None)[0].shapes()
+    assert (mesh.vertex_count(), mesh.face_count()) == (3, faces)
+    file.write_text(ASCII.format(faces=1) + f"{CORNERS}3 0 1 7\n")
+    with pytest.raises(InputError, match="it.ply: triangles name vertices that are not there"):
+        scene_file.load(str(scene), None)
+
+
 GREEN = '<texture type="bitmap" name="reflectance"><string name="filename" value="a.png"/>'
 BARE = f"""<scene version="3.0.0"><shape type="shapegroup" id="group">
   <shape type="ply" id="leaf"><string name="filename" value="bare.ply"/>

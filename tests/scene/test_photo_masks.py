@@ -13,7 +13,7 @@ from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 from isas_cli.config.schema import PhotosConfig
 from isas_cli.runtime import images
 from isas_cli.runtime.errors import InputError
-from isas_cli.scene.photos import photographs, rims
+from isas_cli.scene.photos import importing, photographs, rims
 
 
 @pytest.fixture
@@ -199,6 +199,16 @@ def test_labels_are_no_weights(tmp_path, taken):
     images.write_png(path, pixels)
     (told,) = taken().warnings
     assert "the masks of 1 of 3 pictures" in told and "masks/002.png" in told and "labels" in told
+
+
+def test_what_the_object_fills_is_resampled_once(tmp_path, taken, monkeypatch):
+    for number in range(3):
+        mask(tmp_path / f"masks/{number:03d}.png")
+    first = taken(background="black", width=SIZE[0] // 2).shown[0].part
+    monkeypatch.setattr(importing, "_noise_kept", lambda *_: 1.0)
+    monkeypatch.setattr(importing, "resample", lambda *_: pytest.fail("resampled again"))
+    again = taken(background="black", width=SIZE[0] // 2).shown[0].part
+    np.testing.assert_array_equal(again, first)
 
 
 def test_white_of_a_dynamic_mask_does_not_count(tmp_path, taken):

@@ -29,7 +29,7 @@ GLASS = FOG.replace('type="null"', 'type="roughdielectric"')
 def loaded(folder, more: str, kind: str, depth: int, hidden=False, **settings):
     """The problem, and what the file's own integrator shows in the mean, and what replays it."""
     integrator = INTEGRATOR.format(kind=kind, depth=depth, hidden=str(hidden).lower())
-    if kind == "direct":  # whose paths have one length
+    if kind.startswith("direct"):  # whose paths have one length
         integrator = re.sub(r'<integer name="max_depth"[^>]*/>', "", integrator)
     path = folder / "scene.xml"
     path.write_text(XML.format(integrator=integrator, more=more))
@@ -37,7 +37,7 @@ def loaded(folder, more: str, kind: str, depth: int, hidden=False, **settings):
     config = SceneConfig(name="file", path=str(path), unknowns=unknowns, **settings)
     made = assemble.bare(config)[0]
     given = {"type": kind, "hide_emitters": hidden}
-    if kind != "direct":
+    if not kind.startswith("direct"):
         given["max_depth"] = settings.get("max_depth", depth)
     means = []
     with backend.loading():
@@ -164,6 +164,37 @@ def test_a_direct_integrator_without_samples_of_materials(tmp_path, monkeypatch)
     monkeypatch.setitem(globals(), "INTEGRATOR", f"{own}</integrator>")
     (told,), _ = loaded(tmp_path, MIRROR, "direct", 2)
     assert "takes no samples of materials (bsdf_samples)" in told
+
+
+LAMP = """<shape type="sphere"><point name="center" x="0" y="-0.6" z="0"/>
+  <float name="radius" value="0.4"/><emitter type="area"/>
+  <bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf></shape>"""
+POINT = """<emitter type="point"><point name="position" x="0" y="1" z="0"/>
+  <rgb name="intensity" value="20"/></emitter>"""
+
+
+@pytest.mark.parametrize("kind", ["prb_projective", "direct_projective"])
+def test_hidden_lamps_of_projective_integrators(tmp_path, kind):
+    """They stay where a camera sees them, shining or dark."""
+    (told,), (own, other) = loaded(tmp_path, LAMP, kind, 2, hidden=True)
+    assert f"'{kind}' of the file is replayed by prb, which looks through hidden lamps" in told
+    assert told.endswith("without hide_emitters they do not")
+    assert abs(other.mean() / own.mean() - 1) > 0.02
+    for more, hidden in ((LAMP, False), (GAP, True)):
+        told, (own, other) = loaded(tmp_path, more, kind, 2, hidden=hidden)
+        assert told == [] and abs(other.mean() / own.mean() - 1) < 0.02
+
+
+def test_lights_that_chance_does_not_find(tmp_path, monkeypatch):
+    (told,), (own, other) = loaded(tmp_path, POINT, "prb_basic", 2)
+    assert "takes no samples of lights" in told and "with integrator 'prb' they" in told
+    assert other.mean() / own.mean() > 1.05
+    assert loaded(tmp_path, LAMP, "prb_basic", 2)[0] == []
+    none = '<integer name="emitter_samples" value="0"/></integrator>'
+    monkeypatch.setitem(globals(), "INTEGRATOR", INTEGRATOR.replace("</integrator>", none))
+    (told,), _ = loaded(tmp_path, POINT, "direct", 2)
+    assert "'direct' of the file takes no samples of lights" in told and "of 1 or more" in told
+    assert loaded(tmp_path, LAMP, "direct", 2)[0] == []
 
 
 def test_a_camera_in_a_medium_alone_that_it_does_not_name(tmp_path, monkeypatch):

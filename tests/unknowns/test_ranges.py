@@ -363,8 +363,10 @@ def test_a_grid_s_range_is_of_what_its_medium_makes_of_it():
     fog = {"type": "heterogeneous", "sigma_t": counts, "albedo": 0.5, "scale": 1e-4}
     described = {"type": "scene", "box": {"type": "cube", "interior": fog}}
     params = mi.traverse(mi.load_dict(described, optimize=False))
-    (made,) = parse(params, {"box.interior_medium.sigma_t.data": UnknownConfig(start=1e4)}, True)
-    assert made.high == pytest.approx(1e8) and made.kind.unit == ""
+    keys = "box.interior_medium.sigma_t.data", "box.interior_medium.albedo.value.value"
+    found = parse(params, {k: UnknownConfig(start=s) for k, s in zip(keys, (1e4, 0.4))}, True)
+    assert found[0].high == pytest.approx(1e8)
+    assert found[0].kind.unit == "0.0001 × 1 / scene unit" and found[1].kind.unit == ""
 
 
 def test_what_thin_glass_lets_through_is_a_colour():

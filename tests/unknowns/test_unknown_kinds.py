@@ -97,7 +97,7 @@ def test_recorded_kernels_follow_an_environment_map(rng):
     assert np.abs(traced[4] - traced[5]).max() > 0.01 * np.abs(traced[4]).max()
 
 
-def test_light_and_colour_that_can_trade_brightness(rng):
+def test_light_and_colour_that_can_trade_brightness(rng, monkeypatch):
     """A factor a channel between a map and its truth leaves nothing; what else differs stays."""
     made = without_targets(lit("map"), STARTS | UNDER["map"])
     roles = {made.unknowns[key].kind.role for key in made.unknowns.traded}
@@ -114,6 +114,13 @@ def test_light_and_colour_that_can_trade_brightness(rng):
     assert sky.scaled_error(array) == pytest.approx(expected, 1e-4)
     assert sky.scaled_error(array) < 0.3 * sky.error(array)
     assert sky.scaled_error(sky.truth * np.float32([0.5, 1, 3])) < 1e-6
+    kinds, error = [], type(sky.kind).error
+    with monkeypatch.context() as patched:
+        patched.setattr(
+            type(sky.kind), "error", lambda s, a, *more: kinds.append(a.dtype) or error(s, a, *more)
+        )
+        sky.scaled_error(array)
+    assert kinds == [np.float32], "of a large grid twice as much would be held"
     alone = without_targets(lit("map"), {"sky.data": 0.5})
     assert alone.unknowns.traded == []
 

@@ -14,6 +14,8 @@ import trimesh
 from isas_cli.scenes import kirby, meshes
 from PIL import Image
 from scenes_for_tests import without_targets
+from scipy import sparse
+from scipy.sparse import linalg
 from shapes_for_tests import KEY, ball, problem, shaped
 from xml_for_tests import camera, paths
 
@@ -28,6 +30,7 @@ from isas_cli.scene.mesh_files import upwards
 from isas_cli.scene.shape_error import Sampled, apart
 from isas_cli.scene.topology import Topology
 from isas_cli.unknowns.kind import Surface
+from isas_cli.unknowns.mesh import Mesh
 
 MATT = {"type": "diffuse"}
 
@@ -107,6 +110,14 @@ def test_both_solvers_spread_alike(monkeypatch):
             monkeypatch.setitem(sys.modules, "cholespy", None)
         found.append(kind.smoothed(gradient))
     np.testing.assert_allclose(*found, atol=1e-12)
+
+
+def test_a_factor_of_the_matrix_stays_sparse(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cholespy", None)
+    topology = problem(views=1, side=8).unknowns[KEY].kind.topology
+    mesh = Mesh(topology, topology.faces)
+    matrix = sparse.identity(topology.count) + mesh.stiffness * topology.laplacian()
+    assert mesh.solve.__self__.nnz < 0.9 * linalg.splu(matrix.tocsc()).nnz
 
 
 def test_what_is_no_result_is_said():

@@ -32,6 +32,7 @@ _OURS = [*_EXTRAS, ("launcher", "joblib")]
 # What submitit asks of every kind of cluster; all else it asks of SLURM alone.
 _OF_ALL = ("name", "timeout_min", "mem_gb", "nodes", "cpus_per_task", "gpus_per_node")
 _OF_ALL += ("tasks_per_node", "stderr_to_stdout")
+_ARRAY = 1000  # jobs that SLURM takes in one array, unless MaxArraySize says otherwise
 _POLL_SECONDS = 0.5
 _LAST_SECONDS = 60.0  # for what has been told to stop
 _PREEMPTED_SECONDS = 600.0  # between SIGTERM and what SLURM does then
@@ -138,11 +139,19 @@ class Submitit:
         import submitit
 
         most = {"slurm_max_num_timeout": self.most} if self.cluster == "slurm" else {}
+        arrays, at_once = -(-len(jobs) // _ARRAY), "slurm_array_parallelism"
+        asked, submitted = dict(self.parameters), []
+        if at_once in asked:  # of all arrays together
+            asked[at_once] = max(1, asked[at_once] // arrays)
         try:
             executor = submitit.AutoExecutor(self.folder, cluster=self.cluster, **most)
-            executor.update_parameters(**self.parameters)
-            submitted = executor.map_array(_Resumed(do, self.cluster == "slurm"), jobs)
+            executor.update_parameters(**asked)
+            resumed = _Resumed(do, self.cluster == "slurm")
+            for begin in range(0, len(jobs), _ARRAY):
+                submitted += executor.map_array(resumed, jobs[begin : begin + _ARRAY])
         except Exception as error:
+            for other in submitted:
+                other.cancel(check=False)
             raise _refused("submitit", error) from error
         for job in submitted:
             while not job.done():

@@ -9,6 +9,7 @@ import contextlib
 import itertools
 import os
 import re
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -32,6 +33,7 @@ from .outcome import Outcome, shown
 from .search import search, setting
 
 MULTIRUN = {"-m", "--multirun"}
+_TOLD_SECONDS = 5.0  # between lines while many jobs are composed
 
 
 def by_hydra(flags: list[str], overrides: list[str]) -> int:
@@ -68,11 +70,14 @@ def _sweep(typed: list[str]) -> int:
 
         def launch(combinations: list[list[str]]) -> list[Outcome]:
             with explained(typed):
-                first = len(sweep.jobs)
-                jobs = [
-                    planned(own, _label(own, typed), number)
-                    for number, own in enumerate(combinations, first)
-                ]
+                jobs, told = [], time.monotonic()
+                for number, own in enumerate(combinations, len(sweep.jobs)):
+                    if stop() and not searching:  # which has something to write yet
+                        raise KeyboardInterrupt
+                    if time.monotonic() - told > _TOLD_SECONDS:
+                        say(f"{len(jobs)} of {len(combinations)} jobs composed")
+                        told = time.monotonic()
+                    jobs.append(planned(own, _label(own, typed), number))
             return sweep.launch(jobs)
 
         try:

@@ -49,7 +49,7 @@ class Contestant:
 
     @property
     def looks_per_estimate(self) -> float:
-        """Of a run of 1,000 iterations; the look at its start does not count."""
+        """Of iterations 1 to 1,000; the look at a run's start does not count."""
         if self.sampler is None:
             return 0.0
         return sum(self.sampler.settings.due(i) for i in range(1, _COURSE + 1)) / _COURSE

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from typing import Any
 
 from ...config.roles import Role, meaning
@@ -57,11 +57,13 @@ def methods(settings: Sequence[Settings]) -> list[str]:
     sampler, a loss) is compared only among those that made the same choice, as others have
     settings of their own.
     """
-    every = sorted({key for each in settings for key in each})
+    every = {key for each in settings for key in each}
+    # What all have alike, those that made the same choice have alike.
+    apart = sorted(k for k in every if len({each.get(k, _UNSET) for each in settings}) > 1)
     labels = []
     for own in settings:
         parts = [_choice(own, "sampler") or "unnamed"]
-        for key in every:
+        for key in apart:
             if key in ("sampler", "sampler.name"):
                 continue
             peers = settings
@@ -73,7 +75,7 @@ def methods(settings: Sequence[Settings]) -> list[str]:
     return labels
 
 
-def _groups(key: str, every: Sequence[str]) -> list[str]:
+def _groups(key: str, every: Container[str]) -> list[str]:
     """The named choices that a setting belongs to: of ``sampler.base.floor`` the sampler and its
     base."""
     parts = key.removesuffix(".name").split(".")

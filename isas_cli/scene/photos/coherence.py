@@ -105,12 +105,18 @@ def _looked(
     axes = [np.linspace(*ends, count) for ends in zip(low, high)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     reach = float(np.linalg.norm(high - low)) / (count - 1)
-    outside, seen = np.zeros((0, len(points)), bool), np.zeros(len(points), int)
+    number, beyond = np.arange(len(points)), []  # by view, the numbers of the points outside it
+    times, seen = np.zeros(len(points), int), np.zeros(len(points), int)
     for each in photographs:
         deep = outlines.within(each, points, np.inf, outlines.signed(each.part))
-        outside, seen = np.vstack([outside, deep < -reach / 2]), seen + np.isfinite(deep)
-        kept = outside.sum(axis=0) <= _FEW + 1
-        points, outside, seen = points[kept], outside[:, kept], seen[kept]
+        out = deep < -reach / 2
+        beyond.append(number[out])
+        times, seen = times + out, seen + np.isfinite(deep)
+        kept = times <= _FEW + 1
+        points, number, times, seen = points[kept], number[kept], times[kept], seen[kept]
+    outside = np.zeros((len(beyond), len(number)), bool)
+    for row, numbers in zip(outside, beyond):
+        row[:] = np.isin(number, numbers)
     return points, outside, seen, reach
 
 

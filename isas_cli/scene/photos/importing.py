@@ -88,15 +88,15 @@ def load(
     same = camera.ideal and (target.width, target.height) == (camera.width, camera.height)
     if not same:
 
-        def resampled(weights: np.ndarray) -> dict[str, np.ndarray]:
+        def resampled(seen: np.ndarray, weights: np.ndarray) -> dict[str, np.ndarray]:
             return cached(
-                f"photograph-{_key(camera, image, weights, target.width)}",
-                lambda: dict(zip(("image", "mask"), resample(camera, target, image, weights))),
+                f"photograph-{_key(camera, seen, weights, target.width)}",
+                lambda: dict(zip(("image", "mask"), resample(camera, target, seen, weights))),
             )
 
         if settings.edges:
-            shown = resampled(shown)["mask"]
-        made = resampled(mask)
+            shown = resampled(image, shown)["mask"]
+        made = resampled(image, mask)
         image, mask = made["image"], made["mask"]
         variance = None if variance is None else variance * _noise_kept(camera, target)
         if part is not None:
@@ -105,9 +105,8 @@ def load(
                 # Or each small pixel of the border would be unknown: the mask is right to half one.
                 part = np.where(part < 0, plain, part)
                 known = np.ones_like(known) if rim is None else rim.astype(np.float32)
-            grey = np.repeat(part[..., None], 3, axis=2)
-            shrunk, inside = resample(camera, target, grey, known)
-            part = np.where(inside > 0, shrunk[..., 0], -1).astype(np.float32)
+            made = resampled(part[..., None], known)
+            part = np.where(made["mask"] > 0, made["image"][..., 0], -1).astype(np.float32)
     if not mask.any():
         if counted and target.width < camera.width:
             raise InputError(
@@ -231,12 +230,12 @@ def _given_mask(
 def resample(
     camera: Camera, target: Camera, image: np.ndarray, mask: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A photograph ``(H, W, 3)`` of ``camera`` and its weights, as ``target`` sees it: the mean
+    """A photograph ``(H, W, C)`` of ``camera`` and its weights, as ``target`` sees it: the mean
     over each of its pixels' squares, looked up by linear interpolation. A pixel any of whose points
     lies outside or does not count has no weight: part of its square is unknown."""
     shrunk = max(camera.width / target.width, camera.height / target.height)
     finer = min(_MOST, max(1, math.ceil(shrunk - 1e-6)))
-    total = np.zeros((target.height, target.width, 3))
+    total = np.zeros((target.height, target.width, image.shape[2]))
     least = np.ones((target.height, target.width), np.float32)
     steps = (np.arange(finer) + 0.5) / finer
     rows, columns = np.indices((target.height, target.width), np.float64)
@@ -258,7 +257,7 @@ def resample(
                 np.clip(np.where(inside, seen[..., axis] - 0.5, 0), 0, limit - 1)
                 for axis, limit in ((1, camera.height), (0, camera.width))
             ]
-            for channel in range(3):
+            for channel in range(image.shape[2]):
                 total[..., channel] += map_coordinates(image[..., channel], at, order=1)
             weight = np.where(inside, map_coordinates(mask, at, order=1), 0)
             least = np.minimum(least, np.where(weight >= _WHOLE, 1, weight))
