@@ -101,6 +101,15 @@ def test_every_figure_of_the_paper_has_a_row():
     assert {str(number) for number in range(1, 10)} < {each.figure for each in _claims.CLAIMS}
 
 
+@pytest.mark.parametrize(("bin", "verdict"), [(0.3, "most do, but with it as well"), (0.1, "yes")])
+def test_where_draws_go_is_judged_by_what_the_scheme_changes(bin, verdict, tmp_path):
+    table = {"scene": ["multires"] * 3, "object": ["bin", "cake", "all else"], "pixels": [0.2] * 3}
+    shares = {"ours": [0.4, 0.1, 0.5], "multiresolution": [bin, 0.1, 0.9 - bin]}
+    pandas.DataFrame(table | shares).to_csv(tmp_path / "draws.csv", index=False)
+    words, found = _claims._drawn(tmp_path)
+    assert "bin has 80% without" in words and found == verdict
+
+
 @pytest.mark.parametrize(("least", "verdict"), [(0.2, "yes: no bias seen"), (0.01, "no")])
 def test_of_several_means_one_may_be_off_by_chance(least, verdict, tmp_path):
     table = {"sampler": ["uniform", "gradient", "ours"], "bias_z": [None, 0.5, 1.0]}
