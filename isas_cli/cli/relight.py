@@ -104,7 +104,7 @@ def main(
             raise InputError(f"{pictures}: no view can be scored, for what is said above")
         if relighting.mean(found)["in_range"] < 0.5:
             say(
-                f"{pictures}: what counts is mostly brighter than 1 or all below 0.05, and scores "
+                f"{pictures}: what counts is often brighter than 1 or all below 0.05, and scores "
                 "are of 0 to 1, as a screen shows it: they tell little; scale the pictures"
             )
     table = Table("view", *_HEADS.values())

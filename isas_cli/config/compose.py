@@ -312,9 +312,10 @@ def named(cfg: DictConfig, files: DictConfig) -> None:
         cfg.scene.name = files.scene.removesuffix(".yaml")
     for choice in _CHOICES:
         file = files.get(_WITHIN.get(choice, choice))
-        if file is None:  # such as the base of a sampler that goes around none
+        node = OmegaConf.select(cfg, choice)
+        if file is None or node is None:  # such as the base of a sampler that goes around none
             continue
-        name, node = file.removesuffix(".yaml"), OmegaConf.select(cfg, choice)
+        name = file.removesuffix(".yaml")
         if (node.get("name") or name) != name:
             raise InputError(
                 f"{choice}={name}: its file says name: {node.name}, or takes it from another: "

@@ -18,7 +18,7 @@ _OF_ESTIMATORS = tuple(
 
 
 # Those of a sweep's words, such as choice(plateau,mitsuba).
-_NAME = re.compile(r"\w+(?!\w*\()")
+_NAME = re.compile(r"[\w.-]+(?![\w.-]*\()")
 
 
 def unpacked(overrides: list[str], within: str) -> list[str]:

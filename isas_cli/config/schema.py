@@ -409,7 +409,8 @@ class Config:
         scene = self.scene
         # One's own, with external in its defaults, has another name.
         own = any(each is not None for each in (scene.builder, scene.path, scene.photos.path))
-        external = scene.name == "external" or not own and scene.external != ExternalConfig()
+        given = scene.name != "file" and scene.external != ExternalConfig()
+        external = scene.name == "external" or not own and (scene.outside or given)
         if scene.photos.path is not None:
             self._of_photographs()
         elif scene.name == "photos":

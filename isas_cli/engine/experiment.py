@@ -262,7 +262,7 @@ def _announce(recorder: "Recorder", status: str, page: Path) -> None:
         left = recorder.held_out.get("left_out")
         more = f"; {left} more were not scored" if left else ""
         if (scale := recorder.held_out["scale"]) != 1:
-            more += f"; pictures times {scale:.3g}, as they are in another unit than a screen's"
+            more += f"; pictures times {scale:.3g}, as they are all dark, or often beyond white"
         say(f"{len(recorder.held_out['views'])} views held out: {told}{more}")
     lenses = held_out.of_views(recorder.loop.whole, recorder.loop.stepper.values).get("lens", {})
     for name, numbers in list(lenses.items())[:_LENSES]:

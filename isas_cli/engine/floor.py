@@ -92,7 +92,8 @@ def measure(problem: "Problem", pixels: mi.UInt32, products: Callable, seed: int
         weights = np.maximum(shown, 0)
         local = float((weights * here).sum() / weights.sum())
         size = np.abs(shown)
-        shows = float(np.mean(size > _FAINT * np.average(size, weights=size)))
+        usual = np.median(size[size > 0])  # a single bright path is no measure
+        shows = float(np.mean(size > _FAINT * usual))
         squares[u.key] = local * min(int(np.sum(u.seen)) / channels, shows)
         errors[u.key] = error * math.sqrt(squares[u.key] / image)
     if not squares:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import unicodedata
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,9 @@ WHOLE_NUMBERS = ("iteration", "paths", "nonfinite")
 def safe_name(key: str) -> str:
     """A file name for an unknown's key; `key_of` gives the key back."""
     # Letters as they are: quoted, one of another script takes up to twelve of a name's 255 bytes.
-    return "".join(c if c.isalnum() else quote(c, safe="") for c in key)
+    # But for those that some file systems take apart.
+    kept = (c.isalnum() and not unicodedata.decomposition(c) for c in key)
+    return "".join(c if keep else quote(c, safe="") for c, keep in zip(key, kept))
 
 
 def walked(

@@ -99,7 +99,8 @@ def unfinished(key: str) -> Iterator[tuple[dict[str, np.ndarray], Callable]]:
 
     def write() -> None:
         begun = time.monotonic()
-        _store(path, latest[0](), limit())
+        with contextlib.suppress(OSError, IsasError):
+            _store(path, latest[0](), limit())
         now = time.monotonic()
         due[0] = now + max(_KEPT_EVERY, _TIMES * (now - begun))
 

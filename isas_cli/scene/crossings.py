@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..runtime import memory
+
 # Of the coordinates' size, some of float32's roundings: what is as near to a plane lies in it.
 _TOUCHING = 1e-6
 # Pairs of triangles looked at together, and at most; and at most for each triangle, of many.
@@ -114,7 +116,12 @@ def _overlapping(low: np.ndarray, high: np.ndarray) -> np.ndarray:
         )
         near = np.flatnonzero(one <= other)
         one, other = one[near], other[near]
-        near = (low[one] <= high[other]).all(axis=1) & (low[other] <= high[one]).all(axis=1)
+        near = np.concatenate(
+            [
+                (low[a] <= high[b]).all(axis=1) & (low[b] <= high[a]).all(axis=1)
+                for a, b in ((one[at], other[at]) for at in memory.parts(len(one)))
+            ]
+        )
         one, other = one[near][:most], other[near][:most]
     apart = one != other
     return np.stack([order[one[apart]], order[other[apart]]], axis=1)

@@ -487,13 +487,13 @@ def test_a_cluster_is_given_many_jobs_in_several_arrays(monkeypatch):
     cluster, refuse = launchers.Submitit("slurm", "here", array_parallelism=64), False
     jobs = list(range(1500))
     assert len(list(cluster.launch(None, jobs, lambda: False))) == 1500
-    assert [len(each) for each in arrays] == [1000, 500] and sum(arrays, []) == jobs
+    assert [len(each) for each in arrays] == [750, 750] and sum(arrays, []) == jobs
     assert asked == {"slurm_array_parallelism": 32}
     arrays.clear()
     refuse = True
     with pytest.raises(InputError, match="submitit cannot launch the jobs: too many"):
         list(cluster.launch(None, jobs, lambda: False))
-    assert len(cancelled) == 1000
+    assert len(cancelled) == 750
 
 
 def test_a_job_whose_worker_is_lost_is_recorded_and_ends_no_other(isas, monkeypatch):

@@ -139,7 +139,8 @@ class Submitit:
         import submitit
 
         most = {"slurm_max_num_timeout": self.most} if self.cluster == "slurm" else {}
-        arrays, at_once = -(-len(jobs) // _ARRAY), "slurm_array_parallelism"
+        arrays, at_once = max(1, -(-len(jobs) // _ARRAY)), "slurm_array_parallelism"
+        size = max(1, -(-len(jobs) // arrays))  # of each alike, or the last leaves others waiting
         asked, submitted = dict(self.parameters), []
         if at_once in asked:  # of all arrays together
             asked[at_once] = max(1, asked[at_once] // arrays)
@@ -147,8 +148,8 @@ class Submitit:
             executor = submitit.AutoExecutor(self.folder, cluster=self.cluster, **most)
             executor.update_parameters(**asked)
             resumed = _Resumed(do, self.cluster == "slurm")
-            for begin in range(0, len(jobs), _ARRAY):
-                submitted += executor.map_array(resumed, jobs[begin : begin + _ARRAY])
+            for begin in range(0, len(jobs), size):
+                submitted += executor.map_array(resumed, jobs[begin : begin + size])
         except Exception as error:
             for other in submitted:
                 other.cancel(check=False)
