@@ -166,7 +166,8 @@ def _told(measured: str, verdict: str) -> Callable[[Path], tuple[str, str]]:
 def _densities(results: Path) -> tuple[str, str]:
     ratio, low, high = _of_variance(results).loc["ours", _ends("ratio_to_best")]
     words = f"dodoco: variance of `ours` over the best pmf's: {ratio:.2f} [{low:.2f}, {high:.2f}]"
-    words += "; raw and denoised: pictures [below](#what-one-look-finds-figures-2-and-5)"
+    words += "; raw and denoised: [pictures](#what-one-look-finds-figures-2-and-5), "
+    words += "[raced](#settings-of-ours-one-by-one)"
     return words, "yes" if high < _NEAR_BEST else "no" if low > _NEAR_BEST else "level"
 
 
@@ -201,7 +202,7 @@ def _refreshed(results: Path) -> tuple[str, str]:
     every = 1 / _of_variance(results).loc["ours", "looks_per_estimate"]
     words = f"looks of `ours`, every {every:.0f} steps: {100 * share.min():.1f} to "
     words += f"{100 * share.max():.1f} % of a run's time ([cost.md](cost.md#stage-1))"
-    return words, "yes at that interval; 20 was not raced"
+    return words, "yes at that interval; 20: [below](#settings-of-ours-one-by-one)"
 
 
 def _paths(results: Path) -> tuple[str, str]:
