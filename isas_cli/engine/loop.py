@@ -278,7 +278,7 @@ class Loop:
             if first:
                 p.paths += self.sampler.paths_before
             p.looked = self.clock.seconds - seconds, p.paths - paths
-        elif self._distribution is None or (draws and self._turned(begun=True)):
+        elif self._distribution is None or (draws and turned and self._turned(begun=True)):
             # No look of this run pays, or none is needed yet; or what now moves was left out of the
             # last one.
             p.at, self._weights = self.scheduled, None
