@@ -29,7 +29,7 @@ from isas_cli import records
 from isas_cli.cli.sweeps import fingerprint, launchers, outcome, search, sweep, worker
 from isas_cli.cli.sweeps.job import DONE, OTHER, UNFINISHED, Job, Report
 from isas_cli.cli.sweeps.outcome import Outcome, exit_status
-from isas_cli.config import schema, searchpath
+from isas_cli.config import presets, schema, searchpath
 from isas_cli.config.compose import compose, translate
 from isas_cli.runtime import errors, guests
 from isas_cli.runtime.errors import InputError
@@ -356,6 +356,11 @@ def test_whoever_stops_reading_what_is_printed_is_no_full_disk(monkeypatch):
 def test_names_are_swept_in_every_way_that_hydra_has(typed, names):
     (found,) = sweep.parsed(translate([f"sampler={typed}"]))
     assert sweep.choices(found) == [f"sampler={name}" for name in names]
+
+
+def test_what_is_called_as_a_preset_in_part_keeps_its_own_settings():
+    typed = ["sampler=my-plateau", "sampler.spp=4"]
+    assert presets.unpacked(typed, "sampler.base") == typed
 
 
 @pytest.mark.parametrize(

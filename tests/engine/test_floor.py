@@ -11,8 +11,8 @@ from scenes_for_tests import ROUGHNESS, TEXTURE, problem
 
 from isas_cli.cli.app import main
 from isas_cli.config.schema import TargetConfig
+from isas_cli.engine import floor
 from isas_cli.engine.evaluate import Evaluator
-from isas_cli.engine.floor import _moved
 from isas_cli.engine.loop import Loop
 from isas_cli.losses import L2
 from isas_cli.runtime.errors import InputError
@@ -94,6 +94,15 @@ def test_no_more_is_fitted_than_there_is():
     assert 0.4 * found.pixel_rms < found.image_rmse <= found.pixel_rms
 
 
+def test_a_bright_path_does_not_hide_what_else_shows():
+    p = problem({TEXTURE: 0.5}, constant_target=None, size=16)
+    p.variance = np.full(p.views.total, 0.05**2, np.float32)
+    pixels, shown = np.arange(p.views.total), np.ones(p.views.total)
+    shown[0] = 1e6
+    found = [floor.measure(p, pixels, lambda _, s=s: s, 1) for s in (np.ones_like(shown), shown)]
+    assert found[1].image_rmse == pytest.approx(found[0].image_rmse) == found[0].pixel_rms
+
+
 def test_what_is_not_known_has_none():
     assert measured("target.spp=1")[1] is None
     p = problem({TEXTURE: 0.5})
@@ -128,9 +137,9 @@ def test_numbers_are_moved_by_their_own_size_not_by_their_range():
     rng = np.random.default_rng(0)
     truth, seen = np.full(50, 2.0, np.float32), np.ones(50, bool)
     wide = SimpleNamespace(truth=truth, start=1.5 * truth, seen=seen, low=0.001, high=1e4)
-    assert np.abs(_moved(wide, rng) - truth).max() == pytest.approx(0.1, rel=1e-3)
+    assert np.abs(floor._moved(wide, rng) - truth).max() == pytest.approx(0.1, rel=1e-3)
     narrow = SimpleNamespace(truth=truth, start=truth, seen=seen, low=1.9, high=2.5)
-    assert np.abs(_moved(narrow, rng) - truth).max() == pytest.approx(0.03, rel=1e-3)
+    assert np.abs(floor._moved(narrow, rng) - truth).max() == pytest.approx(0.03, rel=1e-3)
 
 
 def test_a_map_with_a_sun_does_not_become_brighter_as_a_whole(rng):
@@ -141,7 +150,7 @@ def test_a_map_with_a_sun_does_not_become_brighter_as_a_whole(rng):
         **dict(truth=truth, start=np.ones_like(truth), seen=np.ones(truth.shape, bool)),
         **dict(low=0.0, high=np.inf),
     )
-    moved = _moved(sky, rng)
+    moved = floor._moved(sky, rng)
     assert np.all(moved != truth) and moved.min() >= 0
     assert np.mean(moved[4:] > truth[4:]) == pytest.approx(0.5, abs=0.1)
     assert moved[:4].max() < 1.0
